@@ -48,18 +48,20 @@ def warnings(tables: Tables) -> list[str]:
     newest = max((row['day'] for row in runs), default='')
     earlier += [f'{row["part"]} ({row["day"]})' for row in runs if row['day'] != newest]
     if earlier:
-        found.append(f'**Measured before the rest: {", ".join(earlier)}.**')
+        found.append(f'**Measured earlier than the other parts: {", ".join(earlier)}.**')
     quick = [row['part'] for row in runs if row['quick']]
     if quick:
-        found.append(f'**Made with --quick, too little data to judge by: {", ".join(quick)}.**')
+        found.append(
+            f'**Measured with --quick, with too little data for conclusions: {", ".join(quick)}.**'
+        )
     busy = [row for row in runs if row['load'] > _BUSY * row['cores']]
     if busy:
         worst = max(busy, key=lambda row: row['load'])
         usual = statistics.median(row['load'] for row in runs)
         found.append(
-            f'**Other programs ran on the machine meanwhile (load {worst["load"]:.1f} before '
-            f'{worst["part"]}, {usual:.1f} as a rule, on {worst["cores"]:.0f} cores): times are '
-            'too long, latencies most of all.**'
+            f'**Other programs ran at the same time (load {worst["load"]:.1f} before '
+            f'{worst["part"]}, median {usual:.1f}, on {worst["cores"]:.0f} cores): times are '
+            'too long, in particular latencies.**'
         )
     return found
 
@@ -68,9 +70,9 @@ def _sentences(tables: Tables) -> Iterable[str]:
     """How accurate, how dear, when it fails, what to set."""
     makers = {
         'How accurate?': _accurate,
-        'How dear?': _dear,
+        'How fast?': _dear,
         'When does it fail?': _fails,
-        'What to set?': _settings,
+        'What should I set?': _settings,
     }
     for question, make in makers.items():
         answer = make(tables) or MISSING
@@ -83,7 +85,7 @@ def _accurate(tables: Tables) -> str:
         return ''
     text = (
         f'{_absolute(tables.get("hindsight", []))}The error is {np.median(ratios):.2f} times that '
-        'of the best fixed window that hindsight finds.'
+        'of the best fixed window found in hindsight.'
     )
     covered = [
         row['covered']
@@ -93,7 +95,9 @@ def _accurate(tables: Tables) -> str:
     ]
     if covered:
         share = 100 * np.median(covered)
-        text += f' The 95% intervals hold the truth {share:.0f}% of the time (all medians).'
+        text += (
+            f' The 95% intervals contain the true value {share:.0f}% of the time. All are medians.'
+        )
     return text
 
 
@@ -107,8 +111,8 @@ def _absolute(rows: Rows) -> str:
         return ''
     rate, pole = (float(np.nanmedian(each)) for each in found)
     return (
-        f'With noise of {NOISES[1]:g} body sizes, ω errs by {rate:.2%} and the ICR by {pole:.3f} '
-        'sizes. '
+        f'At a noise of {NOISES[1]:g} body sizes, the error of ω is {rate:.2%} and that of the ICR '
+        f'{pole:.3f} body sizes. '
     )
 
 
@@ -117,10 +121,10 @@ def _dear(tables: Tables) -> str:
     if not costs:
         return ''
     live, replay = (1e6 * costs[OURS][what] for what in ('live', 'replay'))
-    text = f'A frame of one body takes {live:.0f} µs of CPU live and {replay:.0f} µs in replay'
+    text = f'A frame of one body takes {live:.0f} µs of CPU time live and {replay:.0f} µs in replay'
     node = tables.get('live', [])
     if node:
-        text += f', and the whole node {node[0]["core"]:.0%} of a core at 200 Hz'
+        text += f'. The whole node takes {node[0]["core"]:.0%} of a core at 200 Hz'
     return f'{text}.'
 
 
@@ -131,14 +135,14 @@ def _fails(tables: Tables) -> str:
     names = [each.name for each in rows if each.first_broken]
     levels = [level for each in rows for level in each.levels if level.broken]
     text = (
-        f'Of {len(rows)} troubles of the input, {len(names)} raise the error beyond {BOUND:g} '
+        f'{len(names)} of {len(rows)} kinds of bad input increase the error to more than {BOUND:g} '
         'times that of ideal input'
     )
     if not names:
         return f'{text}.'
     reported = sum(level.reported for level in levels)
     return (
-        f'{text}, at some strength: {", ".join(names)}. Diagnostics report {reported} of these '
+        f'{text}, if they are strong: {", ".join(names)}. Diagnostics report {reported} of these '
         f'{len(levels)} cases.'
     )
 
@@ -149,20 +153,22 @@ def _settings(tables: Tables) -> str:
         return ''
     rate, jerk = (lagged[0.0][name] / lagged[LAG][name] for name in ('ω', 'jerk'))
     text = (
-        f'First `lag`: {LAG:g} s instead of none makes the error of ω {rate:.1f} times and that of '
-        f'the jerk {jerk:.1f} times smaller.'
+        f'`lag` first. {LAG:g} s instead of none divides the error of ω by {rate:.1f} and that of '
+        f'the jerk by {jerk:.1f}.'
     )
     costs = {row['method']: row['live'] for row in tables.get('costs', [])}
     ratios = over_hindsight(tables.get('peers', []))
     low = EFFORTS['low']
     if low in costs and low in ratios:
         time, error = costs[low] / costs[OURS], np.median(ratios[low]) / np.median(ratios[OURS])
-        text += f' `effort: low` takes {time:.2f} times the CPU and errs {error:.2f} times as much.'
+        text += (
+            f' `effort: low` takes {time:.2f} times the CPU time, with {error:.2f} times the error.'
+        )
     return text
 
 
 def _pareto_part(tables: Tables) -> str:
-    title = '## Against other methods'
+    title = '## How does it compare with other methods?'
     points = pareto_points(
         tables.get('peers', []), tables.get('costs', []), tables.get('pynumdiff', [])
     )
@@ -173,38 +179,39 @@ def _pareto_part(tables: Tables) -> str:
     best = min((p for p in points if p.group == 'peer'), key=lambda p: p.median)
     return f"""{title}
 
-![Error over CPU time: ours at three efforts, and peers](charts/pareto.png)
+![Error over CPU time: kinpole at three efforts, and other methods](charts/pareto.png)
 
-Down and left is better; a triangle lies higher than drawn. At 1 (dashed) is the best fixed window
-that hindsight finds for each cell. A cell is one quantity of one motion at one noise: {ours.cells}
-of them, {motions} motions. All but the Kalman filter may look {LAG:g} s ahead.
+Lower left is better; a triangle is a point above the chart. The dashed line at 1 is the best fixed
+window, chosen in hindsight for each cell. A cell is one quantity of one motion at one noise. There
+are {ours.cells} cells of {motions} motions. All methods except the Kalman filter may use {LAG:g} s
+of later data.
 
-- Left: of the methods that nobody tuned by the truth, the nearest errs
-  {best.median / ours.median:.1f} times as much as ours ({best.label}).
-- Right: settings picked by the truth for each cell, and PyNumDiff, which sees the whole record.
-  Nobody can set these on a rig.
-- The peers are bare loops in numpy: no covariance, no dropouts, no uneven stamps. They are compared
-  on the frames that ours determines."""
+- Left: methods that were not tuned with the true values. The best of them has
+  {best.median / ours.median:.1f} times the error of kinpole ({best.label}).
+- Right: methods whose settings were chosen with the true values for each cell, and PyNumDiff, which
+  uses the whole record. On a rig nobody can choose such settings.
+- The other methods are plain loops in numpy, without covariance, dropouts and uneven stamps. They
+  are compared on the frames that kinpole determines."""
 
 
 def _strip_part(tables: Tables) -> str:
-    title = '## Where it breaks'
+    title = '## When does it fail?'
     rows = troubles(tables.get('rigs', []))
     if not rows:
         return f'{title}\n\n{MISSING}'
     return f"""{title}
 
-![Error over that with ideal input, by trouble](charts/strip.png)
+![Error relative to that with ideal input, by kind of bad input](charts/strip.png)
 
-Each row is one thing that goes wrong, from little to much. The figure is the error over that with
-ideal input and {1e3 * NOISE:g} mm of noise: the larger of ω and ICR, the median of all bodies.
+Each row is one kind of bad input, with increasing strength. The value is the error relative to that
+with ideal input and {1e3 * NOISE:g} mm of noise: the larger of ω and ICR, the median of all bodies.
 
-What each message means and its fix: [real_rigs.md](real_rigs.md). Worst bodies, coverage and
-messages: [tables](benchmarks-tables.md#on-real-rigs)."""
+[Real rigs](real_rigs.md) explains each message and its fix. The
+[tables](benchmarks-tables.md#on-real-rigs) list the worst bodies, coverage and messages."""
 
 
 def _model_part(tables: Tables) -> str:
-    title = '## The model it chose'
+    title = '## Which models does it choose?'
     rows = tables.get('model', [])
     if not rows:
         return f'{title}\n\n{MISSING}'
@@ -216,14 +223,14 @@ def _model_part(tables: Tables) -> str:
 
 ![Parameters of the model, by motion and over time](charts/model.png)
 
-Nobody tells it the motion. The models it averages have {least['parameters']:.0f} parameters for
-{least['motion']} and {most['parameters']:.0f} for {most['motion']}, in one window of {WINDOW:g} s.
-What the noise hides takes none: in {fewer} of {len(motions)} motions the most noise leaves fewer
-than the least."""
+The motion is not given. In one window of {WINDOW:g} s the averaged models have
+{least['parameters']:.0f} parameters for the {least['motion']} and {most['parameters']:.0f} for the
+{most['motion']}. Details below the noise take no parameters: in {fewer} of {len(motions)} motions
+the highest noise leaves fewer parameters than the lowest."""
 
 
 def _efforts_part(tables: Tables) -> str:
-    title = '## What `effort` buys'
+    title = '## What does `effort` change?'
     costs = {row['method']: row for row in tables.get('costs', [])}
     ratios = over_hindsight(tables.get('peers', []))
     lines: list[tuple[str, ...]] = []
@@ -239,7 +246,8 @@ def _efforts_part(tables: Tables) -> str:
 
 {table(head, lines)}
 
-CPU time a frame of one body, with all poles and the curvature; errors as in the first chart."""
+CPU time is per frame of one body, with all poles and the curvature. Errors are those of the first
+chart."""
 
 
 def _rest_part(tables: Tables) -> str:
@@ -249,15 +257,14 @@ def _rest_part(tables: Tables) -> str:
         last = max(runs, key=lambda row: row['day'])
         made = f"""
 
-Made by `kinpole bench` in {sum(row['seconds'] for row in runs) / 60:.0f} minutes on
+`kinpole bench` made this page in {sum(row['seconds'] for row in runs) / 60:.0f} minutes on
 {last['cores']:.0f} cores ({last['python']}, {last['numpy']}), {last['day']}."""
-    return f"""## How it was measured
+    return f"""## How was it measured?
 
 One body of four markers at 200 Hz, window {WINDOW:g} s, lag {LAG:g} s, even stamps. The noise is
-white, of {', '.join(f'{noise:g}' for noise in NOISES)} body sizes, and the tracker is not given it.
-The motions are exact: [what they are](benchmarks-tables.md#motions). The Kalman smoother on the
-left takes the process noise that is likeliest at {TUNED_ON[0]:g} to {TUNED_ON[1]:g} s of each
-record.
+white, {', '.join(f'{noise:g}' for noise in NOISES)} body sizes, and not given to the tracker. The
+[motions](benchmarks-tables.md#motions) are exact. The Kalman smoother on the left uses the process
+noise with the highest likelihood at {TUNED_ON[0]:g} to {TUNED_ON[1]:g} s of each record.
 
-Every table, the stability atlas, the live node, the pendulum and long runs:
-[benchmarks-tables.md](benchmarks-tables.md). Figures as CSV: [charts](charts).{made}"""
+[The tables](benchmarks-tables.md) also cover stability, the live node, a real pendulum and long
+runs. The values are in CSV files in [charts](charts).{made}"""

@@ -23,15 +23,15 @@ _ALL_EXACT = 0.97
 def hindsight_part(rows: Rows) -> str:
     if not rows:
         return ''
-    return f"""## Error over the best fixed window and degree in hindsight
+    return f"""## Error relative to the best fixed window and degree in hindsight
 
 {_ratios(rows)} Bars: {_MEDIAN_BAR} and {_NINETIETH_BAR}.
 
-A dash: under 50 frames are determined. Ratios near 0: the true figure is zero, and so is ours.
+A dash: fewer than 50 frames are determined. A ratio near 0: the true value is zero, and so is ours.
 
-The rival is a local polynomial on the fitted poses, of 5 to 101 samples and degree up to 12. It may
-look 20 samples ahead. For each cell it is the one that proved best. Its poses are fitted to the
-true shape of the body, which ours has to learn.
+The reference is a local polynomial on the fitted poses, with 5 to 101 samples and a degree of up to
+12. It may use 20 later samples. For each cell the best one is chosen with the true values. Its
+poses are fitted to the true shape of the body, which ours has to learn.
 
 ![Error over the best in hindsight](charts/hindsight.png)"""
 
@@ -49,7 +49,7 @@ def _ratios(rows: Rows) -> str:
     middle, high, most = np.percentile(ratios, (50, 90, 100))
     return f"""{cell_table}
 
-Bold is over the bar of {_BAR}: **{(ratios > _BAR).sum()} of {len(ratios)}** cells. Median
+Bold is above the bar of {_BAR}: **{(ratios > _BAR).sum()} of {len(ratios)}** cells. Median
 {middle:.2f}, 90th percentile {high:.2f}, worst {most:.2f}. The worst: {worst}."""
 
 
@@ -83,14 +83,14 @@ def bounds_part(rows: Rows, ratios: Rows) -> str:
     lines = [
         (told, f'{n:g}', *(number(median(what, q, n)) for q in QUANTITIES))
         for told, what in (
-            ('ours over the bound', 'ours_over_bound'),
-            ('the best in hindsight over the bound', 'best_over_bound'),
+            ('ours relative to the bound', 'ours_over_bound'),
+            ('the best in hindsight relative to the bound', 'best_over_bound'),
         )
         for n in noises
     ]
     lines += [
         (
-            'the best in hindsight, single records over all',
+            'the best in hindsight, single records relative to all',
             f'{n:g}',
             *(
                 f'{number(median("seeds_10", q, n))} to {number(median("seeds_90", q, n))}'
@@ -105,17 +105,17 @@ def bounds_part(rows: Rows, ratios: Rows) -> str:
         row['ratio'] <= cells[row['motion'], row['noise'], row['quantity']]['seeds_90']
         for row in over
     )
-    return f"""## What could be reached
+    return f"""## What is the theoretical limit?
 
 {table(('medians over the motions', 'noise', *QUANTITIES), lines)}
 
-The bound is that of Cramér and Rao, for a polynomial of the window and degree that proved best. No
-unbiased estimate with that model errs less. Hindsight is above 1 where its best setting trades
-noise for bias. Ours is below 1 where some frames have a better model than that one.
+The bound is that of Cramér and Rao, for a polynomial with the best window and degree. No unbiased
+estimate with that model has a smaller error. The best in hindsight is above 1 where it exchanges
+noise for bias. Ours is below 1 where some frames have a better model.
 
-The last rows compare single records with all of them: 10th and 90th percentile. {len(over)} cells
-are over the bar; {chance} of them are within what one record in ten does to the best fixed setting.
-Every cell: [bounds.csv](charts/bounds.csv)."""
+The last rows compare single records with all records: 10th and 90th percentile. {len(over)} cells
+are above the bar. For {chance} of them the best fixed setting varies as much in one record of ten.
+All cells: [bounds.csv](charts/bounds.csv)."""
 
 
 def _bold(ratio: float) -> str:
@@ -189,7 +189,7 @@ def coverage_part(rows: Rows, bounds: Rows, others: Rows) -> str:
         summary,
     )
     counts = table(
-        ('cells by how often 95% intervals hold the truth', '93 to 97%', 'below', 'above'),
+        ('cells by coverage of their 95% intervals', '93 to 97%', 'below', 'above'),
         (
             (what, *map(str, each))
             for what, each in (
@@ -200,28 +200,29 @@ def coverage_part(rows: Rows, bounds: Rows, others: Rows) -> str:
             )
         ),
     )
-    return f"""## What the stated uncertainty is worth
+    return f"""## Is the uncertainty correct?
 
-Percentage of determined frames whose 95% interval holds the truth. Of poles: whose squared error
-over the covariance is below 5.991, chi-square of 2 degrees of freedom.
+Percentage of determined frames whose 95% interval contains the true value. For poles: whose squared
+error over the covariance is below 5.991, chi-square with 2 degrees of freedom.
 
 {cell_table}
 
-Bold is outside 93 to 97%. In {exact} cells, marked =, over {100 * _ALL_EXACT:.0f}% of the frames
-have no error but rounding; they do not count below. Neighboring frames share their windows, so a
-cell is known to some 1.5 points only.
+Bold is outside 93 to 97%. In {exact} cells, marked =, more than {100 * _ALL_EXACT:.0f}% of the
+frames have rounding errors only; they are left out below. Neighboring frames share their windows,
+so the accuracy of a cell is about 1.5 percentage points.
 
 {counts}
 
 {determined}
 
-- Bad: the error exceeds 10 stated deviations, or the true pole (for κ: the ICR) is beyond 1000 body
-  sizes.
-- Good: not bad, and the stated deviation is below 0.3 of a body size. Rates and κ: of the figure.
-- Could be marked at most: no test with under 2% of false alarms marks more bad rates. A motion for
-  which the published rate is right differs too little from the true one.
+- Bad: the error exceeds 10 standard deviations, or the true pole (for κ: the ICR) is beyond 1000
+  body sizes.
+- Good: not bad, and the standard deviation is below 0.3 body sizes (for rates and κ: below 0.3 of
+  the value).
+- Could be marked at most: no test with less than 2% false alarms marks more bad rates, because the
+  true motion differs too little from one with the published rate.
 
-Every number by row: [coverage.csv](charts/coverage.csv)."""
+All values: [coverage.csv](charts/coverage.csv)."""
 
 
 def _judged(rows: Rows) -> Rows:
@@ -243,6 +244,6 @@ def chi_part(rows: Rows) -> str:
     return f"""### Errors of poles against chi-square
 
 Percentage of determined frames whose squared error over the covariance is below that percentile of
-chi-square. Median (lowest to highest) of the cells. Each column should repeat its head.
+chi-square: median (lowest to highest) of the cells. The ideal is the head of each column.
 
 {table(('', *(f'{100 * level:g}%' for level in LEVELS)), lines)}"""

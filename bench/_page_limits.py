@@ -27,11 +27,11 @@ def time_part(costs: Rows) -> str:
     )
     return f"""## CPU time by method
 
-{table(('method', 'live, µs a frame', 'replay, µs a frame'), rows)}
+{table(('method', 'live, µs per frame', 'replay, µs per frame'), rows)}
 
-All figures of one body up to the jerk: live frame by frame, in replay many frames at once. Ours
-takes {pipeline_ratio(costs):.2f} times as long live as a fixed polynomial through the same pipeline
-(bar: 3). Least of several runs."""
+All quantities of one body up to jerk: live frame by frame, in replay many frames at once. Ours
+takes {pipeline_ratio(costs):.2f} times as long live as a fixed polynomial in the same pipeline
+(bar: 3). Minimum of several runs."""
 
 
 def speed_part(speed: Rows, start: Rows) -> str:
@@ -56,12 +56,13 @@ def speed_part(speed: Rows, start: Rows) -> str:
         )
         for row in rows
     )
-    return f"""## What it costs
+    return f"""## What does it cost?
 
-{table(('what', 'ours', 'the other', 'ratio', 'bar'), told)}
+{table(('what', 'ours', 'compared with', 'ratio', 'bar'), told)}
 
-Bold does not reach its bar. CPU times, but for rates, start and help; each pair in one run. A rate
-is held when 99% of the frames are answered within two periods, in one of two tries."""
+Bold misses its bar. These are CPU times, except for rates, start and help, with each pair in one
+run. A rate is sustained if 99% of the frames are answered within two periods, in one of two
+tries."""
 
 
 def live_part(rows: Rows) -> str:
@@ -85,25 +86,25 @@ def live_part(rows: Rows) -> str:
     )
     head = (
         'case',
-        "p50 over the relay's (ms)",
-        "p99 over the relay's (ms)",
+        "p50 relative to the relay's (ms)",
+        "p99 relative to the relay's (ms)",
         'share of a core',
         "relay's",
         'answered within two periods',
         "relay's",
     )
-    return f"""## The live node against a relay
+    return f"""## The live node compared with a relay
 
 {table(head, lines)}
 
-Bold is above its bar: {_P50_BAR:g} for p50, {_P99_BAR:g} for p99. Latency is from sending a frame
-to the arrival of its last result; a frame without one counts as infinitely late. The relay reads
-the same message as rclpy makes it and publishes one vector. Both get every frame, half a period
-after each other, from a process that sleeps between frames.
+Bold is above its bar: {_P50_BAR:g} for p50, {_P99_BAR:g} for p99. Latency is the time
+from sending a frame to the arrival of its last result; a frame without a result counts as
+infinitely late. The relay reads the same message with rclpy and publishes one vector. Both receive
+every frame, half a period after each other, from a process that sleeps between frames.
 
-Unless said: 200 Hz, 4 markers a body, of 20 or more in a cloud. Angular velocity, ICR and centrode
-curvature of each body are subscribed to. Paths and drawings count for the core only. Median of
-three runs: [live.csv](charts/live.csv)."""
+Default: 200 Hz, 4 markers per body, 20 or more in a cloud. Angular velocity, ICR and centrode
+curvature of each body have subscribers. Paths and drawings are included in the share of a core
+only. Median of three runs: [live.csv](charts/live.csv)."""
 
 
 def _beyond_bar(row: dict[str, Any]) -> bool:
@@ -113,12 +114,12 @@ def _beyond_bar(row: dict[str, Any]) -> bool:
 def lag_part(rows: Rows) -> str:
     if not rows:
         return ''
-    return f"""## Error against lag
+    return f"""## Error by lag
 
-![Error against lag](charts/error_over_lag.png)
+![Error by lag](charts/error_over_lag.png)
 
-The lower the line, the better at that lag. Median over six motions at a noise of {NOISES[1]:g},
-over ours at 0.1 s, on the frames that ours determines at every lag."""
+Lower is better. Median over six motions at a noise of {NOISES[1]:g}, relative to ours at 0.1 s, on
+the frames that ours determines at every lag."""
 
 
 def atlas_part(rows: Rows) -> str:
@@ -168,7 +169,7 @@ def atlas_part(rows: Rows) -> str:
     better.sort(reverse=True)
     contrary = '; '.join(text for _, text in better[:4])
     told = table(
-        ('as', 'is', *(f'{q}: error, determined' for q in SHOWN)),
+        ('limit', 'value', *(f'{q}: error, determined' for q in SHOWN)),
         (
             (row['limit'], f'{row["value"]:g} {row["unit"]}', *(cell(row, q) for q in SHOWN))
             for row, _ in both.values()
@@ -176,26 +177,26 @@ def atlas_part(rows: Rows) -> str:
     )
     return f"""## Stability atlas
 
-Cells in which something raised: **{len(raised)}**; in which something not finite was called
-determined: **{len(finite)}**, of {len(rows)} (both methods).
+Of {len(rows)} cells (both methods), **{len(raised)}** raised an exception, and in
+**{len(finite)}** a value that is not finite was marked as determined.
 
 ![Stability atlas: ω and ICR](charts/atlas.png)
 
-Where the error (above) grows without bound, the share determined (below) must fall with it. Dotted
-is the fixed window of 41 samples and degree 4 in the same pipeline.
+Where the error (upper charts) grows without bound, the share determined (lower charts) must
+decrease. The dotted line is a fixed window of 41 samples and degree 4 in the same pipeline.
 
 ![Stability atlas: IAP and κ](charts/atlas_higher.png)
 
-The same of what needs more derivatives; the fixed window loses them sooner. At a cusp of the
-centrode κ is infinite, and withheld in the frames that cannot tell.
+The same for quantities that need more derivatives; the fixed window fails sooner. At a cusp of the
+centrode κ is infinite, and it is withheld in the frames that do not determine it.
 
-Where the fixed window does worst on poles, limit by limit (error over the body's size, share
+The worst poles of the fixed window for each limit (error divided by the body size, share
 determined):
 
-{table(('as', 'is', *(f'{q}, {m}' for q in poles for m in ('ours', 'fixed 41/4'))), failing)}
+{table(('limit', 'value', *(f'{q}, {m}' for q in poles for m in ('ours', 'fixed 41/4'))), failing)}
 
-Ours is worse by more than {PEER_BAR} in {len(better)} of {len(poles) * len(both)} figures
-{f'({contrary})' if better else ''}.
+Ours is worse by a factor of more than {PEER_BAR} in {len(better)} of {len(poles) * len(both)}
+results {f'({contrary})' if better else ''}.
 
 <details><summary>Ours in all cells</summary>
 
@@ -203,8 +204,9 @@ Ours is worse by more than {PEER_BAR} in {len(better)} of {len(poles) * len(both
 
 </details>
 
-Errors are medians over determined frames. Rates: over the figure, or the rms of ω to that power.
-Poles: over the body's size. κ: over the figure, or one per size."""
+Errors are medians over determined frames. Rates are divided by the true value, or by the rms of ω
+to that power. Poles are divided by the body size. κ is divided by the true value, or by one per
+body size."""
 
 
 def long_part(rows: Rows) -> str:
@@ -213,7 +215,7 @@ def long_part(rows: Rows) -> str:
         return f"""{title}
 
 Not measured: `kinpole bench --long` feeds 1e7 frames through one tracker and writes
-charts/long.csv, which the next page quotes."""
+charts/long.csv, which the next page uses."""
     tenth = max(len(rows) // 10, 1)
 
     def both(what: str, form: str) -> str:
@@ -224,20 +226,21 @@ charts/long.csv, which the next page quotes."""
     return f"""{title}
 
 {rows[-1]['frame']:.0e} frames of the four-bar's coupler at a noise of 0.001 through one tracker
-(`kinpole bench --long`), with figures asked for in {len(rows)} stretches of 50 frames:
+(`kinpole bench --long`), with results requested in {len(rows)} segments of 50 frames:
 
-- error of ω over its rms: {both('omega_error', '.2g')}
-- error of the ICR over the body's size: {both('icr_error', '.2g')}
+- error of ω divided by its rms: {both('omega_error', '.2g')}
+- error of the ICR divided by the body size: {both('icr_error', '.2g')}
 - the learned body frame turned by {most['turned']:.1g} rad and shifted by {most['shifted']:.1g}
-  body sizes at most; the learned shape is off by {rows[-1]['shape_error']:.1g} sizes at the end
+  body sizes at most; the error of the learned shape is {rows[-1]['shape_error']:.1g} body sizes at
+  the end
 - peak memory: {rows[tenth]['memory']:.1f} MB after a tenth, {rows[-1]['memory']:.1f} MB at the end
-- CPU time per frame, few of them asked for: {both('cpu', '.0f')}, µs
+- CPU time per frame, with few results requested: {both('cpu', '.0f')}, µs
 
-Every stretch: [long.csv](charts/long.csv)."""
+All segments: [long.csv](charts/long.csv)."""
 
 
 def soak_part(rows: Rows) -> str:
-    title = '## The live node for a while'
+    title = '## A long run of the live node'
     if not rows:
         return f"""{title}
 
@@ -259,9 +262,9 @@ Not measured: `kinpole bench --soak 30` runs it for 30 minutes."""
     return f"""{title}
 
 {len(rows)} minutes at 500 Hz (`kinpole bench --soak`). Each marker is hidden in 5% of the frames
-and 0.1 m off in 0.2%. 1% of the frames are never sent, and every 20 s the clock jumps. Latency is
-from sending a frame to the arrival of its angular velocity, less the lag.
+and displaced by 0.1 m in 0.2%. 1% of the frames are never sent, and every 20 s the clock jumps.
+Latency is the time from sending a frame to the arrival of its angular velocity, minus the lag.
 
 {told}
 
-Every minute: [soak.csv](charts/soak.csv)."""
+All minutes: [soak.csv](charts/soak.csv)."""

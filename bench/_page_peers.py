@@ -30,7 +30,7 @@ def peers_part(rows: Rows, offline: Rows) -> str:
     worse = sorted((cell for cell in tuned if cell[0] > PEER_BAR), reverse=True)
     methods = (OURS, FIXED, *real_time)
     everyone = table(
-        ('method', f'cells over {PEER_BAR} times the smallest of the others'),
+        ('method', f'cells above {PEER_BAR} times the smallest of the other methods'),
         (
             (method, f'{sum(ratio > PEER_BAR for ratio, *_ in cells)} of {len(cells)}')
             for method in methods
@@ -38,36 +38,36 @@ def peers_part(rows: Rows, offline: Rows) -> str:
         ),
     )
     listed = table(
-        ('quantity', 'motion', 'noise', 'ours over the smallest', 'which'),
+        ('quantity', 'motion', 'noise', 'ours relative to the smallest', 'smallest'),
         ((k[2], k[0], f'{k[1]:g}', f'{r:.2f}', m) for r, k, m in worse[:5]),
     )
     version = offline[0]['version'] if offline else ''
     about = (
-        f'PyNumDiff {version} is offline: it sees the whole record. Its own optimizer was given '
+        f'PyNumDiff {version} is offline and uses the whole record. Its own optimizer was given '
         'the true derivative. It differentiates one signal, the angle, so it has no poles.'
         if version
         else 'PyNumDiff was not measured.'
     )
-    return f"""## Peers at the same lag, on the same recordings
+    return f"""## Other methods at the same lag, on the same recordings
 
-Median over the motions of each method's error over ours; above 1 ours is better. All may look 0.1 s
-ahead, but the Kalman filter and the plain finite differences.
+Median over the motions of each method's error divided by ours; above 1 ours is better. All methods
+may use 0.1 s of later data, except the Kalman filter and the plain finite differences.
 
-- "Hindsight": its setting was picked by the truth for each motion, noise and quantity.
-- "Self-tuned": the process noise that is likeliest at 0.75 to 2.5 s of each record.
-- Ours has one setting for all. Errors are of the frames that it determines at all three efforts.
+- "Hindsight": the setting was chosen with the true values for each motion, noise and quantity.
+- "Self-tuned": the process noise has the highest likelihood at 0.75 to 2.5 s of each record.
+- Ours has one setting for all. Errors are those of the frames that it determines at all efforts.
 
 {chr(10).join(part + chr(10) for part in parts)}
 {about}
 
-Over {PEER_BAR} times the smallest of the real-time peers, ours is in:
+The error of ours exceeds {PEER_BAR} times the smallest of the other real-time methods in:
 
-- **{len(worse)} of {len(tuned)}** cells, where they are tuned in hindsight (bar: none)
-- **{sum(r > PEER_BAR for r, *_ in plain)} of {len(plain)}** cells, of those the truth did not tune
+- **{len(worse)} of {len(tuned)}** cells, if they are tuned in hindsight (bar: none)
+- **{sum(r > PEER_BAR for r, *_ in plain)} of {len(plain)}** cells, if they are not
 
 {everyone}
 
-The worst against those tuned in hindsight:
+The worst cells, compared with those tuned in hindsight:
 
 {listed}"""
 
@@ -96,7 +96,7 @@ def _beyond(
 
 
 def pendulum_part(rows: Rows) -> str:
-    title = '## A real double pendulum against hindsight'
+    title = '## A real double pendulum'
     if not rows:
         return f'{title}\n\nNot measured: its data are not at ../shared/data/double_pendulum.'
     places = list(dict.fromkeys(row['place'] for row in rows))
@@ -111,7 +111,7 @@ def pendulum_part(rows: Rows) -> str:
     for way in ways:
         if way in fixed:
             continue
-        line = [f'{way}, over the best fixed']
+        line = [f'{way}, relative to the best fixed']
         for place in places:
             ratios = [
                 cells[way, place][what] / min(cells[f, place][what] for f in fixed)
@@ -127,22 +127,22 @@ def pendulum_part(rows: Rows) -> str:
     told = min(cells[way, place]['told'] for way in ways if way not in fixed for place in places)
     return f"""{title}
 
-Two links filmed at 500 Hz, each known by two markers (IBM's "Double Pendulum Chaotic", run 16). The
-data are not part of the project. Ours has one setting, window 0.2 s and lag 0.1 s. The rivals are
-local polynomials on the markers, centered. Distances over the length of link1, median / 90th
-percentile:
+Two links filmed at 500 Hz, with two markers each (IBM's "Double Pendulum Chaotic", run 16). The
+complete data are not part of the project. Ours has one setting, window 0.2 s and lag 0.1 s. The
+other methods are centered local polynomials on the markers. Distances divided by the length of
+link1, median / 90th percentile:
 
 {table(('', *places), lines)}
 
-Bold is over the bar of {PEER_BAR}: **{beyond} of {total}**. The best fixed is another one from
-column to column. Ours has a figure in at least {100 * told:.1f}% of the frames compared.
+Bold is above the bar of {PEER_BAR}: **{beyond} of {total}**. The best fixed setting differs between
+columns. Ours has a result in at least {100 * told:.1f}% of the frames compared.
 
-| figure | frames compared: those in which, per frame |
+| quantity | frames compared: those in which, per frame |
 | --- | --- |
 | ICR of link1; relative ICR; ICR of link2 | \\|ω1\\|; \\|ω2 − ω1\\|; \\|ω2\\| > 0.01 rad |
 | IAP | (α² + ω⁴)^½ > 4e-4 |
 | IJP | ((ω̈ − ω³)² + 9ω²α²)^½ > 1.6e-5 |
 
-The ICR of link2 should lie on the line through pivot and joint. The joint is its marker smoothed,
-21 frames and degree 3. The pivot is the median of its marker, up to 0.0044 from the center of the
+The ICR of link2 should be on the line through pivot and joint. The joint is its smoothed marker, 21
+frames and degree 3. The pivot is the median of its marker, up to 0.0044 from the center of the
 joint's path."""

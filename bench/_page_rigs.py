@@ -11,14 +11,14 @@ from bench._rows import Rows
 TITLE = '## On real rigs'
 # Parts of the table: name, and the bars of it in words.
 _PARTS = {
-    'stamps': 'Stamps, with 2% of the frames lost where they are not true. Bar: 1.1 (1.3 for '
-    'exp(3 ms), 1.05 for true ones), coverage within 3 points of the ideal.',
-    'plane': 'Plane and units, about any axis. Bar with `plane: fit`: 1.1 for the ICR, covered by '
-    '90%; with `plane: xy` the tilt has to be named.',
-    'names': 'Names. Bar: 1.2 for ω or withheld, under 1% beyond 5 deviations, named.',
-    'markers': 'Bad markers. Bar: 1.25 for ω and ICR, covered by 90%, named.',
-    'frames': 'Bad frames: one every 0.6 s. Bar: nothing beyond 10 deviations.',
-    'bodies': 'Bodies that are not rigid. Bar: ω and ICR covered by 85%, or named.',
+    'stamps': 'Stamps, with 2% of the frames lost if the stamps are wrong. Bar: 1.1 (1.3 for '
+    'exp(3 ms), 1.05 for correct ones), coverage within 3 points of the ideal.',
+    'plane': 'Plane and units, tilted about any axis. Bar with `plane: fit`: 1.1 for the ICR, '
+    'covered by 90%; with `plane: xy` the tilt must be reported.',
+    'names': 'Names. Bar: 1.2 for ω or withheld, under 1% beyond 5 standard deviations, reported.',
+    'markers': 'Bad markers. Bar: 1.25 for ω and ICR, covered by 90%, reported.',
+    'frames': 'Bad frames: one every 0.6 s. Bar: nothing beyond 10 standard deviations.',
+    'bodies': 'Bodies that are not rigid. Bar: ω and ICR covered by 85%, or reported.',
 }
 
 
@@ -32,22 +32,22 @@ def rigs_part(rows: Rows) -> str:
     )
     return f"""{TITLE}
 
-`kinpole bench --rigs` measures this alone. {len(rigs())} rigs: the six motions two by two, four
-markers on each body, and the links of a four-bar. 100 and 200 Hz, or 200 Hz where there is no bar.
-Noise is {1e3 * NOISE:g} mm on all three axes. The camera's interval is 100 ppm off, the window is
-0.3 s, the lag 0.1 s. The first 2 s do not count.
+`kinpole bench --rigs` measures this alone. {len(rigs())} rigs: the six motions in pairs, with four
+markers on each body, and the links of a four-bar. 100 and 200 Hz, or 200 Hz if there is no bar.
+Noise is {1e3 * NOISE:g} mm on all three axes. The interval of the camera has an error of 100 ppm,
+the window is 0.3 s, the lag 0.1 s. The first 2 s are left out.
 
-- Errors: RMS over that with ideal input, of the frames at which both are determined. Median and
-  worst of all bodies and rates. Bold is a worst one over its bar.
+- Errors: RMS relative to that with ideal input, on the frames at which both are determined. Median
+  and worst of all bodies and rates. A worst one above its bar is bold.
 - A dash: not determined, or no error with ideal input.
-- Covered: share in the 95% region, %. Median and least of all, in parentheses the median with ideal
+- Covered: share in the 95% region, %. Median and lowest; in parentheses the median with ideal
   input.
-- Beyond 5σ and 10σ, and withheld of what is determined with ideal input: mean of ω and ICR, %.
-- Reported: what the diagnostics say and do not with ideal input, and in how many runs.
+- Beyond 5σ and 10σ, and withheld of those determined with ideal input: mean of ω and ICR, %.
+- Reported: additional diagnostics compared with ideal input, and in how many runs.
 
 {parts}
 
-Every figure: [rigs.csv](charts/rigs.csv)."""
+All values: [rigs.csv](charts/rigs.csv)."""
 
 
 def _table(rows: Rows) -> str:

@@ -53,33 +53,34 @@ def make_tables(tables: Tables) -> str:
     return wrapped('\n\n'.join(part for part in parts if part))
 
 
-_INTRODUCTION = """What it comes to is on [the first page](benchmarks.md).
+_INTRODUCTION = """[Benchmarks](benchmarks.md) is the summary. "Ours" is kinpole. A "bar" is a limit
+that the project aims for; values in bold miss it.
 
 ## Motions
 
-| motion | what |
+| motion | description |
 | --- | --- |
 | four-bar coupler | at 1 rev/s |
-| fast rotation | a constant 5 rev/s, the reference point on an orbit |
+| fast rotation | a constant 5 rev/s, with the reference point on an orbit |
 | two sines | in angle, x and y |
 | stop and go | half a second of rest, half a second of motion |
 | rolling wheel | at 1 rev/s |
-| dead point | a coupler that whips round: its acceleration peaks for 0.06 s |
-| rod | of a slider-crank, at 2 to 15 rev/s; harmonics come near the noise one by one |
+| dead point | a coupler that turns quickly at a dead point: its acceleration peaks for 0.06 s |
+| rod | of a slider-crank, at 2 to 15 rev/s; its harmonics reach the noise one after the other |
 | Jansen leg | its last link, at 1 rev/s |
 | cam with dwells | a rocker that rises, dwells and returns in a second |
 | decaying pendulum | loses a third of its swing in a second |
 | random | all frequencies up to 3 Hz |
 | turning with a ripple | 2 rev/s, with 0.1% of a turn six times in each |
 
-The estimator was built with all of these in view: [what was tried](estimator.md).
+The estimator was developed on all of these motions ([experiments](estimator.md)).
 
-## How errors are counted
+## How are errors computed?
 
-One body of 4 markers at 200 Hz, window 0.5 s, lag 0.1 s. Noise is white, given in body sizes per
-axis: twice the rms radius of the markers. The tracker is not given it. The first 1.5 s do not
-count. Errors are RMS over the frames that ours determines. Of these, the true pole (for κ: the ICR)
-lies within 10 body sizes, and the true κ is below 10 per size."""
+One body of 4 markers at 200 Hz, window 0.5 s, lag 0.1 s. Noise is white, in body sizes per axis,
+and not given to the tracker. A body size is twice the rms radius of the markers. The first 1.5 s
+are left out. Errors are RMS over the frames that ours determines, in which the true pole (for κ:
+the ICR) is within 10 body sizes and the true κ is below 10 per body size."""
 
 
 def _runs(tables: Tables) -> str:
@@ -94,10 +95,10 @@ def _runs(tables: Tables) -> str:
         )
         for row in runs
     )
-    head = ('part', 'measured on', 'in, s', 'load before', 'quick')
-    noted = table(head, lines) if runs else 'Not noted.'
+    head = ('part', 'measured on', 'duration, s', 'load before', 'quick')
+    noted = table(head, lines) if runs else 'Not recorded.'
     return f"""## Runs
 
 {noted}
 
-`kinpole bench --only PART` measures a part again."""
+`kinpole bench --only PART` measures one part again."""

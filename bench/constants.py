@@ -25,6 +25,7 @@ import numpy as np
 
 from bench._cases import CASES
 from bench._hindsight import own_errors, pooled_rms
+from bench._markdown import wrapped
 from bench._motions import motions
 from bench._outcome import FIGURES, Outcome, run
 from bench._record import QUANTITIES, make_recording, measure, rms
@@ -306,38 +307,38 @@ def of_now(rows: Rows) -> Rows:
 
 
 def page(rows: Rows) -> str:
-    """The page of all constants."""
-    without = sum(row['half'] == row['double'] == '–' for row in rows)
-    number = len(motions())
-    left = len(constants()) - len(rows)
-    rest = f'{left} more are not measured yet. ' if left > 0 else ''
+    """The page: constants that affect results, with the size of the effect, then the others."""
+    effective = [row for row in rows if not row['half'] == row['double'] == '–']
+    others = ', '.join(f'`{row["constant"]}`' for row in rows if row not in effective)
+    missing = len(constants()) - len(rows)
     lines = [
-        '# Constants of the estimate, set by hand',
+        '# Constants',
         '',
-        f'{len(rows)} numbers of `tracking/` and `derivatives/`, on which the figures of',
-        'node and replay depend, and what becomes of these where one of them is half or double.',
-        f'{rest}`python -m bench.constants` makes this page.',
+        f'Which constants change results? These {len(effective)}, of {len(rows)} measured ones in',
+        '`tracking/` and `derivatives/`. Measure a constant again when you change it:',
+        f'`python -m bench.constants` makes this page. {missing} constants are not measured yet.',
         '',
-        f'- Figures are RMS errors of {number} motions at two noises, and of the links of a',
-        f'  four-bar on {len(_WHAT)} real rigs; and the shares of their frames that are known,',
-        '  and of these within three deviations.',
-        '- Quoted are the figure that gets worst and the one that gets best, by 5% or more.',
-        '  Records are short, so a figure may well change by that.',
-        f'- {without} have no such effect. They bound time or memory, guard against input that',
-        '  these figures lack, or matter in the sum of many cases only.',
-        '- A reason is the comment beside the constant, where it is to be changed.',
-        '- Numbers of other packages are not here: they bound files and memory, or decide what',
-        '  `discover` and `fit` find. Each has its reason beside it, too.',
+        'The columns "half" and "double" show what changes by 5% or more with half or double the',
+        'value: the quantity that gets worst and the one that gets best. The measure is the RMS',
+        f'error of {len(motions())} motions at two noises and of a four-bar on {len(_WHAT)} real',
+        'rigs, the share of frames with results, and the share within three standard deviations.',
+        'The records are short, so a value may change by 5%.',
+        '',
+        '| constant | in | value | half | double |',
+        '| --- | --- | --- | --- | --- |',
     ]
-    module = ''
-    for row in rows:
-        if row['module'] != module:
-            module = str(row['module'])
-            lines += ['', f'## {module}', '', '| constant | value | reason | half | double |']
-            lines += ['| --- | --- | --- | --- | --- |']
-        cells = (str(row[name]).replace('|', '\\|') for name in ('reason', 'half', 'double'))
-        lines.append(f'| `{row["constant"]}` | {row["value"]:g} | {" | ".join(cells)} |')
-    return '\n'.join(lines) + '\n'
+    for row in effective:
+        effects = ' | '.join(str(row[name]).replace('|', '\\|') for name in ('half', 'double'))
+        lines.append(f'| `{row["constant"]}` | `{row["module"]}` | {row["value"]:g} | {effects} |')
+    lines += [
+        '',
+        f'Without such an effect: {others}. They limit time or memory, protect against input that',
+        'is not in the measurement, or matter only over many cases.',
+        '',
+        'The reason for a value is the comment next to the constant. Constants of other packages',
+        'are not measured: they limit files and memory, or decide what `discover` and `fit` find.',
+    ]
+    return wrapped('\n'.join(lines))
 
 
 def main() -> None:

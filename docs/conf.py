@@ -1,8 +1,8 @@
 """
-The site of the docs, as `make docs` builds it: these pages, and references made from the code.
+The configuration of the site that `make docs` builds.
 
-A comment like `<!-- every parameter -->` in a page is where a reference goes (`_reference.py`).
-Nothing is fetched while it is built, and nothing when it is read.
+A comment such as `<!-- every parameter -->` in a page is replaced by a reference generated from the
+code (`_reference.py`). Neither the build nor the site loads anything from the network.
 """
 
 import io
@@ -27,7 +27,7 @@ import _reference
 
 import kinpole_ros
 
-# The numbers of a command are none of the shell's: as text they keep one color.
+# The lexer of bash colors the numbers in arguments; plain text has one color.
 lexers['bash'] = TextLexer()
 
 project = 'kinpole_ros'
@@ -41,44 +41,57 @@ html_static_path = ['_static']
 html_css_files = ['site.css']
 html_math_renderer = 'outlines'
 exclude_patterns = ['_*']
-smartquotes = False  # of --options
-# In docstrings: `points` is a name.
+smartquotes = False  # they change --options
+# In docstrings, `points` is code.
 default_role = 'code'
-# Shapes and units are in the docstrings; the types of numpy say less, at greater length.
+# The docstrings have shapes and units; the type hints of numpy are longer and say less.
 autodoc_typehints = 'none'
 autodoc_member_order = 'bysource'
 numpydoc_show_class_members = False
 myst_enable_extensions = ['dollarmath', 'deflist']
 myst_heading_anchors = 4
 
-# Folders, and files outside of docs, are no pages.
-_OUTSIDE = re.compile(r'\[([^\]]+)\]\((?:\.\./[^)]*|charts)\)')
+_DOCS = Path(__file__).parent
+# Links that may lead out of docs.
+_LINK = re.compile(r'\[([^\]]+)\]\((\.\./[^)#]*|charts)(?:#[^)]*)?\)')
 
 
-def fill_in(app: Any, page: str, source: list[str]) -> None:
-    """Put the references in the places of their comments, and take links to no page out."""
-    source[0] = _OUTSIDE.sub(r'`\1`', source[0])
-    for comment, make in _reference.MADE.items():
+def insert_references(app: Any, page: str, source: list[str]) -> None:
+    """Replace the comments by references, and remove links that do not lead to a page."""
+
+    def unlink(link: re.Match[str]) -> str:
+        target = (_DOCS / page).parent.joinpath(link[2]).resolve()
+        is_page = target.is_relative_to(_DOCS) and target.is_file()
+        return link[0] if is_page else f'`{link[1]}`'
+
+    source[0] = _LINK.sub(unlink, source[0])
+    for comment, reference in _reference.REFERENCES.items():
         if comment in source[0]:
-            source[0] = source[0].replace(comment, make())
+            source[0] = source[0].replace(comment, reference())
     if _gallery.COMMENT in source[0]:
-        made = _gallery.every_example(Path(app.outdir) / '_gallery')
-        source[0] = source[0].replace(_gallery.COMMENT, made)
+        sections = _gallery.gallery_markdown(Path(app.outdir) / '_gallery')
+        source[0] = source[0].replace(_gallery.COMMENT, sections)
 
 
-def without_aliases(
-    app: Any, what: str, name: str, thing: Any, skip: bool, options: Any
-) -> bool | None:
-    """Leave out the fields of named tuples, whose docstrings say only which number they are."""
+def skip_alias(app: Any, what: str, name: str, thing: Any, skip: bool, options: Any) -> bool | None:
+    """Skip the fields of named tuples, whose docstrings contain only their index."""
     text = getattr(thing, '__doc__', None) or ''
     return True if text.startswith('Alias for field number') else None
 
 
-def math(self: Any, node: nodes.math) -> None:
-    """
-    A formula as a picture of outlines, in the color of the text.
+def escape_bars(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
+    """Escape the bars of |u| outside of code, because reStructuredText would substitute u."""
+    for k, line in enumerate(lines):
+        text = line.split('`')
+        text[::2] = [part.replace('|', r'\|') for part in text[::2]]
+        lines[k] = '`'.join(text)
 
-    Not as MathML: without a font for mathematics browsers lose bars and dots.
+
+def draw_formula(self: Any, node: nodes.math) -> None:
+    """
+    Draw a formula as an SVG picture in the color of the text.
+
+    MathML needs a font for mathematics, without which browsers lose bars and dots.
     """
     picture, block = io.BytesIO(), isinstance(node, nodes.math_block)
     formula = ' '.join(node.astext().split())
@@ -96,8 +109,9 @@ def math(self: Any, node: nodes.math) -> None:
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """What Sphinx calls."""
-    app.connect('source-read', fill_in)
-    app.connect('autodoc-skip-member', without_aliases)
-    app.add_html_math_renderer('outlines', (math, None), (math, None))
+    """Register the functions above; called by Sphinx."""
+    app.connect('source-read', insert_references)
+    app.connect('autodoc-skip-member', skip_alias)
+    app.connect('autodoc-process-docstring', escape_bars)
+    app.add_html_math_renderer('outlines', (draw_formula, None), (draw_formula, None))
     return {'parallel_read_safe': False, 'parallel_write_safe': True}

@@ -1,5 +1,5 @@
 """
-The formulas alone: rates and poles of a body from the derivatives of points on it, as measured.
+Formulas only: rates and poles of a body from the derivatives of points on it.
 
 Prints:
 rod: 2 rad/s about (0, 0) m
@@ -17,10 +17,11 @@ print(f'rod: {rod.angular_velocity:.3g} rad/s about ({rod.icr[0]:.3g}, {rod.icr[
 # A wheel of 0.3 m that rolls on the x axis at a constant 10 rad/s. Its hub does not accelerate.
 rate, hub = 10.0, np.array([0.0, 0.3])
 arms = 0.3 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
-turned = np.stack((-arms[:, 1], arms[:, 0]), axis=1)
-wheel = landmark_kinematics(hub + arms, [-rate * hub[1], 0.0] + rate * turned, -(rate**2) * arms)
+normals = np.stack((-arms[:, 1], arms[:, 0]), axis=1)
+velocities = [-rate * hub[1], 0.0] + rate * normals
+wheel = landmark_kinematics(hub + arms, velocities, -(rate**2) * arms)
+(icr_x, icr_y), (iap_x, iap_y) = wheel.icr, wheel.iap
 print(
-    f'wheel: {wheel.angular_velocity:.3g} rad/s about ({wheel.icr[0]:.3g}, '
-    f'{abs(wheel.icr[1].round(9)):.3g}) m, acceleration pole ({wheel.iap[0]:.3g}, '
-    f'{wheel.iap[1]:.3g}) m'
+    f'wheel: {wheel.angular_velocity:.3g} rad/s about ({icr_x:.3g}, {abs(icr_y.round(9)):.3g}) m, '
+    f'acceleration pole ({iap_x:.3g}, {iap_y:.3g}) m'
 )

@@ -1,5 +1,5 @@
 """
-Frames as they come, from a driver of your own: the tracker without ROS.
+Frame by frame: the tracker without ROS, for a driver of your own.
 
 Prints:
 at 0.945 s: 3.890 rad/s
@@ -19,8 +19,8 @@ tracker = Tracker(settings)
 arms = np.array([0.1, 0.1j, -0.1])
 for k in range(200):
     t = k / 200
-    places = np.exp(2j * t + 1j * t**2) * arms
-    points = np.stack((places.real, places.imag, np.zeros(3)), axis=-1)
+    markers = np.exp(2j * t + 1j * t**2) * arms
+    points = np.stack((markers.real, markers.imag, np.zeros(3)), axis=-1)
     frame = MarkerFrames(np.array([k * 5_000_000]), 'world', ('a', 'b', 'c'), points[None])
     for estimate in tracker.add(frame, order=2):
         latest = estimate

@@ -1,5 +1,5 @@
 """
-A table of a video tracker, in pixels with y down, to a bag and then to rates.
+A table to a bag: points of a video tracker, in pixels with y down, to rates.
 
 Prints:
 1.500 rad/s
@@ -17,7 +17,7 @@ from kinpole_ros.bags import import_csv
 
 with tempfile.TemporaryDirectory() as folder:
     table, bag = Path(folder) / 'tracked.csv', Path(folder) / 'tracked.mcap'
-    # Two points of a lever that turns at 1.5 rad/s, 500 pixels to the meter, 120 frames/s.
+    # Two points of a lever that turns at 1.5 rad/s; 500 pixels per meter, 120 frames/s.
     with open(table, 'w', newline='') as file:
         rows = csv.writer(file)
         rows.writerow(['axle_x', 'axle_y', 'tip_x', 'tip_y'])

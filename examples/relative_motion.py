@@ -1,9 +1,9 @@
 """
-Relative motion in a four-bar: the relative instant center of two links is the pin between them.
+Relative motion in a four-bar: the relative instant center of two links is their common pin.
 
 Prints:
-coupler with respect to crank: -9.0 to -4.2 rad/s, center known to 0.4 mm
-rocker with respect to coupler: -3.1 to 3.1 rad/s, center known to 1 mm
+coupler relative to crank: -9.0 to -4.2 rad/s, standard deviation of the center 0.4 mm
+rocker relative to coupler: -3.1 to 3.1 rad/s, standard deviation of the center 1 mm
 """
 
 from pathlib import Path
@@ -15,10 +15,10 @@ from kinpole_ros import replay
 ROOT = Path(__file__).parents[1]
 motion = replay(ROOT / 'bags' / 'four_bar.mcap', ROOT / 'config' / 'four_bar.yaml')
 for pair in (('coupler', 'crank'), ('rocker', 'coupler')):
-    between = motion.pairs[pair]
-    spread = np.sqrt(np.trace(between.icr_covariance, axis1=1, axis2=2))
-    least, most = np.nanmin(between.angular_velocity), np.nanmax(between.angular_velocity)
+    relative = motion.pairs[pair]
+    sigma = np.sqrt(np.trace(relative.icr_covariance, axis1=1, axis2=2))
+    lowest, highest = np.nanmin(relative.angular_velocity), np.nanmax(relative.angular_velocity)
     print(
-        f'{" with respect to ".join(pair)}: {least:.1f} to {most:.1f} rad/s, center known to '
-        f'{1e3 * np.nanmedian(spread):.1g} mm'
+        f'{" relative to ".join(pair)}: {lowest:.1f} to {highest:.1f} rad/s, '
+        f'standard deviation of the center {1e3 * np.nanmedian(sigma):.1g} mm'
     )

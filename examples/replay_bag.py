@@ -1,9 +1,9 @@
 """
-A bag to arrays: what the coupler of a four-bar does, with its deviations.
+A bag to arrays: the motion of the coupler of a four-bar, with standard deviations.
 
 Prints:
 390 instants of crank, coupler, rocker
-at 3.000 s the coupler turns at -2.687 +- 0.009 rad/s
+at 3.000 s the angular velocity of the coupler is -2.687 +- 0.009 rad/s
 its ICR is determined at 98% of the instants
 """
 
@@ -19,6 +19,8 @@ print(f'{len(motion.t)} instants of {", ".join(motion.bodies)}')
 coupler = motion['coupler']
 k = np.searchsorted(motion.t, 3.0)
 rate, sigma = coupler.angular_velocity[k], coupler.angular_velocity_sigma[k]
-print(f'at {motion.t[k]:.3f} s the coupler turns at {rate:.3f} +- {sigma:.3f} rad/s')
+print(
+    f'at {motion.t[k]:.3f} s the angular velocity of the coupler is {rate:.3f} +- {sigma:.3f} rad/s'
+)
 determined = np.isfinite(coupler.icr[:, 0]).mean()
 print(f'its ICR is determined at {determined:.0%} of the instants')

@@ -34,7 +34,7 @@ from kinpole_ros.messages import (
     read_markers,
     to_message,
 )
-from kinpole_ros.messages._walk import Walk
+from kinpole_ros.messages._offsets import MessageOffsets
 
 # Those of markers known by their place, and of an array.
 _IDENTITIES = ('auto', 'index', 'id'), ('auto', 'index', 'id', 'ns', 'ns_id')
@@ -164,7 +164,7 @@ def _bytes(generator: random.Random, sample: Sample) -> Sample:
 def _sizes(generator: random.Random, sample: Sample) -> Sample:
     """Let a sequence or string claim another size."""
     try:
-        at = generator.choice(Walk(sample.kind, sample.data).sizes)
+        at = generator.choice(MessageOffsets(sample.kind, sample.data).sizes)
     except MessageError:
         return _bytes(generator, sample)
     true = int.from_bytes(sample.data[at : at + 4], 'little')
@@ -200,7 +200,7 @@ def _spliced(generator: random.Random, sample: Sample) -> Sample:
 def _fields(generator: random.Random, sample: Sample) -> Sample:
     """A sound message that says something else."""
     try:
-        Walk(sample.kind, sample.data)
+        MessageOffsets(sample.kind, sample.data)
         message = deserialize_message(sample.data, MARKER_TYPES[sample.kind])
         _CHANGES[sample.kind](generator, message)
         return _sample(sample.kind, message)

@@ -5,11 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinpole_ros.mechanism._assembly import GROUND, Revolute, assemble
+from kinpole_ros.mechanism._assembly import assemble
+from kinpole_ros.mechanism._joints import GROUND, Revolute
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
 from kinpole_ros.mechanism._statics import Force, Torque, efforts
 from kinpole_ros.planar._balance import Port, balancing_effort, measured_balance, port_power
-from kinpole_ros.planar._linear import Linear
+from kinpole_ros.planar._uncertainty import Linear
 
 NONE = np.zeros((2, 2, 3))
 

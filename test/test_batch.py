@@ -122,7 +122,7 @@ def test_bags_without_parameters_are_said_to_be_of_one_body(
 def test_a_missing_package_for_tables_is_told_before_any_replay(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr('kinpole_ros.tools.commands.batch.find_spec', lambda name: None)
+    monkeypatch.setattr('kinpole_ros.tools.commands.bags.find_spec', lambda name: None)
     out = tmp_path / 'out'
     assert main(['batch', 'a.mcap', 'b.mcap', '--parquet', '--output', str(out)]) == 2
     line = 'kinpole batch: --parquet needs pyarrow; fix: pip install pyarrow, or use --csv\n'

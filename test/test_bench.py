@@ -243,11 +243,11 @@ class Turning(Tracker):
     def add(self, frames: MarkerFrames, order: int | None) -> list[Any]:
         found = super().add(frames, order)
         # What is not learned yet would turn it back.
-        self.settle()
-        self._known.shape *= np.exp(1e-7j * len(frames.stamps))
-        self._known.shape += 1e-9 * len(frames.stamps)
-        self._known.update()
-        self._step.bind(self._known, self._history)
+        self.learn_if_due()
+        self._calibration.shape *= np.exp(1e-7j * len(frames.stamps))
+        self._calibration.shape += 1e-9 * len(frames.stamps)
+        self._calibration.update()
+        self._step.bind(self._calibration, self._history)
         return found
 
 
@@ -358,19 +358,19 @@ def test_the_page_says_what_the_rows_say_and_no_more() -> None:
     costs = [{'method': method, 'live': 3e-4, 'replay': 2e-5} for method in methods]
     text = ' '.join(make_page({'peers': peers, 'costs': costs}).split())
     assert 'The error is 0.25 times that of the best fixed window' in text
-    assert 'takes 300 µs of CPU live and 20 µs in replay.' in text
-    assert 'the nearest errs 6.0 times as much as ours (Savitzky-Golay 41/4)' in text
+    assert 'takes 300 µs of CPU time live and 20 µs in replay.' in text
+    assert 'has 6.0 times the error of kinpole (Savitzky-Golay 41/4)' in text
     assert text.count('Not measured.') == 4
     run = {'part': 'costs', 'seconds': 60.0, 'quick': False, 'load': 1.5, 'cores': 2.0}
     words = {'tables': 'costs', 'day': '2026-01-01', 'python': 'Python 3.12', 'numpy': 'numpy 2.0'}
     assert 'Other programs ran' in make_page({'run': [run | words]})
     quiet = {'run': [run | words | {'load': 0.1}], 'costs': costs}
     assert 'Other programs ran' not in make_page(quiet)
-    assert 'before the rest' not in make_page(quiet)
-    assert 'before the rest: peers.' in make_page(quiet | {'peers': peers})
+    assert 'Measured earlier' not in make_page(quiet)
+    assert 'earlier than the other parts: peers.' in make_page(quiet | {'peers': peers})
     older = {'part': 'speed', 'tables': 'speed', 'day': '2025-12-31', 'load': 0.1}
     later = quiet | {'run': [*quiet['run'], run | words | older]}
-    assert 'before the rest: speed (2025-12-31).' in make_page(later)
+    assert 'earlier than the other parts: speed (2025-12-31).' in make_page(later)
 
 
 def test_paragraphs_and_lists_are_wrapped_and_tables_are_not() -> None:

@@ -9,14 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinpole_ros.mechanism import _kennedy
-from kinpole_ros.mechanism._assembly import Joint, Revolute, Rolling, Slot, Strut, assemble
+from kinpole_ros.mechanism._assembly import assemble
 from kinpole_ros.mechanism._centers import Centers, centers_by_rates, instant_centers
+from kinpole_ros.mechanism._joints import Joint, Revolute, Rolling, Slot, Strut
 from kinpole_ros.mechanism._kennedy import deduce, explain, kennedy_centers
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
 from kinpole_ros.planar import relative_pole
-from kinpole_ros.planar._linear import covariance
-from kinpole_ros.planar._relative import center_offset, kennedy_residual
+from kinpole_ros.planar._poles import center_offset, kennedy_residual
+from kinpole_ros.planar._uncertainty import covariance
 
 pytestmark = pytest.mark.filterwarnings('error')
 

@@ -54,7 +54,7 @@ def track(stamps, points, mode='auto', block=None, order=1):
         part = slice(k, k + (block or len(stamps)))
         found += tracker.add(MarkerFrames(stamps[part], 'world', NAMES, points[part]), order)
         # As the node does while it waits.
-        tracker.settle()
+        tracker.learn_if_due()
     stamp = np.concatenate([e.stamp for e in found])
     rate = np.concatenate([e.rate(1)[0][:, 0] for e in found])
     return tracker, stamp, rate

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hand_statics import freed_reactions
 
 from kinpole_ros.mechanism import (
     LinkageError,
@@ -12,7 +13,6 @@ from kinpole_ros.mechanism import (
     Torque,
     efforts,
     explain,
-    freed_reactions,
     instant_centers,
     load_scene,
     reactions,

@@ -18,10 +18,16 @@ def estimate() -> Estimate:
     roots = 0.02 * rng.normal(size=(2, *shape, ORDER + 1))
     covariances = np.einsum('pk...n,pm...n->pkm...', roots, roots)
     poses = rng.normal(size=(*shape, 2)) @ (1, 1j), rng.uniform(0.8, 1.2, shape)
-    rest = [np.full((1, COUNT), 1.0) for _ in range(4)]
-    names = tuple(f'body {b}' for b in range(COUNT))
-    missing = np.full((1, COUNT), '', object)
-    return Estimate(np.zeros(1, int), 'map', names, *poses, *covariances, *rest, missing)
+    arrays = {
+        'stamp': np.zeros(1, int),
+        'position': poses[0],
+        'angle': poses[1],
+        'position_covariance': covariances[0],
+        'angle_covariance': covariances[1],
+        **dict.fromkeys(('size', 'height', 'span', 'degree'), np.ones((1, COUNT))),
+        'missing': np.full((1, COUNT), '', object),
+    }
+    return Estimate.of_arrays(arrays, 'map', tuple(f'body {b}' for b in range(COUNT)))
 
 
 @pytest.mark.parametrize('order', [1, 2, 3])
@@ -89,12 +95,16 @@ def one_body(
         deviations[order] = sigma
     covariance = noise**2 * np.eye(5)[:, :, None, None]
     of_angle = np.diag(deviations**2)[:, :, None, None]
-    each = [np.full((1, 1), 2.0) for _ in range(4)]
-    known = {'missing': np.full((1, 1), '', object)} | rest
-    return Estimate(
-        *(np.zeros(1, int), 'map', ('link',), position, angle, covariance, of_angle, *each),
-        **known,
-    )
+    arrays = {
+        'stamp': np.zeros(1, int),
+        'position': position,
+        'angle': angle,
+        'position_covariance': covariance,
+        'angle_covariance': of_angle,
+        **dict.fromkeys(('size', 'height', 'span', 'degree'), np.full((1, 1), 2.0)),
+        'missing': np.full((1, 1), '', object),
+    }
+    return Estimate.of_arrays(arrays | rest, 'map', ('link',))
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The examples print what they say; this file needs no ROS, so it runs on any system."""
+"""The examples print what their docstrings say. This file needs no ROS and runs on any system."""
 
 import ast
 import contextlib
@@ -17,7 +17,7 @@ EXAMPLES = sorted((ROOT / 'examples').glob('*.py'))
 NUMBER = re.compile(r'-?\d+(?:\.\d+)?')
 
 
-def said(run: Callable[[], Any]) -> str:
+def printed_by(run: Callable[[], Any]) -> str:
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
         run()
@@ -25,9 +25,9 @@ def said(run: Callable[[], Any]) -> str:
 
 
 @pytest.mark.parametrize('path', EXAMPLES, ids=lambda path: path.stem)
-def test_examples_print_what_they_say(path: Path) -> None:
-    """The same words; a number may differ by half, as measured ones do from estimator to next."""
-    printed = said(lambda: runpy.run_path(str(path)))
+def test_examples_print_what_their_docstrings_say(path: Path) -> None:
+    """Words are equal; numbers may differ by half, because they depend on the estimator."""
+    printed = printed_by(lambda: runpy.run_path(str(path)))
     expected = (
         str(ast.get_docstring(ast.parse(path.read_text('utf-8')))).partition('Prints:\n')[2] + '\n'
     )
@@ -36,14 +36,17 @@ def test_examples_print_what_they_say(path: Path) -> None:
     assert numbers[0] == pytest.approx(numbers[1], rel=0.5, abs=0.01)
 
 
-def test_the_notebook_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_notebook_runs_and_contains_its_outputs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv('MPLBACKEND', 'agg')
     monkeypatch.chdir(ROOT / 'examples')
     notebook = json.loads((ROOT / 'examples' / 'four_bar.ipynb').read_text(encoding='utf-8'))
-    codes = [''.join(cell['source']) for cell in notebook['cells'] if cell['cell_type'] == 'code']
-    assert not any(cell.get('outputs') for cell in notebook['cells'])
+    cells = [cell for cell in notebook['cells'] if cell['cell_type'] == 'code']
     names: dict[str, Any] = {}
-    said(lambda: [exec(code, names) for code in codes])
+    printed = printed_by(lambda: [exec(''.join(cell['source']), names) for cell in cells])
     names['plt'].close('all')
-    assert names['known'].sum() > 50
+    assert names['accurate'].sum() > 50
     assert names['rms'] < 3
+    outputs = [output for cell in cells for output in cell['outputs']]
+    stored = ''.join(text for output in outputs for text in output.get('text', ''))
+    assert NUMBER.sub('#', stored) == NUMBER.sub('#', printed)
+    assert sum('image/png' in output.get('data', {}) for output in outputs) == 2

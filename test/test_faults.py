@@ -833,11 +833,11 @@ def test_failures_in_a_row_however_many_end_nothing_at_once() -> None:
 def test_failures_with_nothing_between_for_too_long_end_the_node(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(node_module, '_LONGEST_FAILURE', 0.0)
+    monkeypatch.setattr(node_module, '_MAX_FAILING', 0.0)
     failing = Failing()
     with pytest.raises(ValueError, match='again'):
         node_module._spin(cast(Any, failing), cast(Any, failing), lambda: False)
-    assert failing.survived == node_module._MOST_FAILURES
+    assert failing.survived == node_module._MAX_FAILURES
 
 
 DROPPED = 'messages dropped, since the node or the network could not keep up'

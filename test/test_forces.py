@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from hand_statics import freed_reactions
 
 from kinpole_ros.mechanism import (
     Force,
@@ -9,7 +10,6 @@ from kinpole_ros.mechanism import (
     Motion,
     Scene,
     efforts,
-    freed_reactions,
     inertial_loads,
     load_scene,
     poles,

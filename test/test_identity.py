@@ -339,7 +339,7 @@ def test_bodies_are_found_among_other_points_in_any_order(seed: int) -> None:
     points = np.append(points, rng.normal(size=(3, 2)) @ (5, 5j))
     order = rng.permutation(len(points))
     found = matched(points[order], shape)
-    assert np.array_equal(order[found.place.ravel()], np.arange(8))
+    assert np.array_equal(order[found.indices.ravel()], np.arange(8))
     assert np.allclose(found.turn, turn)
 
 
@@ -347,10 +347,10 @@ def test_what_fits_in_several_ways_is_left_out_unless_the_last_pose_tells() -> N
     points = 0.3 + np.exp(0.2j) * BRICK
     found = matched(points, BRICK[None])
     assert found.uncertain.all()
-    assert (found.place == -1).all()
+    assert (found.indices == -1).all()
     found = matched(points - 0.3, BRICK[None], np.exp([0.1j]))
     assert not found.uncertain.any()
-    assert found.place.tolist() == [[0, 1, 2, 3]]
+    assert found.indices.tolist() == [[0, 1, 2, 3]]
 
 
 def test_of_two_turns_that_fit_the_one_that_leaves_only_noise_is_taken() -> None:
@@ -364,7 +364,7 @@ def test_of_two_turns_that_fit_the_one_that_leaves_only_noise_is_taken() -> None
     assert found.uncertain.all()
     assert found.variance[0] < 1e-30
     found = match(points, shape[None], limit, known)
-    assert found.place.tolist() == [[0, 1, 2, 3]]
+    assert found.indices.tolist() == [[0, 1, 2, 3]]
     # Markers halfway between the two turns.
     halfway = (shape - shape[[2, 3, 0, 1]]) / 2
     assert match(halfway, shape[None], limit, known).uncertain.all()
@@ -381,14 +381,14 @@ def test_pins_on_the_ground_tell_bodies_of_one_shape_apart() -> None:
     pins = np.array([[0.2, 1 + 0.2j], [nowhere[0], nowhere[0]]])
     expected = Expected(nowhere, nowhere, np.full((2, 4), -1), np.zeros(2, bool), pins=pins)
     found = match(points, np.array([KITE, KITE]), np.full(2, 1e-3), expected)
-    assert found.place.tolist() == [[4, 5, 6, 7], [0, 1, 2, 3]]
+    assert found.indices.tolist() == [[4, 5, 6, 7], [0, 1, 2, 3]]
     # A pin that no way keeps, as of cameras that were moved, tells nothing.
     moved = expected._replace(pins=pins + 3)
     assert match(points, np.array([KITE, KITE]), np.full(2, 1e-3), moved).uncertain.all()
 
 
 def test_a_mirrored_body_is_not_found() -> None:
-    assert (matched(KITE.conj(), KITE[None]).place == -1).all()
+    assert (matched(KITE.conj(), KITE[None]).indices == -1).all()
 
 
 @pytest.mark.parametrize(
@@ -415,4 +415,4 @@ def test_bodies_of_one_shape_keep_their_names_where_a_marker_is_off() -> None:
     names = np.arange(8).reshape(2, 4)
     expected = Expected(nowhere, nowhere, names, np.zeros(2, bool))
     found = match(points, np.stack((shape, shape)), np.full(2, 0.01), expected)
-    assert found.place.tolist() == [[-1, 1, 2, 3], [4, 5, 6, 7]]
+    assert found.indices.tolist() == [[-1, 1, 2, 3], [4, 5, 6, 7]]

@@ -10,9 +10,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from kinpole_ros.mechanism import _mechanism, _solution, rotation_derivatives
-from kinpole_ros.mechanism._assembly import Joint, Revolute, Rolling, Slot, Strut, assemble
+from kinpole_ros.mechanism._assembly import assemble
 from kinpole_ros.mechanism._dead_points import unit_input
-from kinpole_ros.mechanism._drive import constant_rate, sine, smooth_step, table
+from kinpole_ros.mechanism._joints import Joint, Revolute, Rolling, Slot, Strut
+from kinpole_ros.mechanism._laws import constant_rate, sine, smooth_step, table
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
 from kinpole_ros.mechanism._solution import solve

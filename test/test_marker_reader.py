@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from kinpole_ros.messages import MARKER_TYPES, MarkerReader, MessageError, read_markers, to_message
 from kinpole_ros.messages import _reader as module
-from kinpole_ros.messages._walk import Walk
+from kinpole_ros.messages._offsets import MessageOffsets
 
 IDENTITIES = ['auto', 'index', 'id', 'ns', 'ns_id']
 
@@ -302,7 +302,7 @@ def test_a_turned_marker_that_moves_is_read_as_data(only_bytes):
 @pytest.mark.parametrize('claim', [2**31, 2**32 - 1, 10_000])
 def test_a_size_that_is_not_there_is_refused_before_memory_is_taken(kind, claim, only_bytes):
     data = serialized(kind, 1)[0]
-    places = Walk(kind, data).sizes
+    places = MessageOffsets(kind, data).sizes
     only_bytes()
     for place in places:
         claimed = data[:place] + struct.pack('<I', claim) + data[place + 4 :]

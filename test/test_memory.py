@@ -10,7 +10,7 @@ from rclpy.serialization import serialize_message
 from test_faults import SETTINGS, Rig, message, rod
 from test_node import LIMIT, process
 
-import kinpole_ros.ros.listen as listen_module
+import kinpole_ros.ros.listener as listen_module
 from kinpole_ros.bags import BagError
 from kinpole_ros.messages import MARKER_TYPES
 from kinpole_ros.ros.source import MAX_MESSAGE_BYTES

@@ -45,9 +45,8 @@ from kinpole_ros.messages import (
     stamp_to_ns,
     to_message,
 )
-from kinpole_ros.ros.live import play
-from kinpole_ros.ros.loop import headers
 from kinpole_ros.ros.node import KinpoleNode
+from kinpole_ros.ros.player import headers, play
 from kinpole_ros.tools.demo import live_run
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
@@ -523,7 +522,7 @@ def test_one_request_for_parameters_has_the_node_start_anew_once(
     node: KinpoleNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started: list[None] = []
-    monkeypatch.setattr(KinpoleNode, '_start_anew', lambda node: started.append(None))
+    monkeypatch.setattr(KinpoleNode, '_restart', lambda node: started.append(None))
     wanted = [('window', 0.4), ('lag', 0.2), ('noise', -1.0), ('scale', 0.001)]
     results = ask_to_set(node, SetParameters, wanted).results
     assert [result.successful for result in results] == [True, True, False, True]
@@ -952,9 +951,9 @@ def test_what_pages_show_is_computed_30_times_a_second_and_after_all_else_is_sen
     monkeypatch.setattr(node, '_tracker', Scripted(node.settings))
     for read, order in (([], None), ([Output('odom', Odometry, 1, build)], 1)):
         asked.clear()
-        monkeypatch.setattr(node, '_view_due', 0.0)
-        monkeypatch.setattr(node, '_wanted', [(row, Sent(row.topic)) for row in read])
-        monkeypatch.setattr(node, '_viewed', [(view._replace(build=build), Sent(VIEW))])
+        monkeypatch.setattr(node, '_display_due', 0.0)
+        monkeypatch.setattr(node, '_frame_outputs', [(row, Sent(row.topic)) for row in read])
+        monkeypatch.setattr(node, '_display_outputs', [(view._replace(build=build), Sent(VIEW))])
         # A second of frames at 200 Hz.
         for _ in range(200):
             now += 0.005

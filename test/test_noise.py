@@ -37,7 +37,7 @@ def gone_wild(points: np.ndarray, share: float, jump: float, seed: int) -> np.nd
 def level(points: np.ndarray) -> tuple[float, Tracker]:
     """The noise level after all frames, over SIGMA, and the tracker."""
     tracker, _ = follow(points[:, None])
-    tracker.settle()
+    tracker.learn_if_due()
     return float(tracker.noise()[0]) / SIGMA, tracker
 
 

@@ -242,7 +242,7 @@ def poses(
     tracker = Tracker(settings_from({'stamps': 'capture'}))
     for first in range(0, len(angle), beat):
         tracker.add(part_of(frames, slice(first, first + beat)), None)
-        tracker.settle()
+        tracker.learn_if_due()
         yield tracker._pins
 
 

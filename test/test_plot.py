@@ -402,18 +402,18 @@ def test_the_legend_tells_of_what_is_drawn(bags, tmp_path, monkeypatch, scene, r
 def test_what_is_in_view_and_known_well_enough_is_kept() -> None:
     box = _plane.View(-1 - 1j, 1 + 1j, 1.0)
     points = np.array([0.5 - 0.5j, 2, -2, 2j, -2j])
-    assert box.holds(points).tolist() == [True, False, False, False, False]
+    assert box.contains(points).tolist() == [True, False, False, False, False]
     ones = np.ones(3)
     sigma = np.array([0.04, 0.06, np.nan])
     locus = Centrodes(np.arange(3), ones + 0j, ones + 0j, ones, sigma)
-    assert _plane.sharp(locus, 1.0).stamp.tolist() == [0, 2]
+    assert _plane.without_blurred(locus, 1.0).stamp.tolist() == [0, 2]
 
 
 def test_poles_at_infinity_do_not_squash_the_picture(bags) -> None:
     coupler = read_results(bags['four_bar']).bodies[1]
     locus = centrodes(coupler)
     assert np.abs(locus.fixed).max() > 20
-    view = _plane.view_of(coupler, locus, _plane.reach_of(coupler, locus))
+    view = _plane.view_of(coupler, locus, _plane.view_radius(coupler, locus))
     assert max(abs(view.low), abs(view.high)) < 3
 
 

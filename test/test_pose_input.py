@@ -483,10 +483,10 @@ def test_a_pose_array_of_nobody_is_a_frame_in_which_nobody_is_seen() -> None:
 
 def test_names_that_never_come_are_said_with_those_that_do(tmp_path: Path) -> None:
     reader = PoseReader('tf', ('crank',))
-    assert not reader.lacking()
+    assert not reader.unseen_names()
     read(reader, tf(10, robot=(1.0,), lidar=(2.0,)))
-    assert "no pose came of 'crank'" in reader.lacking()
-    assert "'robot', 'lidar'" in reader.lacking()
+    assert "no pose came of 'crank'" in reader.unseen_names()
+    assert "'robot', 'lidar'" in reader.unseen_names()
     bag = tmp_path / 'tf.mcap'
     simulate(FOUR_BAR, bag, duration=0.5, message='tf')
     with pytest.raises(BagError, match="no pose came of 'arm'; frames that came"):

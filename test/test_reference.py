@@ -154,11 +154,18 @@ def test_whatever_point_stands_for_a_body_the_figures_are_the_same() -> None:
     arm = reference * np.exp(1j * angle[0])
     moved = [position[0] + arm]
     moved += [position[k] + planar.rotation_coefficient(k, angle) * arm for k in (1, 2, 3)]
-    none, sure = np.full(shape[1:], '', object), np.zeros((4, *shape))
-    rest = (sure, sure, *np.ones((4, *shape[1:])), none)
-    stamps, names = np.arange(3), ('rod', 'other')
-    one = Estimate(stamps, 'world', names, position, angle, *rest)
-    other = Estimate(stamps, 'world', names, np.array(moved), angle, *rest, reference=reference)
+    arrays = {
+        'stamp': np.arange(3),
+        'position': position,
+        'angle': angle,
+        **dict.fromkeys(('position_covariance', 'angle_covariance'), np.zeros((4, *shape))),
+        **dict.fromkeys(('size', 'height', 'span', 'degree'), np.ones(shape[1:])),
+        'missing': np.full(shape[1:], '', object),
+    }
+    names = ('rod', 'other')
+    one = Estimate.of_arrays(arrays, 'world', names)
+    shifted = arrays | {'position': np.array(moved), 'reference': reference}
+    other = Estimate.of_arrays(shifted, 'world', names)
     for order in range(4):
         np.testing.assert_allclose(other.origin(order), one.origin(order), rtol=1e-9)
         np.testing.assert_array_equal(one.origin(order), position[order])

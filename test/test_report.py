@@ -21,10 +21,9 @@ from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import RECEIVED, RESTARTS, DiagnosticArray
 from kinpole_ros.messages._types import DiagnosticStatus, KeyValue
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tools.report import _pack, report, settings_for
-from kinpole_ros.tools.report._record import Collector
-from kinpole_ros.tools.report._results import _Diagnostics
-from kinpole_ros.tools.report._theory import theory_rates
+from kinpole_ros.tools.report import _page_data, report, settings_for
+from kinpole_ros.tools.report._record import Collector, theory_rates
+from kinpole_ros.tools.report._result_bag import Diagnostics
 from kinpole_ros.tracking.estimate import RATE_NAMES, SLOW_ICR
 from kinpole_ros.tracking.parameters import Settings, load_settings
 
@@ -99,7 +98,7 @@ def test_pins_are_found_and_nothing_else(made) -> None:
     ],
 )
 def test_figures_are_rounded_by_their_deviation(value, sigma, expected) -> None:
-    assert _pack.rounded(np.array([value]), np.array([sigma])) == [expected]
+    assert _page_data.rounded(np.array([value]), np.array([sigma])) == [expected]
 
 
 def test_long_recordings_are_thinned_evenly_and_say_so(blocks) -> None:
@@ -181,7 +180,7 @@ def test_outlines_drawn_last_are_of_a_bag_in_which_nothing_was_learned_anew(
             values = [KeyValue(key=key, value=str(value)) for key, value in told.items()]
             status = DiagnosticStatus(name='kinpole: markers', values=values)
             writer.write('/diagnostics', DiagnosticArray(status=[status]), second * 10**9)
-    assert _Diagnostics(bag).restarted == expected
+    assert Diagnostics(bag).restarted == expected
 
 
 def test_scene_names_the_bodies_unless_a_file_does() -> None:
@@ -570,7 +569,7 @@ def test_images_of_points_are_their_velocities_and_accelerations(opened) -> None
         'angular_acceleration': {'value': [motion.angle[2]]},
         'iap': {'x': [float(iap.real)], 'y': [float(iap.imag)]},
     }
-    folder = Path(_pack.__file__).parent / 'page'
+    folder = Path(_page_data.__file__).parent / 'page'
     code = '\n'.join((folder / f'{name}.js').read_text() for name in ('data', 'motion', 'polygons'))
     found = page.evaluate(
         f'([body, orders]) => {{ {code}; return orders.map((n) => imagesOf(null, body, 0, n)); }}',

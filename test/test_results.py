@@ -19,8 +19,7 @@ from kinpole_ros.messages import (
     WITH_TF,
     DiagnosticsMaker,
     Output,
-    diagnostics_data,
-    nothing_drawn,
+    deletion_of_all,
     result_outputs,
     type_name,
 )
@@ -54,43 +53,34 @@ def estimate(
     gone = np.array([bool(reason) for reason in missing])
     position[:, gone] = angle[:, gone] = np.nan
     covariance[..., gone] = np.nan
-    return Estimate(
-        np.int64(stamp),
-        FRAME,
-        BODIES,
-        position[: order + 1],
-        angle[: order + 1],
-        covariance[0, : order + 1, : order + 1],
-        covariance[1, : order + 1, : order + 1],
-        np.array([0.5, 0.8]),
-        np.where(gone, np.nan, [0.25, -0.125]),
-        np.array([0.2, 0.2]),
-        np.array([4.0, 4.0]),
-        np.array(missing),
-    )
+    arrays = {
+        'stamp': np.int64(stamp),
+        'position': position[: order + 1],
+        'angle': angle[: order + 1],
+        'position_covariance': covariance[0, : order + 1, : order + 1],
+        'angle_covariance': covariance[1, : order + 1, : order + 1],
+        'size': np.array([0.5, 0.8]),
+        'height': np.where(gone, np.nan, [0.25, -0.125]),
+        'span': np.array([0.2, 0.2]),
+        'degree': np.array([4.0, 4.0]),
+        'missing': np.array(missing),
+    }
+    return Estimate.of_arrays(arrays, FRAME, BODIES)
 
 
 def stacked(instants: Sequence[Estimate]) -> Estimate:
     """The instants of one estimate, from each as an estimate of its own."""
-
-    def over(name: str, axis: int) -> np.ndarray:
-        return np.stack([getattr(now, name) for now in instants], axis)
-
-    return Estimate(
-        over('stamp', 0),
-        instants[0].frame_id,
-        instants[0].bodies,
-        over('position', 1),
-        over('angle', 1),
-        over('position_covariance', 2),
-        over('angle_covariance', 2),
-        over('size', 0),
-        over('height', 0),
-        over('span', 0),
-        over('degree', 0),
-        over('missing', 0),
-        instants[0].run,
-    )
+    axes = {
+        **dict.fromkeys(('stamp', 'size', 'height', 'span', 'degree', 'missing'), 0),
+        **dict.fromkeys(('position', 'angle'), 1),
+        **dict.fromkeys(('position_covariance', 'angle_covariance'), 2),
+    }
+    arrays = {
+        name: np.stack([getattr(now, name) for now in instants], axis)
+        for name, axis in axes.items()
+    }
+    first = instants[0]
+    return Estimate.of_arrays(arrays, first.frame_id, first.bodies, first.run)
 
 
 def decoded(row: Output) -> Callable[[Estimate], Any]:
@@ -374,7 +364,7 @@ def test_markers_keep_their_names_and_are_deleted_when_gone() -> None:
 
 
 def test_all_that_was_drawn_is_taken_away_by_one_marker() -> None:
-    array = deserialize_message(nothing_drawn(5_000_000_006, FRAME), MarkerArray)
+    array = deserialize_message(deletion_of_all(5_000_000_006, FRAME), MarkerArray)
     assert [marker.action for marker in array.markers] == [Marker.DELETEALL]
     assert stamp_of(array) == 5_000_000_006
     assert array.markers[0].header.frame_id == FRAME
@@ -638,7 +628,7 @@ def test_diagnostics_are_those_of_rclpy_with_padding_zero(length: int) -> None:
         DiagnosticStatus(level=DiagnosticStatus.WARN, name=e, hardware_id=a),
         DiagnosticStatus(name=a, values=pairs[1:]),
     ]
-    data, again = diagnostics_data(array), serialize_message(array)
+    data, again = kinpole_ros.messages.serialize_message(array), serialize_message(array)
     assert len(data) == len(again)
     for place in np.flatnonzero(np.frombuffer(data, 'u1') != np.frombuffer(again, 'u1')):
         assert data[place] == 0

@@ -25,9 +25,9 @@ from kinpole_ros.mechanism import (
     scenes_folder,
 )
 from kinpole_ros.tools import cli
-from kinpole_ros.tools.solve import _picture, solve_scene
-from kinpole_ros.tools.solve._solved import acting, over_range, over_time
-from kinpole_ros.tools.solve._work import work_lines
+from kinpole_ros.tools.solve import SolveOptions, _picture, solve_scene
+from kinpole_ros.tools.solve._solution import acting_loads, over_range, over_time
+from kinpole_ros.tools.solve._statics import work_lines
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
@@ -67,7 +67,7 @@ def test_the_trebuchet_of_the_seed_moves_as_printed(capsys: pytest.CaptureFixtur
 def test_the_web_cutter_has_the_printed_poles(tmp_path: Path) -> None:
     """Seed 000, check 1, in cm: ICR, IAP, IJP, the velocity of the ICR and the curvature."""
     table = tmp_path / 'cutter.csv'
-    lines = solve_scene('web_cutter', table=table)
+    lines = solve_scene('web_cutter', SolveOptions(csv=table))
     head = next(k for k, line in enumerate(lines) if 'ICR x m' in line)
     found = next(line for line in lines[head:] if line.startswith('coupler ')).split()
     centimeters = [100 * float(cell) for cell in found[1:9]]
@@ -83,7 +83,7 @@ def test_the_web_cutter_has_the_printed_poles(tmp_path: Path) -> None:
 
 def test_the_pool_lift_of_the_seed_is_its_triangle() -> None:
     """Example 5 prints its dimensions only: the angle follows by the law of cosines."""
-    lines = solve_scene('pool_lift', at='20 in', statics=True)
+    lines = solve_scene('pool_lift', SolveOptions(at='20 in', statics=True))
     r1, r2b, r3 = 0.0254 * np.array([16.69, 16, 20])
     between = np.arccos((r1**2 + r2b**2 - r3**2) / (2 * r1 * r2b))
     angle = np.degrees(between) - 90 + 65.58
@@ -98,7 +98,7 @@ def test_the_pool_lift_of_the_seed_is_its_triangle() -> None:
 
 def test_advantages_and_transmission_angles_are_the_closed_forms(tmp_path: Path) -> None:
     table = tmp_path / 'a.csv'
-    solve_scene('slider_crank', sweep=True, table=table)
+    solve_scene('slider_crank', SolveOptions(sweep=True, csv=table))
     cells = columns(table)
     crank = cells['crank']
     rod = -np.arcsin(np.sin(crank) * 0.1 / 0.3)
@@ -108,7 +108,7 @@ def test_advantages_and_transmission_angles_are_the_closed_forms(tmp_path: Path)
     # Between the rod and the normal to the slide.
     angle = cells['transmission_angle_rod_piston']
     np.testing.assert_allclose(angle, np.pi / 2 - np.abs(rod), atol=1e-7)
-    lines = solve_scene('four_bar', at='60 deg')
+    lines = solve_scene('four_bar', SolveOptions(at='60 deg'))
     (four_bar,) = [line for line in lines if line.startswith('coupler, rocker ')]
     crank, coupler, rocker, ground = 0.12, 0.36, 0.28, 0.4
     across = crank**2 + ground**2 - 2 * crank * ground * np.cos(np.radians(60))
@@ -196,7 +196,7 @@ def test_all_that_is_drawn_lies_in_the_picture(name: str) -> None:
     axis = figures.Figure().add_subplot()
     scene = load_scene(name)
     here = over_time(scene, np.zeros(1))
-    _picture._draw_linkage(axis, over_range(scene, 19), here, centers=False)
+    _picture.draw_linkage(axis, over_range(scene, 19), here, centers=False)
     arrows = [text.xy for text in axis.texts if text.arrow_patch]
     assert arrows
     (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
@@ -249,7 +249,7 @@ def test_teeth_of_gears_bear_what_turns_them(tmp_path: Path) -> None:
     path = tmp_path / 'gear.yaml'
     text = (scenes_folder() / 'planetary_gear.yaml').read_text()
     path.write_text(text.replace(', pressure: 20 deg', ''))
-    lines = solve_scene(path, statics=True)
+    lines = solve_scene(path, SolveOptions(statics=True))
     assert 'sun balances the loads with 1 N m' in lines
     # 1 N m over 24 mm; the arm bears the sum of both teeth.
     assert 'sun_teeth: of its force the part along 90 deg is unique: 41.6667 N' in lines
@@ -257,7 +257,7 @@ def test_teeth_of_gears_bear_what_turns_them(tmp_path: Path) -> None:
     assert 'P: of its force the part along 270 deg is unique: 83.3333 N' in lines
     assert any(line.startswith('overconstrained: ') for line in lines)
     # With a pressure angle all is: the sun's pin bears its tooth, the planet's what turns the arm.
-    lines = solve_scene('planetary_gear', statics=True)
+    lines = solve_scene('planetary_gear', SolveOptions(statics=True))
     assert not any(line.startswith('overconstrained: ') for line in lines)
     push, apart = 1 / 0.024, np.tan(np.radians(20)) / 0.024
     assert row(lines, 'sun_teeth')[:2] == pytest.approx([apart, push], rel=1e-5)
@@ -302,10 +302,10 @@ def test_the_table_holds_forces_over_the_whole_range(
 
 def test_the_table_holds_centers_where_they_are_and_only_if_asked_for(tmp_path: Path) -> None:
     table = tmp_path / 'c.csv'
-    lines = solve_scene('slider_crank', sweep=True, table=table)
+    lines = solve_scene('slider_crank', SolveOptions(sweep=True, csv=table))
     assert not [line for line in lines if line.startswith('instant centers')]
     assert not [name for name in columns(table) if name.startswith('center_')]
-    lines = solve_scene('slider_crank', sweep=True, centers=True, table=table)
+    lines = solve_scene('slider_crank', SolveOptions(sweep=True, centers=True, csv=table))
     assert 'instant centers at the start of the range' in lines
     found = columns(table)
     # Empty is unknown.
@@ -333,7 +333,7 @@ def test_a_lone_arm_is_swept_by_a_full_turn(
     path.write_text(
         f'bodies: {{ground: {{O: [0, 0]}}, arm: {{O: [0, 0], A: [0.1, 0]}}}}\ndrivers: [{driver}]\n'
     )
-    lines = solve_scene(path, sweep=True, table=table)
+    lines = solve_scene(path, SolveOptions(sweep=True, csv=table))
     assert not any('limit' in line for line in lines)
     found = columns(table)
     assert found['arm'][[0, -1]] == pytest.approx(ends)
@@ -347,7 +347,7 @@ def test_efforts_are_told_load_by_load_or_as_a_torque_on_a_body(tmp_path: Path) 
 
     def statics(rest: str, at: str | None = None) -> list[str]:
         path.write_text(four_bar + loads + rest)
-        return solve_scene(path, at=at, sweep=at is None, statics=True)
+        return solve_scene(path, SolveOptions(at=at, sweep=at is None, statics=True))
 
     one, two = statics(''), statics('  - {torque: 2, on: rocker}\n')
     assert 'forces at the start of the range' in one
@@ -367,7 +367,7 @@ def test_efforts_are_told_load_by_load_or_as_a_torque_on_a_body(tmp_path: Path) 
 
 def test_springs_and_inertia_are_in_the_statics(tmp_path: Path) -> None:
     table = tmp_path / 's.csv'
-    lines = solve_scene('slider_crank', at='50 deg', statics=True, table=table)
+    lines = solve_scene('slider_crank', SolveOptions(at='50 deg', statics=True, csv=table))
     (whole,) = [line for line in lines if line.startswith('crank balances the loads with ')]
     (shares,) = [line for line in lines if line.startswith('  of this, springs: ')]
     spring, inertia = map(float, re.findall(r': (\S+?)[; ]', shares))
@@ -405,7 +405,8 @@ def figure_of(monkeypatch: pytest.MonkeyPatch, **asked: Any) -> Any:
     figures = pytest.importorskip('matplotlib.figure')
     made = []
     monkeypatch.setattr(figures.Figure, 'savefig', lambda figure, *_, **__: made.append(figure))
-    solve_scene(**asked)
+    scene = asked.pop('scene')
+    solve_scene(scene, SolveOptions(**asked))
     return made[0]
 
 
@@ -413,8 +414,8 @@ def test_only_the_centrodes_asked_for_are_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     picture = tmp_path / 'a.png'
-    bare = figure_of(monkeypatch, scene='four_bar', picture=picture)
-    asked = figure_of(monkeypatch, scene='four_bar', picture=picture, curves=['coupler'])
+    bare = figure_of(monkeypatch, scene='four_bar', plot=picture)
+    asked = figure_of(monkeypatch, scene='four_bar', plot=picture, centrodes=['coupler'])
     few, more = (figure.axes[0].lines for figure in (bare, asked))
     assert len(more) == len(few) + 2
     fixed = next(line for line in more if line.get_linewidth() == 4)
@@ -425,11 +426,11 @@ def test_only_the_centrodes_asked_for_are_drawn(
     seen = fixed.get_xdata() + 1j * fixed.get_ydata()
     np.testing.assert_allclose(seen[np.isfinite(seen)], icr[np.isfinite(seen)])
     with pytest.raises(SceneError, match='no moving body wheel: give some of crank, coupler'):
-        solve_scene('four_bar', picture=picture, curves=['wheel'])
+        solve_scene('four_bar', SolveOptions(plot=picture, centrodes=['wheel']))
 
 
 def test_axes_do_not_show_rounding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    figure = figure_of(monkeypatch, scene='cardan', picture=tmp_path / 'a.png')
+    figure = figure_of(monkeypatch, scene='cardan', plot=tmp_path / 'a.png')
     _, rate, acceleration = figure.axes
     low, high = rate.get_ylim()
     assert high - low > 1 and low < 2 * np.pi < high
@@ -443,7 +444,7 @@ def page_data(page: Path) -> Any:
 
 def test_the_page_has_the_motion_that_is_solved(tmp_path: Path) -> None:
     page = tmp_path / 'a.html'
-    solve_scene('double_pendulum', time='1', page=page)
+    solve_scene('double_pendulum', SolveOptions(time='1', html=page))
     data = page_data(page)
     exact = load_scene('double_pendulum').motion(np.array(data['t']))['lower']
     (lower,) = [body for body in data['bodies'] if body['name'] == 'lower']
@@ -452,7 +453,7 @@ def test_the_page_has_the_motion_that_is_solved(tmp_path: Path) -> None:
     assert set(lower['angular_velocity']['sigma']) == {None}
     assert {tuple(joint['bodies']) for joint in data['joints']} == {('upper',), ('lower', 'upper')}
     # One driver: over its range, at the rate it is driven at; backward too.
-    solve_scene('rolling_wheel', page=page)
+    solve_scene('rolling_wheel', SolveOptions(html=page))
     data = page_data(page)
     assert data['t'][-1] == pytest.approx(1.0)
     assert np.all(np.diff(data['bodies'][0]['angle']) < 0)
@@ -470,7 +471,7 @@ def test_the_picture_shows_the_position_asked_for(
     figures = pytest.importorskip('matplotlib.figure')
     made = []
     monkeypatch.setattr(figures.Figure, 'savefig', lambda figure, *_, **__: made.append(figure))
-    solve_scene('slider_crank', at=at, picture=tmp_path / 'crank.png')
+    solve_scene('slider_crank', SolveOptions(at=at, plot=tmp_path / 'crank.png'))
     linkage, rates, _ = made[0].axes
     crank = next(line for line in linkage.lines if line.get_zorder() == 3)
     angle = np.radians(float(at.split()[0]))
@@ -531,7 +532,7 @@ def test_centers_are_called_alike_in_the_table_and_the_deduction(
 def test_the_circles_that_gears_roll_on_are_drawn() -> None:
     solved = over_time(load_scene('planetary_gear'), np.zeros(1))
     # The planet with its spoke, sun and ring: their radii about their centers.
-    radii = {np.round(np.ptp(rim.real) / 2, 9) for _, rim in _picture._wheels(solved)}
+    radii = {np.round(np.ptp(rim.real) / 2, 9) for _, rim in _picture.wheel_rims(solved)}
     assert radii == {0.012, 0.024, 0.048}
 
 
@@ -539,7 +540,7 @@ def test_letters_on_lines_can_be_read() -> None:
     figures = pytest.importorskip('matplotlib.figure')
     axis = figures.Figure().add_subplot()
     scene = load_scene('four_bar')
-    _picture._draw_linkage(axis, over_range(scene, 19), over_time(scene, np.zeros(1)), centers=True)
+    _picture.draw_linkage(axis, over_range(scene, 19), over_time(scene, np.zeros(1)), centers=True)
     letters = [text for text in axis.texts if text.get_text()]
     assert {'crank', 'coupler', 'rocker', 'I12'} <= {text.get_text() for text in letters}
     assert all(text.get_path_effects() for text in letters)
@@ -599,11 +600,11 @@ def test_a_scene_of_any_name_is_drawn(tmp_path: Path) -> None:
 # As printed with twelve digits, and with nine, which is a little beyond.
 @pytest.mark.parametrize('at', ['71.3333959863 deg', '71.333396 deg'])
 def test_at_a_limit_as_it_is_printed_no_rate_is_made_of_its_last_digit(at: str) -> None:
-    lines = solve_scene('loader', at=at, statics=True)
+    lines = solve_scene('loader', SolveOptions(at=at, statics=True))
     assert any('a dead point of the loop O, A, B, C' in line for line in lines)
     assert next(line for line in lines if line.startswith('lift ')).split()[2:] == ['-'] * 4
     assert 'not determined: the drivers have no hold of the loads in a dead point' in lines
-    near = solve_scene('loader', at='71.3333 deg')
+    near = solve_scene('loader', SolveOptions(at='71.3333 deg'))
     assert float(next(line for line in near if line.startswith('lift ')).split()[2]) < -100
 
 
@@ -637,8 +638,8 @@ def test_the_bodies_after_centrodes_may_stand_before_or_after_the_scene(
         'kinpole_ros.tools.solve.solve_scene', lambda *a, **_: taken.append(a) or []
     )
     assert cli.main(['solve', *words.split()]) == 0
-    scene, *_, bodies = taken[0]
-    assert (scene, list(bodies)) == ('four_bar', ['coupler', 'rocker'])
+    scene, options = taken[0]
+    assert (scene, options.centrodes) == ('four_bar', ['coupler', 'rocker'])
 
 
 @pytest.mark.parametrize('name', scene_names())
@@ -646,10 +647,10 @@ def test_virtual_work_step_by_step_gives_the_statics(name: str) -> None:
     """Each number that `--work` comes to is that of `--statics`."""
     scene = load_scene(name)
     here = over_time(scene, np.zeros(1))
-    loads = acting(here).all
+    loads = acting_loads(here).all
     if not loads:
         with pytest.raises(SceneError, match='has no loads'):
-            solve_scene(name, work=True)
+            solve_scene(name, SolveOptions(work=True))
         return
     lines = work_lines(here)
     if scene.held_by:
@@ -690,13 +691,13 @@ def test_virtual_work_step_by_step_gives_the_statics(name: str) -> None:
 
 def test_advantages_of_the_work_are_loads_over_their_shares() -> None:
     """Seed 003: the loader lifts 9806.65 N with 21300 N m; the advantage is their ratio."""
-    lines = solve_scene('loader', at='45 deg', work=True)
+    lines = solve_scene('loader', SolveOptions(at='45 deg', work=True))
     row = next(line for line in reversed(lines) if line.startswith('1 load, force at lift.P'))
     share, gain = map(float, row.split()[-2:])
     assert share == pytest.approx(1000 * 9.80665 * 1.08601 / 0.5, rel=1e-5)
     assert gain == pytest.approx(1000 * 9.80665 / share, rel=1e-5)
     # A toggle: the load stands still, so no effort holds it.
-    lines = solve_scene('slider_crank', work=True)
+    lines = solve_scene('slider_crank', SolveOptions(work=True))
     (row,) = [
         line for line in lines if line.startswith('2 inertia, force at crank  ') and 'inf' in line
     ]
@@ -706,7 +707,7 @@ def test_advantages_of_the_work_are_loads_over_their_shares() -> None:
 def test_the_page_has_the_virtual_work(tmp_path: Path) -> None:
     for name in ('loader', 'four_bar'):
         page = tmp_path / f'{name}.html'
-        lines = solve_scene(name, page=page, work=name == 'loader')
+        lines = solve_scene(name, SolveOptions(html=page, work=name == 'loader'))
         text = re.search(r'octet-stream">([^<]*)<', page.read_text())
         work = json.loads(zlib.decompress(base64.b64decode(text[1])))['work']
         assert set(work) <= set(lines) and bool(work) == (name == 'loader')
@@ -715,11 +716,11 @@ def test_the_page_has_the_virtual_work(tmp_path: Path) -> None:
 def test_the_work_of_several_drivers_and_at_a_limit(tmp_path: Path) -> None:
     scene = tmp_path / 'arm.yaml'
     scene.write_text(scene_text('double_pendulum') + 'loads: [{weight: 2 kg, at: lower.P}]\n')
-    lines = solve_scene(scene, time='0.3', work=True)
+    lines = solve_scene(scene, SolveOptions(time='0.3', work=True))
     solved = over_time(load_scene(scene), np.array([0.3]))
     truth = efforts(solved.scene.mechanism, solved.values, solved.scene.loads).effort[:, 0]
     found = [float(line.split()[-3]) for line in lines if re.match('the effort of .* = ', line)]
     assert found == pytest.approx(truth, rel=1e-6)
     assert sum('the other drivers held' in line for line in lines) == 2
-    lines = solve_scene('loader_cylinder', at='0.920227378 m', work=True)
+    lines = solve_scene('loader_cylinder', SolveOptions(at='0.920227378 m', work=True))
     assert lines[-1] == 'virtual work: the drivers have no hold of the loads in a dead point'

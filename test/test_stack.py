@@ -108,13 +108,11 @@ def test_joint_states_pass_over_a_gap_and_begin_anew_after_a_reset(
 
 def _part(estimate: Estimate, rows: Any) -> Estimate:
     """Some instants of an estimate, as one."""
-    names = ('position', 'angle', 'position_covariance', 'angle_covariance')
-    first = [getattr(estimate, name)[..., rows, :] for name in names]
-    rest = ('size', 'height', 'span', 'degree', 'missing')
-    more = [getattr(estimate, name)[rows] for name in rest]
-    return Estimate(
-        estimate.stamp[rows], estimate.frame_id, estimate.bodies, *first, *more, estimate.run
-    )
+    derivatives = ('position', 'angle', 'position_covariance', 'angle_covariance')
+    arrays = {name: getattr(estimate, name)[..., rows, :] for name in derivatives}
+    for name in ('stamp', 'size', 'height', 'span', 'degree', 'missing'):
+        arrays[name] = getattr(estimate, name)[rows]
+    return Estimate.of_arrays(arrays, estimate.frame_id, estimate.bodies, estimate.run)
 
 
 def documented() -> list[tuple[str, str]]:

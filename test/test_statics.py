@@ -4,19 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from hand_statics import balance, freed_reactions
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from kinpole_ros.mechanism._assembly import (
-    GROUND,
-    Joint,
-    Revolute,
-    Rolling,
-    Slot,
-    Strut,
-    assemble,
-)
-from kinpole_ros.mechanism._freed import freed_reactions
+from kinpole_ros.mechanism._assembly import assemble
+from kinpole_ros.mechanism._joints import GROUND, Joint, Revolute, Rolling, Slot, Strut
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
 from kinpole_ros.mechanism._reactions import Reactions, reactions, undetermined
@@ -25,7 +18,6 @@ from kinpole_ros.mechanism._statics import (
     Holder,
     Load,
     Torque,
-    balance,
     efforts,
     holding,
 )

@@ -23,7 +23,7 @@ from std_msgs.msg import Header, Int32, String
 
 from kinpole_ros.bags import RECORDER, BagError, BagMessage, BagWriter, read_messages, recorder_of
 from kinpole_ros.messages import serialize_message, to_message
-from kinpole_ros.ros.live import Recorder
+from kinpole_ros.ros.recorder import Recorder
 
 ROOT = Path(__file__).parents[1]
 TOPIC = '/kinpole/test_stopped'
@@ -241,8 +241,8 @@ def test_a_recorder_names_what_it_cannot_record_and_what_nobody_publishes(
     def unknown(name: str) -> type:
         raise BagError(f'message type {name} is not installed')
 
-    monkeypatch.setattr('kinpole_ros.ros.live.message_class', unknown)
-    monkeypatch.setattr('kinpole_ros.ros.live._PATIENCE', 0.3)
+    monkeypatch.setattr('kinpole_ros.ros.recorder.message_class', unknown)
+    monkeypatch.setattr('kinpole_ros.ros.recorder._PATIENCE', 0.3)
     told = ''
     rclpy.init(args=[])
     executor = SingleThreadedExecutor()

@@ -19,10 +19,10 @@ from recordings import (
 )
 from stretches import instants, one_frame
 
+from kinpole_ros.tracking.assignment import MarkerPlaces
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.parameters import settings_from
-from kinpole_ros.tracking.roster import MarkerPlaces
 from kinpole_ros.tracking.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')
@@ -571,7 +571,7 @@ def test_any_partition_of_any_stream_gives_the_same(
         for number, (first, end) in enumerate(pairwise(edges)):
             found += tracker.add(part_of(frames, slice(first, end)), order)
             if settled and number % settled == 0:
-                tracker.settle()
+                tracker.learn_if_due()
         results.append((tracker.counts, found))
     counts, expected = results[0]
     for other_counts, other in results[1:]:

@@ -273,7 +273,7 @@ def test_a_settled_shape_is_held_until_a_marker_creeps() -> None:
     points = markers(KITE, SETTLED + 3000)
     held, _ = fitted(points[: SETTLED + 10])
     tracker, _ = fitted(points[: SETTLED + 1000])
-    assert np.array_equal(tracker._known.shape, held._known.shape)
+    assert np.array_equal(tracker._calibration.shape, held._calibration.shape)
     # By 30 times the noise in all, so slowly that no frame is suspect.
     creep = 3e-3 * np.clip((np.arange(len(points)) - SETTLED) / 2000, 0, 1)
     points[:, 0] += creep * np.exp(0.03j * np.arange(len(points)))

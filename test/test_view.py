@@ -22,15 +22,13 @@ from test_report import BLUE, GREEN, RED, await_color, cell
 
 from kinpole_ros.bags import BagWriter, read_messages, replay
 from kinpole_ros.messages import STATE, VIEW, String, live_outputs, serialize_message, view_of
-from kinpole_ros.ros.live import own_context, play
-from kinpole_ros.ros.watch import Arrived
+from kinpole_ros.ros.listener import Arrived
+from kinpole_ros.ros.player import own_context, play
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.report import page as page_of
-from kinpole_ros.tools.view._feed import Feed
-from kinpole_ros.tools.view._figures import frame_of
-from kinpole_ros.tools.view._known import Known
-from kinpole_ros.tools.view._live import Live
-from kinpole_ros.tools.view._server import serving
+from kinpole_ros.tools.view._frames import frame_of_view
+from kinpole_ros.tools.view._live import Live, RigState
+from kinpole_ros.tools.view._server import Feed, serving
 from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate
 from kinpole_ros.tracking.parameters import load_settings
 from kinpole_ros.tracking.plane import XY
@@ -149,7 +147,7 @@ def test_figures_are_those_of_the_estimate_and_no_more(estimates) -> None:
     settings = load_settings(ROOT / 'config' / 'four_bar.yaml')
     when, (data,) = live_outputs(settings, None)[-1].build(block)
     assert when == [len(block) - 1]
-    frame = frame_of(data)
+    frame = frame_of_view(data)
     assert frame.stamp == block.stamp[k]
     assert frame.rig.bodies == ('crank', 'coupler', 'rocker')
     withheld = 0
@@ -189,7 +187,7 @@ def message(said: Any) -> bytes:
 
 def test_what_is_no_message_to_pages_is_refused(estimates) -> None:
     good = view_of(estimates[0][0], XY)
-    frame_of(message(good))
+    frame_of_view(message(good))
 
     def with_body(**figures: Any) -> dict[str, Any]:
         return {**good, 'bodies': [{**good['bodies'][0], **figures}, *good['bodies'][1:]]}
@@ -213,14 +211,14 @@ def test_what_is_no_message_to_pages_is_refused(estimates) -> None:
     ]
     for said in wrong:
         with pytest.raises(ValueError):
-            frame_of(message(said))
+            frame_of_view(message(said))
 
 
 def test_more_bodies_than_a_page_can_show_are_refused_and_told_of(estimates) -> None:
     good = view_of(estimates[0][0], XY)
     bodies = [{**good['bodies'][0], 'name': f'body_{k}'} for k in range(5000)]
     pair = {'bodies': ['body_0', 'body_1'], 'icr': None}
-    frame_of(message({**good, 'bodies': bodies[:200], 'pairs': [pair] * 200}))
+    frame_of_view(message({**good, 'bodies': bodies[:200], 'pairs': [pair] * 200}))
     for said, complaint in (
         ({**good, 'bodies': bodies[:201], 'pairs': []}, '201 bodies and 0 pairs of them; a page'),
         ({**good, 'bodies': bodies[:2], 'pairs': [pair] * 201}, '2 bodies and 201 pairs of them'),
@@ -228,7 +226,7 @@ def test_more_bodies_than_a_page_can_show_are_refused_and_told_of(estimates) -> 
         (' ' * 2_000_000, r'2000009 bytes'),
     ):
         with pytest.raises(ValueError, match=complaint):
-            frame_of(message(said))
+            frame_of_view(message(said))
 
 
 class Scripted:
@@ -337,7 +335,7 @@ def test_a_bag_of_results_is_shown_by_its_topic_state(estimates, replayed) -> No
     assert [body['name'] for body in told.rigs[-1]['bodies']] == ['crank', 'coupler', 'rocker']
     (frame,) = told.frames
     said = view_of(estimates[-1][-1], XY)
-    expected = frame_of(message(said))
+    expected = frame_of_view(message(said))
     assert frame['reasons'] == [None] * 3
     for body, other in zip(frame['bodies'], expected.bodies, strict=True):
         assert other is not None
@@ -494,24 +492,24 @@ def test_page_shows_a_bag_of_results_that_is_played(browser, replayed, watcher) 
 def test_page_goes_on_when_the_server_is_back_and_begins_anew_with_other_bodies(
     browser, results
 ) -> None:
-    known, port = Known('/kinpole', VIEW), 0
+    state, port = RigState('/kinpole', VIEW), 0
     with ExitStack() as closing:
         for data, at in zip(sent_to_pages(results)[50:], (0.5, 1.25), strict=False):
-            frame = frame_of(data)
-            known.add(frame)
+            frame = frame_of_view(data)
+            state.add_frame(frame)
             feed = Feed()
             with served(feed, port) as address:
                 if not port:
                     port = int(re.findall(r':(\d+)/', address)[0])
                     page = closing.enter_context(opened(browser, address))
                 feed.wait_for_page(LIMIT)
-                feed.put('rig', known.as_json(frame.rig, 0.0, []))
+                feed.put('rig', state.as_json(frame.rig, 0.0, []))
                 feed.put('frame', frame.as_json(at, 0))
                 page.locator('#clock', has_text=f't = {at:.3f} s').wait_for()
                 assert page.locator('#state').inner_text() == ''
                 if at > 1:
                     # A node with other bodies is another page.
                     other = frame.rig._replace(bodies=('rod',), pairs=())
-                    feed.put('rig', known.as_json(other, 0.0, []))
+                    feed.put('rig', state.as_json(other, 0.0, []))
                     page.locator('#bodies', has_text='rod').wait_for()
             page.locator('#state', has_text='disconnected').wait_for()

@@ -26,7 +26,7 @@ class Hidden:
 
 sys.meta_path.insert(0, Hidden())
 """
-TYPES = [name for name in _types.__all__ if name[0].isupper() and not name.startswith('WITH_')]
+TYPES = [name for name, cls in vars(_rosbags).items() if hasattr(cls, '__msgtype__')]
 # Of tf2_msgs there may be no more than enough for a bag.
 MESSAGES = [name for name in TYPES if name != 'TFMessage' or _types.WITH_TF]
 
@@ -56,7 +56,7 @@ from importlib import import_module
 import kinpole_ros
 from kinpole_ros.messages import WITH_ROS
 from kinpole_ros.tools import cli
-from kinpole_ros.tools.plot._read import read_results
+from kinpole_ros.tools.plot._results import read_results
 
 assert not WITH_ROS
 for words in {words!r}:

@@ -1,4 +1,4 @@
-"""The messages in a run of MCAP records, identified by the channels described there."""
+"""The messages in a run of MCAP records, by the channels described there."""
 
 import struct
 from collections.abc import Collection
@@ -13,19 +13,31 @@ from mcap.records import Channel, Schema
 
 from kinpole_ros.bags._files import ZSTD_MAGIC, BagError
 
-HEAD = struct.Struct('<BQ')  # of every record: opcode, length of the rest
+HEAD = struct.Struct('<BQ')  # of every record: opcode, length of the body
 MESSAGE = struct.Struct('<H4xQ8x')  # channel, (sequence,) log time (, publish time)
-_MESSAGE_RECORD = int(Opcode.MESSAGE)
-# What may be claimed to be unpacked, in bytes: real recordings stay far below, bombs do not.
-LARGEST = 1 << 30
-LARGEST_CHUNK = 1 << 27  # bytes unpacked, all held at once: recorders make chunks of 1 to 4 MiB
-_ALWAYS = 1 << 24
-_RATIO = 1000
-_LONGEST_NAME = 1000
+_MESSAGE_OPCODE = int(Opcode.MESSAGE)
+# Limits of what a file may claim to be unpacked: real recordings stay far below, bombs do not.
+LARGEST = 1 << 30  # bytes
+LARGEST_CHUNK = 1 << 27  # bytes, all in memory at once: recorders make chunks of 1 to 4 MiB
+_ALWAYS_ALLOWED = 1 << 24  # bytes
+_LARGEST_RATIO = 1000
+_LONGEST_NAME = 1000  # characters
 
 
 class BagMessage(NamedTuple):
-    """One message as recorded: `data` is CDR, `log_time` in ns."""
+    """One message as recorded.
+
+    Attributes
+    ----------
+    topic : str
+    type_name : str
+        Such as 'visualization_msgs/msg/MarkerArray'.
+    data : bytes
+        The message in CDR.
+    log_time : int
+        ns
+
+    """
 
     topic: str
     type_name: str
@@ -34,108 +46,110 @@ class BagMessage(NamedTuple):
 
 
 class Channels:
-    """What the schema and channel records met so far say, and the messages they explain."""
+    """The schemas and channels described so far, and the messages of the requested topics."""
 
-    def __init__(self, path: Path, wanted: frozenset[str] | None) -> None:
-        self.types: dict[str, str] = {}
+    def __init__(self, path: Path, topics: frozenset[str] | None) -> None:
+        self.types: dict[str, str] = {}  # by topic
         self.definitions: dict[str, str] = {}  # by type
-        # What is wrong with the descriptions; '' if nothing.
-        self.doubt = ''
+        self.doubt = ''  # what is wrong with the descriptions; '' if nothing
         self._path = path
-        self._wanted = wanted
+        self._requested = topics
         self._schemas: dict[int, str] = {}
-        self._described: dict[tuple[str, int], Schema | Channel] = {}
-        self._chosen: dict[int, tuple[str, str] | None] = {}
+        self._records: dict[tuple[str, int], Schema | Channel] = {}
+        # Topic and type of each channel; None where its messages are not requested.
+        self._channels: dict[int, tuple[str, str] | None] = {}
         self._refused: dict[int, str] = {}
         self._untyped: dict[int, str] = {}
 
     def add(self, record: Schema | Channel) -> None:
-        """Take note of a description; raises ValueError for names that no user should be shown."""
+        """Add a description; raises ValueError for a name that no message could show."""
         name = record.name if isinstance(record, Schema) else record.topic
         if not name.isprintable() or len(name) > _LONGEST_NAME:
             raise ValueError('a name that is none')
         kind = type(record).__name__
-        if self._described.setdefault((kind, record.id), record) != record:
+        if self._records.setdefault((kind, record.id), record) != record:
             self.doubt = f'it describes {kind.lower()} {record.id} in two ways'
         if isinstance(record, Schema):
             self._schemas[record.id] = record.name
             self.definitions[record.name] = record.data.decode(errors='replace')
             return
-        name = self._schemas.get(record.schema_id, '')
-        self.types[record.topic] = name
-        asked_for = self._wanted is not None and record.topic in self._wanted
-        if record.message_encoding == 'cdr' and name:
-            chosen = asked_for or self._wanted is None
-            self._chosen[record.id] = (record.topic, name) if chosen else None
-        elif asked_for:
+        type_name = self._schemas.get(record.schema_id, '')
+        self.types[record.topic] = type_name
+        by_name = self._requested is not None and record.topic in self._requested
+        if record.message_encoding == 'cdr' and type_name:
+            is_requested = by_name or self._requested is None
+            self._channels[record.id] = (record.topic, type_name) if is_requested else None
+        elif by_name:
             self._refused[record.id] = (
                 f"{self._path}: topic '{record.topic}' has messages in "
-                f"{record.message_encoding!r} of type '{name}'; fix: give a topic of ROS 2 "
+                f"{record.message_encoding!r} of type '{type_name}'; fix: give a topic of ROS 2 "
                 'messages (cdr)'
             )
-        elif self._wanted is None and record.schema_id not in (0, *self._schemas):
+        elif self._requested is None and record.schema_id not in (0, *self._schemas):
             self._untyped[record.id] = record.topic
         else:
-            self._chosen[record.id] = None
+            self._channels[record.id] = None
 
     @property
     def topics(self) -> dict[int, str]:
-        """The topics of the channels whose messages are handed out."""
-        return {number: row[0] for number, row in self._chosen.items() if row is not None}
+        """The requested topics by channel."""
+        return {number: row[0] for number, row in self._channels.items() if row is not None}
 
-    def want_any(self, ids: Collection[int]) -> bool:
-        return any(self._chosen.get(channel_id, True) for channel_id in ids)
+    def are_requested(self, topics: Collection[str]) -> bool:
+        """Return whether any of these topics is requested."""
+        return self._requested is None or not self._requested.isdisjoint(topics)
 
-    def read(self, records: bytes, found: list[BagMessage]) -> None:
-        """Add the chosen messages in a run of records; raises where the last one is cut."""
-        # By hand, since this is the hot loop: mcap's own takes three times as long, and copies
-        # also what nobody asked for, such as images recorded with the markers.
+    def read(self, records: bytes, messages: list[BagMessage]) -> None:
+        """Append the requested messages in a run of records; raises where the last one is cut."""
+        # mcap's own loop takes three times as long, and copies images recorded with the markers.
         end, size = 0, len(records)
-        room = largest(size)
+        remaining = largest(size)
         while end < size:
             opcode, length = HEAD.unpack_from(records, end)
             start = end + HEAD.size
             end = start + length
             if end > size:
                 raise ValueError('a record is cut')
-            if opcode == _MESSAGE_RECORD:
+            if opcode == _MESSAGE_OPCODE:
                 channel_id, log_time = MESSAGE.unpack_from(records, start)
-                if channel_id not in self._chosen:
-                    self._complain(channel_id)
-                if (chosen := self._chosen[channel_id]) is not None:
+                if channel_id not in self._channels:
+                    self._add_undescribed(channel_id)
+                if (channel := self._channels[channel_id]) is not None:
                     data = records[start + MESSAGE.size : end]
                     if data.startswith(ZSTD_MAGIC):  # rosbag2 compressed message by message
-                        data = unpacked_message(data, room)
-                        room -= len(data)
-                    found.append(BagMessage(*chosen, data, log_time))
+                        data = unpack_message(data, remaining)
+                        remaining -= len(data)
+                    messages.append(BagMessage(*channel, data, log_time))
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self.add(description(opcode, records[start:end]))
+                self.add(parse_description(opcode, records[start:end]))
             elif opcode == 0:
                 raise ValueError('zeros in place of a record')
 
-    def _complain(self, channel_id: int) -> None:
+    def _add_undescribed(self, channel_id: int) -> None:
+        """Note that the type of a channel is missing, or raise for a channel of which all is."""
         if channel_id in self._untyped:
             self.doubt = f'it does not describe the type of {self._untyped[channel_id]}'
-            self._chosen[channel_id] = None
+            self._channels[channel_id] = None
             return
         if channel_id in self._refused:
             raise BagError(self._refused[channel_id])
         raise ValueError(f'a message of channel {channel_id}, which is not described')
 
 
-def description(opcode: int, body: bytes) -> Schema | Channel:
+def parse_description(opcode: int, body: bytes) -> Schema | Channel:
+    """Return the schema or channel in the body of its record."""
     stream = ReadDataStream(BytesIO(body))
     return Schema.read(stream) if opcode == Opcode.SCHEMA else Channel.read(stream)
 
 
-def unpacked_message(data: bytes, room: int) -> bytes:
-    """Unpack a message that rosbag2 compressed, to so many bytes at most."""
-    claimed = zstandard.frame_content_size(data)
-    if claimed > room:
-        raise ValueError(f'a message that claims to be {claimed} bytes unpacked')
-    return zstandard.ZstdDecompressor().decompress(data, max_output_size=max(room, 1))
+def unpack_message(data: bytes, most: int) -> bytes:
+    """Unpack a message that rosbag2 compressed, to at most so many bytes."""
+    size = zstandard.frame_content_size(data)
+    if size > most:
+        raise ValueError(f'a message that claims to be {size} bytes unpacked')
+    return zstandard.ZstdDecompressor().decompress(data, max_output_size=max(most, 1))
 
 
 def largest(packed: int) -> int:
-    """How many bytes so many compressed ones may claim to be before it is taken for damage."""
-    return min(LARGEST, max(_ALWAYS, _RATIO * packed))
+    """Return how many bytes so many compressed ones may unpack to, before it is damage."""
+    return min(LARGEST, max(_ALWAYS_ALLOWED, _LARGEST_RATIO * packed))

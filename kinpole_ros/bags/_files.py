@@ -1,7 +1,7 @@
-"""Which files make up a bag, and their bytes, unpacked where they are compressed as a whole.
+"""The files of a bag, and their bytes, unpacked where a file is compressed as a whole.
 
-A file compressed by zstd is read forward as a stream and unpacked to nowhere, so that it takes
-neither disk nor memory, whatever it claims to hold.
+A file compressed by zstd is read as a stream, so that it takes neither disk nor memory, whatever
+it claims to hold.
 """
 
 import io
@@ -22,16 +22,16 @@ from mcap.writer import MCAP0_MAGIC
 from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML, load_yaml
 
-LIBRARY = 'kinpole_ros'  # who writes bags here that can be made again
-RECORDER = 'kinpole record'  # and those that cannot
-_HEADER = 1000  # bytes of the first record that are looked at
+LIBRARY = 'kinpole_ros'  # named in bags that can be made again
+RECORDER = 'kinpole record'  # named in recordings, which cannot
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # no CDR starts with it
-_FARTHEST = 2**62  # bytes: beyond the end of any file
-_PIECE = 1 << 20  # bytes unpacked at a time
-# Of YAML and of records: other things than expected.
-_MALFORMED = (ValueError, LookupError, TypeError, AttributeError)
 SQLITE_MAGIC = b'SQLite f'
 ROS1_MAGIC = b'#ROSBAG '
+_HEADER_BYTES = 1000  # of the first record
+_FARTHEST = 2**62  # bytes: beyond the end of any file
+_UNPACKED_BYTES = 1 << 20  # at a time
+# What YAML and records of another form raise.
+_MALFORMED = (ValueError, LookupError, TypeError, AttributeError)
 # Endings of files that `kinpole import` reads.
 _POINTS = ('.csv', '.tsv', '.txt', '.trc', '.c3d', '.h5', '.xml', '.trk', '.json')
 _IMPORT = 'fix: make a bag of it by `kinpole import {} --output {}`'
@@ -43,16 +43,29 @@ class BagError(ValueError):
 
 
 class Truncated(BagError):
-    """A bag that was cut, is damaged or lacks messages; the rest of it was handed out."""
+    """A bag that is cut off, damaged or lacks messages; its other messages were read."""
 
 
 def bag_files(path: str | Path) -> list[Path]:
-    """The .mcap or .db3 files of a bag, in order.
+    """
+    Return the files of a bag, in order.
 
-    `path` is such a file or a rosbag2 folder, whose metadata.yaml names the files; without one, all
-    .mcap files of the folder, or all .db3 files, by name, numbers in names counted as numbers.
+    Parameters
+    ----------
+    path : str or Path
+        An .mcap or .db3 file or a rosbag2 folder, whose metadata.yaml names the files. A folder
+        without one has all its .mcap files, or all .db3 files, by name; numbers in names count as
+        numbers.
 
-    Raises BagError when there is no bag, or one in another storage.
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    BagError
+        If there is no bag, or it is in another storage.
+
     """
     path = Path(path)
     try:
@@ -79,7 +92,7 @@ def _folder_files(folder: Path) -> list[Path]:
     if not os.path.lexists(metadata):
         plain = {file.name for file in folder.glob('*.mcap')}
         plain = plain or {file.name for file in folder.glob('*.db3')}
-        # What was being compressed when its recorder died is there as both.
+        # A file is there as both if its recorder died while it compressed it.
         packed = {file.name for file in folder.glob('*.mcap.zstd')}
         names = plain | {name for name in packed if name.removesuffix('.zstd') not in plain}
         if not names:
@@ -87,50 +100,50 @@ def _folder_files(folder: Path) -> list[Path]:
                 f'{folder} has neither metadata.yaml nor .mcap or .db3 files; '
                 'fix: give an .mcap file or a rosbag2 folder'
             )
-        return _inside(folder, sorted(names, key=_by_number))
-    _inside(folder, [metadata.name])
+        return _checked_files(folder, sorted(names, key=_by_number))
+    _checked_files(folder, [metadata.name])
     try:
         content = load_yaml(read_limited(metadata, MOST_YAML))
         about = content['rosbag2_bagfile_information']
-        storage, listed = about['storage_identifier'], about['relative_file_paths']
-        compressed = about.get('compression_format')
-        if isinstance(listed, str) or not all(isinstance(name, str) for name in listed):
+        storage, names = about['storage_identifier'], about['relative_file_paths']
+        compression = about.get('compression_format')
+        if isinstance(names, str) or not all(isinstance(name, str) for name in names):
             raise TypeError('no list of files')
     except (yaml.YAMLError, *_MALFORMED) as error:
-        known = isinstance(error, yaml.YAMLError)
-        why = f' ({cut_line(" ".join(str(error).split()), 300)})' if known else ''
+        reason = ''
+        if isinstance(error, yaml.YAMLError):
+            reason = f' ({cut_line(" ".join(str(error).split()), 300)})'
         raise BagError(
-            f'{metadata} is not the metadata of a rosbag2 bag{printable(why)}; '
+            f'{metadata} is not the metadata of a rosbag2 bag{printable(reason)}; '
             f'fix: `ros2 bag reindex {folder}`, or remove it to read all .mcap files there'
         ) from error
-    if storage not in ('mcap', 'sqlite3') or compressed not in (None, '', 'zstd'):
-        wrong = f'in {cut(str(storage))}'
-        if compressed:
-            wrong = f'compressed by rosbag2 ({cut(str(compressed))})'
-        raise BagError(f'{folder} is a bag {wrong}; {_CONVERT.format(folder)}')
-    if not listed:
+    if compression not in (None, '', 'zstd'):
+        storage = f'compressed by rosbag2 ({cut(str(compression))})'
+        raise BagError(f'{folder} is a bag {storage}; {_CONVERT.format(folder)}')
+    if storage not in ('mcap', 'sqlite3'):
+        raise BagError(f'{folder} is a bag in {cut(str(storage))}; {_CONVERT.format(folder)}')
+    if not names:
         raise BagError(f'{metadata} names no files; fix: `ros2 bag reindex {folder}`')
-    return _inside(folder, listed)
+    return _checked_files(folder, names)
 
 
-def _inside(folder: Path, names: list[str]) -> list[Path]:
+def _checked_files(folder: Path, names: list[str]) -> list[Path]:
     """
-    Files of a bag's folder by their names in it.
+    Return the paths of the named files of a bag's folder.
 
-    Raises BagError for what is none, is there twice, or is elsewhere: a bag from a stranger must
-    not make us wait, or read other files of this machine.
+    Raises BagError for a name that is no regular file, repeated, or outside of the folder: a bag
+    from a stranger must not block us, nor read other files of this machine.
     """
-    whole = folder.resolve()
-    found: dict[tuple[int, int], str] = {}
+    names_by_id: dict[tuple[int, int], str] = {}
     for name in names:
-        path, shown, is_name = folder / name, folder / cut(name), '\0' not in name
-        outside = PurePath(name).is_absolute() or '..' in PurePath(name).parts
-        if outside or (is_name and not path.resolve().is_relative_to(whole)):
+        path, shown, is_valid = folder / name, folder / cut(name), '\0' not in name
+        is_outside = PurePath(name).is_absolute() or '..' in PurePath(name).parts
+        if is_outside or (is_valid and not path.resolve().is_relative_to(folder.resolve())):
             raise BagError(
                 f'{shown} is outside of the folder; fix: have all files of a bag in its folder, '
                 'and no links to others'
             )
-        if not is_name or not path.exists():
+        if not is_valid or not path.exists():
             raise BagError(
                 f'{shown}, named by metadata.yaml, is not there; fix: put it back, or '
                 '`ros2 bag reindex`'
@@ -141,13 +154,13 @@ def _inside(folder: Path, names: list[str]) -> list[Path]:
                 'gives as a file'
             )
         about = path.stat()
-        identity = about.st_dev, about.st_ino
-        if identity in found:
+        file_id = about.st_dev, about.st_ino
+        if file_id in names_by_id:
             raise BagError(
-                f"{shown} is the same file as '{cut(found[identity])}'; fix: have and name each "
-                'file once'
+                f"{shown} is the same file as '{cut(names_by_id[file_id])}'; fix: have and name "
+                'each file once'
             )
-        found[identity] = name
+        names_by_id[file_id] = name
     return [folder / name for name in names]
 
 
@@ -156,6 +169,7 @@ def _by_number(name: str) -> list[int | str]:
 
 
 def check_magic(path: Path) -> None:
+    """Raise BagError where a file does not begin as an MCAP or SQLite file does."""
     with open_regular(path) as file:
         magic = file.read(len(MCAP0_MAGIC))
     if not magic:
@@ -185,13 +199,26 @@ def check_magic(path: Path) -> None:
 
 
 def recorder_of(path: str | Path) -> str:
-    """What program says in a file that it recorded it; '' if none does, or we can make it again."""
+    """
+    Return the program that recorded a bag.
+
+    Parameters
+    ----------
+    path : str or Path
+        An .mcap file.
+
+    Returns
+    -------
+    str
+        The name in its header; '' if there is none, or the bag is one that we can make again.
+
+    """
     path = Path(path)
     with suppress(OSError, *_MALFORMED, struct.error, EndOfFile):
         if path.is_file():
             with open_file(path) as file:
                 if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
-                    head = file.read(_HEADER)
+                    head = file.read(_HEADER_BYTES)
                     length = int.from_bytes(head[1:9], 'little')
                     library = Header.read(ReadDataStream(io.BytesIO(head[9 : 9 + length]))).library
                     return '' if library == LIBRARY else library or 'another program'
@@ -199,11 +226,13 @@ def recorder_of(path: str | Path) -> str:
 
 
 def unreadable(path: Path, error: OSError) -> BagError:
+    """Return the error of a file that cannot be read."""
     path = error.filename or path
     return BagError(f'{path} cannot be read: {error.strerror}; fix: check the path and its rights')
 
 
 def unwritable(path: str | Path, error: OSError) -> BagError:
+    """Return the error of a file that cannot be written."""
     return BagError(
         f'{path} cannot be written: {error.strerror or error}; '
         'fix: check the path, its rights and the space on the disk'
@@ -211,15 +240,17 @@ def unwritable(path: str | Path, error: OSError) -> BagError:
 
 
 def open_file(path: Path) -> BinaryIO:
-    """A file of a bag, or the content of one that rosbag2 compressed as a whole."""
+    """Open a file of a bag, or the content of one that rosbag2 compressed as a whole."""
     file = open_regular(path)
-    packed = file.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
+    is_packed = file.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
     file.seek(0)
-    return cast('BinaryIO', io.BufferedReader(Unpacked(file), _PIECE)) if packed else file
+    if not is_packed:
+        return file
+    return cast('BinaryIO', io.BufferedReader(Unpacked(file), _UNPACKED_BYTES))
 
 
 class Unpacked(io.RawIOBase):
-    """The content of a file compressed by zstd, read forward; to go back is to begin anew.
+    """The content of a file compressed by zstd; to seek backward reads it from the start.
 
     It ends where zstd cannot go on, and `trouble` says why.
     """
@@ -228,15 +259,15 @@ class Unpacked(io.RawIOBase):
         self.name = file.name
         self.trouble = ''
         self._file = file
-        self._begin()
+        self._restart()
 
-    def _begin(self) -> None:
+    def _restart(self) -> None:
         self._file.seek(0)
         # rosbag2 writes one frame, other tools several.
         self._content = zstandard.ZstdDecompressor().stream_reader(
             self._file, read_across_frames=True, closefd=False
         )
-        self._place = 0
+        self._offset = 0
 
     def readable(self) -> bool:
         return True
@@ -250,21 +281,21 @@ class Unpacked(io.RawIOBase):
         except zstandard.ZstdError as error:
             self.trouble = str(error)
             return 0
-        self._place += count
+        self._offset += count
         return int(count)
 
     def tell(self) -> int:
-        return self._place
+        return self._offset
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
         if whence == io.SEEK_END:
             offset = _FARTHEST
-        if offset < self._place:
-            self._begin()
-        passed = memoryview(bytearray(min(_PIECE, offset - self._place)))
-        while self._place < offset and self.readinto(passed[: offset - self._place]):
+        if offset < self._offset:
+            self._restart()
+        skipped = memoryview(bytearray(min(_UNPACKED_BYTES, offset - self._offset)))
+        while self._offset < offset and self.readinto(skipped[: offset - self._offset]):
             pass
-        return self._place
+        return self._offset
 
     def close(self) -> None:
         self._file.close()

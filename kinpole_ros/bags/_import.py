@@ -10,7 +10,7 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags._writer import BagWriter, in_place_of
-from kinpole_ros.bags.formats import Points, Wanted, read_points, shown
+from kinpole_ros.bags.formats import Options, Points, read_points, shown
 from kinpole_ros.messages import INPUT_TYPES, TF, poses_data, to_message
 
 _LONGEST = 2.0**31  # s; the seconds of a ROS stamp are an int32
@@ -65,7 +65,7 @@ def import_points(
     if os.path.exists(output) and os.path.exists(path) and output.samefile(path):
         raise BagError(f'{output} is the file of points itself; fix: give another one for the bag')
 
-    found, read = read_points(path, format, Wanted(rate, likelihood))
+    found, read = read_points(path, format, Options(rate, likelihood))
     used = read.scale if scale is None else scale
     if lacking := _lacking(path, found, read, used, rate):
         raise lacking

@@ -5,7 +5,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from kinpole_ros.messages import DiagnosticArray, DiagnosticsMaker, diagnostics_data
+from kinpole_ros.messages import DiagnosticArray, DiagnosticsMaker, serialize_message
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.tracker import Tracker
@@ -62,7 +62,7 @@ class PeriodicDiagnostics:
                 due = int(np.searchsorted(estimate.due, number, side='right'))
                 if due and estimate.due[due - 1] > published:
                     now = estimate[due - 1]
-            data.append(diagnostics_data(finish(now)))
+            data.append(serialize_message(finish(now)))
             published = number
         at = [int(log_times[number]) for number, _ in self._begun]
         yield '/diagnostics', DiagnosticArray, at, data

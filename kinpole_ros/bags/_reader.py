@@ -1,8 +1,7 @@
 """Recorders get killed and disks fill up, so bags are read to the last message that is there.
 
-A file is laid out first, as the list of its stretches that hold messages, and then read in file
-order, whole or not, by the same code. Messages are handed on as soon as no later stretch can hold
-an earlier one, so memory stays bounded.
+A file is laid out first, as the list of its spans that hold messages, and then read in file order.
+Messages are yielded as soon as no later span can hold an earlier one, so memory stays bounded.
 """
 
 import struct
@@ -16,8 +15,9 @@ from operator import attrgetter
 from pathlib import Path
 from typing import BinaryIO
 
+from mcap.records import Channel
+
 from kinpole_ros.bags._channels import BagMessage, Channels, largest
-from kinpole_ros.bags._claims import indexed_times
 from kinpole_ros.bags._files import (
     BagError,
     Truncated,
@@ -26,127 +26,186 @@ from kinpole_ros.bags._files import (
     open_file,
     unreadable,
 )
-from kinpole_ros.bags._layout import NEVER, lay_out, records
-from kinpole_ros.bags._sqlite import is_sqlite, sqlite_blocks, sqlite_topics
+from kinpole_ros.bags._integrity import indexed_times
+from kinpole_ros.bags._layout import NEVER, Layout, Span, lay_out, read_span
+from kinpole_ros.bags._storages import is_sqlite, sqlite_blocks, sqlite_topics
 
 _LATEST = 2**63 - 1  # ns; ROS has no later time
 _LOG_TIME, _TOPIC = attrgetter('log_time'), attrgetter('topic')
-# What a block holds at most.
 _BLOCK_MESSAGES = 1000
 _BLOCK_BYTES = 1 << 20
-# The same of large messages, as of many bodies: results have a cost for each block and body, which
-# would grow with the square of the number of bodies if blocks had fewer frames for them.
+# Each block costs results some time per body, so blocks of large messages, as of many bodies, are
+# not cut to few messages: the time would grow with the square of the number of bodies.
 _LARGE_BLOCK_MESSAGES = 32
 _LARGE_BLOCK_BYTES = 1 << 24
 
+Progress = Callable[[float], None]
+
 
 def topics(path: str | Path) -> dict[str, str]:
-    """Topics of a bag and their types, such as {'/markers': 'visualization_msgs/msg/MarkerArray'}.
-
-    A bag that is cut off or damaged gives those found in what is left, without complaint.
-    Raises BagError when there is no bag.
     """
-    return described(path)[0]
+    Return the topics of a bag and their types.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file or folder, as for `bag_files`.
+
+    Returns
+    -------
+    dict
+        Types by topic, such as {'/markers': 'visualization_msgs/msg/MarkerArray'}. A bag that is
+        cut off or damaged gives those that can be read.
+
+    Raises
+    ------
+    BagError
+        If there is no bag.
+
+    """
+    return types_and_definitions(path)[0]
 
 
-def described(path: str | Path) -> tuple[dict[str, str], dict[str, str]]:
-    """The topics of a bag and their types, and the definitions of types, as far as it has them."""
+def types_and_definitions(path: str | Path) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the types of a bag by topic, and their definitions by type where it has them."""
     types: dict[str, str] = {}
     definitions: dict[str, str] = {}
-    for one in bag_files(path):
+    for file_path in bag_files(path):
         try:
-            with open_file(one) as file:
-                of_file = sqlite_topics(one) if is_sqlite(file) else _file_topics(one, file)
+            with open_file(file_path) as file:
+                if is_sqlite(file):
+                    file_types, file_definitions = sqlite_topics(file_path)
+                else:
+                    channels = _described_channels(file_path, file)
+                    file_types, file_definitions = channels.types, channels.definitions
         except OSError as error:
-            raise unreadable(one, error) from error
-        types |= of_file[0]
-        definitions |= of_file[1]
+            raise unreadable(file_path, error) from error
+        types |= file_types
+        definitions |= file_definitions
     return types, definitions
 
 
 def read_messages(
-    path: str | Path,
-    topics: Collection[str] | None = None,
-    progress: Callable[[float], None] | None = None,
+    path: str | Path, topics: Collection[str] | None = None, progress: Progress | None = None
 ) -> Iterator[BagMessage]:
-    """Messages of a bag, those on `topics` or all, in order of log time.
+    """
+    Read the messages of a bag, in order of log time.
 
-    Ties come in the order of the file; the files of a folder come one after the other. Messages
-    that are not CDR are left out of all, and refused when asked for. `progress` is called with
-    the fraction of bytes done, at most some 200 times in all.
+    Messages of equal log time come in the order of the file; the files of a folder come one after
+    the other.
 
-    A file that is cut off or damaged gives every message before that place, also those in a
-    chunk cut in the middle; the files of a folder after it are read as well, and then Truncated is
-    raised, which says where. Other things wrong raise BagError: at the call what bag_files refuses,
-    the rest when its turn comes.
+    Parameters
+    ----------
+    path : str or Path
+        A file or folder, as for `bag_files`.
+    topics : collection of str, optional
+        The topics to read; without it, all whose messages are CDR.
+    progress : callable, optional
+        Called with the fraction of bytes read, 0 to 1, at most some 200 times.
+
+    Yields
+    ------
+    BagMessage
+
+    Raises
+    ------
+    Truncated
+        After the last message of a bag that is cut off, damaged or lacks messages. All messages
+        before that place were yielded, also those in a chunk cut in the middle, and those of the
+        following files of a folder.
+    BagError
+        At the call for what `bag_files` refuses; later for a requested topic that is not CDR, and
+        for messages that are too far out of order.
+
     """
     return chain.from_iterable(read_blocks(path, topics, progress))
 
 
 def read_blocks(
-    path: str | Path,
-    topics: Collection[str] | None = None,
-    progress: Callable[[float], None] | None = None,
+    path: str | Path, topics: Collection[str] | None = None, progress: Progress | None = None
 ) -> Iterator[list[BagMessage]]:
-    """The same messages in the same order, a list of up to a thousand (about 1 MiB) at a time.
-
-    Of messages of more than 32 KiB a list holds up to 32, but no more than 16 MiB.
-    What is wrong is raised as by read_messages, after a list of all that came before it.
     """
-    wanted = None if topics is None else frozenset(topics)
-    return _blocks(_read_files(bag_files(path), wanted, progress or (lambda fraction: None)))
+    Read the messages of a bag in blocks.
 
+    Parameters
+    ----------
+    path, topics, progress
+        As for `read_messages`.
 
-def _blocks(parts: Iterator[list[BagMessage]]) -> Iterator[list[BagMessage]]:
+    Yields
+    ------
+    list of BagMessage
+        The same messages in the same order: up to 1,000 of about 1 MiB together; of messages of
+        more than 32 KiB up to 32, of at most 16 MiB.
+
+    Raises
+    ------
+    Truncated, BagError
+        As `read_messages`, after the block with the last message.
+
     """
-    The same messages in lists that are neither short nor long.
+    requested = None if topics is None else frozenset(topics)
+    return _blocks(_read_files(bag_files(path), requested, progress or (lambda fraction: None)))
 
-    Where one ends goes by the messages alone, not by chunks and files: figures may differ by
-    rounding from block to block, and a bag must give the same whichever way it is stored.
+
+def _blocks(runs: Iterator[list[BagMessage]]) -> Iterator[list[BagMessage]]:
+    """
+    Regroup messages into blocks that are neither short nor long.
+
+    Blocks depend on the messages alone, not on chunks and files: results may differ by rounding
+    from block to block, and a bag must give the same results in any storage.
     """
     block: list[BagMessage] = []
     size = 0
-    trouble = None
+    fault = None
     try:
-        for part in parts:
-            for message in part:
+        for run in runs:
+            for message in run:
                 size += len(message.data)
-                few = len(block) < _LARGE_BLOCK_MESSAGES
-                most = _LARGE_BLOCK_BYTES if few else _BLOCK_BYTES
+                is_short = len(block) < _LARGE_BLOCK_MESSAGES
+                most = _LARGE_BLOCK_BYTES if is_short else _BLOCK_BYTES
                 if block and (size > most or len(block) == _BLOCK_MESSAGES):
                     yield block
                     block, size = [], len(message.data)
                 block.append(message)
     except BagError as error:
-        trouble = error
+        fault = error
     if block:
         yield block
-    if trouble is not None:
-        raise trouble
+    if fault is not None:
+        raise fault
 
 
-def _file_topics(path: Path, file: BinaryIO) -> tuple[dict[str, str], dict[str, str]]:
+def _described_channels(path: Path, file: BinaryIO) -> Channels:
+    """Return the channels of a file, by its summary if that is complete."""
     channels = Channels(path, frozenset())
-    layout = lay_out(path, file, channels)
-    if not channels.types:
-        with suppress(Exception):  # damaged bytes: what came before them counts
+    layout = lay_out(path, file)
+    with suppress(Exception):  # damaged bytes: what came before them counts
+        if layout.channels:
+            _add_summary(channels, layout)
+        else:
             for span in layout.spans:
-                channels.read(records(file, span, layout)[0], [])
-    return channels.types, channels.definitions
+                channels.read(read_span(file, span, layout)[0], [])
+    return channels
+
+
+def _add_summary(channels: Channels, layout: Layout) -> None:
+    for record in sorted(layout.summary, key=lambda record: isinstance(record, Channel)):
+        channels.add(record)
 
 
 def _read_files(
-    files: list[Path], wanted: frozenset[str] | None, progress: Callable[[float], None]
+    files: list[Path], requested: frozenset[str] | None, progress: Progress
 ) -> Iterator[list[BagMessage]]:
     sizes = [file.stat().st_size for file in files]
-    before, reported = 0, 0.0
-    troubles: list[str] = []
+    size_before, last_fraction = 0, 0.0
+    faults: list[str] = []
 
     def report(share: float) -> None:
-        nonlocal reported
-        fraction = (before + share * size) / sum(sizes)
-        if fraction - reported >= 0.005:
-            reported = fraction
+        nonlocal last_fraction
+        fraction = (size_before + share * size) / sum(sizes)
+        if fraction - last_fraction >= 0.005:
+            last_fraction = fraction
             progress(fraction)
 
     for path, size in zip(files, sizes, strict=True):
@@ -154,125 +213,143 @@ def _read_files(
             check_magic(path)
             with open_file(path) as file:
                 if is_sqlite(file):
-                    yield from sqlite_blocks(path, wanted)
+                    yield from sqlite_blocks(path, requested)
                 else:
-                    yield from _read_file(path, file, wanted, report)
+                    yield from _read_file(path, file, requested, report)
         except Truncated as error:
-            troubles.append(str(error))
+            faults.append(str(error))
         except OSError as error:
             raise unreadable(path, error) from error
-        before += size
-    if troubles:
-        raise Truncated('; '.join(troubles))
+        size_before += size
+    if faults:
+        raise Truncated('; '.join(faults))
     progress(1.0)
 
 
 def _read_file(
-    path: Path, file: BinaryIO, wanted: frozenset[str] | None, report: Callable[[float], None]
+    path: Path, file: BinaryIO, requested: frozenset[str] | None, report: Progress
 ) -> Iterator[list[BagMessage]]:
-    channels = Channels(path, wanted)
-    layout = lay_out(path, file, channels)
-    trouble, doubt = layout.trouble, layout.doubt
-    counts: Counter[str] = Counter()
-    # The earliest log time from each span on to the end of the file.
-    times = [span.time for span in reversed(layout.spans)]
-    earliest = [*accumulate(times, min, initial=NEVER)][::-1]
-    waiting = _Waiting()
+    """Yield runs of messages in order; raises Truncated at the end if messages are missing."""
+    channels = Channels(path, requested)
+    layout = lay_out(path, file)
+    spans = _requested_spans(layout, channels)
+    # No span has messages before its time, so messages up to the horizon can be yielded.
+    times = [span.time for span in reversed(spans)]
+    horizons = [*accumulate(times, min, initial=NEVER)][-2::-1]
+    queue = _MessageQueue()
     most = largest(path.stat().st_size)
-    count = last = 0
-    first, latest = NEVER, 0
-    for number, (span, horizon) in enumerate(zip(layout.spans, earliest[1:], strict=True)):
-        found: list[BagMessage] = []
-        damaged = False
+    counts: Counter[str] = Counter()
+    first, latest, last = NEVER, 0, 0
+    for number, (span, horizon) in enumerate(zip(spans, horizons, strict=True)):
+        messages: list[BagMessage] = []
+        is_damaged = False
         try:
-            content, index = records(file, span, layout)
-            channels.read(content, found)
-            found.sort(key=_LOG_TIME)
-            if index and not doubt and (unlike := _unlike(index, found, channels)):
-                doubt = f'the index of its chunk at byte {span.offset} {unlike}'
-            if found and found[-1].log_time > _LATEST:
-                del found[bisect_right(found, _LATEST, key=_LOG_TIME) :]
+            content, index = read_span(file, span, layout)
+            channels.read(content, messages)
+            messages.sort(key=_LOG_TIME)
+            if index and not layout.doubt and (fault := _index_fault(index, messages, channels)):
+                layout.doubt = f'the index of its chunk at byte {span.offset} {fault}'
+            if messages and messages[-1].log_time > _LATEST:
+                del messages[bisect_right(messages, _LATEST, key=_LOG_TIME) :]
                 raise ValueError('a log time after the year 2262')
         except (BagError, OSError):
             raise
         except Exception as error:  # mcap and each decompressor have their own for bad bytes
-            horizon, damaged = NEVER, True
+            horizon, is_damaged = NEVER, True
             if span.end <= layout.size:
-                trouble = f'is damaged at byte {span.offset} ({error})'
-        if found:
-            first = min(first, found[0].log_time)
-            latest = max(latest, found[-1].log_time)
-            count += len(found)
-            counts.update(map(_TOPIC, found))
-            waiting.add(number, found)
-        for part in waiting.until(horizon):
-            last = part[-1].log_time
-            yield part
-        if damaged:
+                layout.trouble = f'is damaged at byte {span.offset} ({error})'
+        if messages:
+            # Those of a damaged span may be in any order.
+            messages.sort(key=_LOG_TIME)
+            first, latest = min(first, messages[0].log_time), max(latest, messages[-1].log_time)
+            counts.update(map(_TOPIC, messages))
+            queue.push(number, messages)
+        for run in queue.pop_until(horizon):
+            last = run[-1].log_time
+            yield run
+        if is_damaged:
             break
-        if waiting.size > most:
+        if queue.size > most:
             raise BagError(
                 f'{path}: messages are so far out of order that more than {most >> 20} MiB of '
                 f'them would have to be held; fix: `mcap sort {path} -o NEW.mcap`'
             )
         report(span.end / layout.size)
-    if not trouble:
-        fault = doubt or channels.doubt or layout.claims.miscounted(counts, channels.topics)
-        if count:
-            fault = fault or layout.claims.untimely(first, latest)
-        if fault := fault or layout.claims.wrong_sum(file):
-            raise Truncated(
-                f'{path} has lost messages, or was changed: {fault}; {count} messages were read; '
-                f'fix: record again, or `mcap recover {path} -o NEW.mcap` for what is left'
-            )
-    if trouble:
+    count = counts.total()
+    if layout.trouble:
         read = f'{count} messages up to stamp {last / 1e9:.3f} s (log time) were read'
         raise Truncated(
-            f'{path} {trouble}: {read if count else "there is no message before that"}; '
-            f'fix: record again, or `mcap recover {path} -o NEW.mcap`'
+            f'{path} {layout.trouble}: {read if count else "there is no message before that"}; '
+            f'fix: record again, or `mcap recover {path} -o NEW.mcap` for what is left'
+        )
+    integrity = layout.integrity
+    fault = layout.doubt or channels.doubt or integrity.count_fault(counts, channels.topics)
+    if count:
+        fault = fault or integrity.time_fault(first, latest)
+    if fault := fault or integrity.checksum_fault(file):
+        raise Truncated(
+            f'{path} has lost messages, or was changed: {fault}; {count} messages were read; '
+            f'fix: record again, or `mcap recover {path} -o NEW.mcap` for what is left'
         )
 
 
-def _unlike(index: bytes, found: list[BagMessage], channels: Channels) -> str:
-    """How the indexes of a chunk differ from its messages, in order; '' if they do not."""
+def _requested_spans(layout: Layout, channels: Channels) -> list[Span]:
+    """Leave out the chunks that have no requested messages by the file's indexes."""
+    topics = layout.channels
+    spans = [
+        span
+        for span in layout.spans
+        if not (topics and span.is_chunk)
+        or channels.are_requested([topics[channel] for channel in span.channels])
+    ]
+    if len(spans) < len(layout.spans):
+        # A chunk that is left out may describe the channels of others.
+        try:
+            _add_summary(channels, layout)
+        except ValueError:
+            return layout.spans
+    return spans
+
+
+def _index_fault(index: bytes, messages: list[BagMessage], channels: Channels) -> str:
+    """Compare the indexes of a chunk with its messages; return how they differ, '' if not."""
     try:
         times = indexed_times(index, channels.topics)
     except (ValueError, struct.error):
         return 'is damaged'
-    if times == [message.log_time for message in found]:
+    if times == [message.log_time for message in messages]:
         return ''
-    if len(times) == len(found):
+    if len(times) == len(messages):
         return 'has messages of other times'
-    return f'has {len(times)} messages, there are {len(found)}'
+    return f'has {len(times)} messages, there are {len(messages)}'
 
 
-class _Waiting:
-    """Runs of messages, each in order, that wait until nothing can come before them."""
+class _MessageQueue:
+    """Runs of messages, each in order, until no span can have an earlier message."""
 
     def __init__(self) -> None:
-        # The time of the next message, the run's place in the file, the next one's index, the run.
+        # The time of the next message, the number of the run, the next one's index, the run.
         self._runs: list[tuple[int, int, int, list[BagMessage]]] = []
         self._sizes: dict[int, int] = {}
-        self.size = 0
+        self.size = 0  # bytes
 
-    def add(self, place: int, found: list[BagMessage]) -> None:
-        found.sort(key=_LOG_TIME)  # what is sorted already costs next to nothing
-        self._sizes[place] = sum([len(message.data) for message in found])
-        self.size += self._sizes[place]
-        heappush(self._runs, (found[0].log_time, place, 0, found))
+    def push(self, number: int, messages: list[BagMessage]) -> None:
+        self._sizes[number] = sum([len(message.data) for message in messages])
+        self.size += self._sizes[number]
+        heappush(self._runs, (messages[0].log_time, number, 0, messages))
 
-    def until(self, horizon: int) -> Iterator[list[BagMessage]]:
-        """Take out what is no later than `horizon` (ns), in order."""
+    def pop_until(self, horizon: int) -> Iterator[list[BagMessage]]:
+        """Remove and yield the messages no later than `horizon`, ns, in order."""
         while self._runs and self._runs[0][0] <= horizon:
-            _, place, start, run = heappop(self._runs)
+            _, number, start, run = heappop(self._runs)
             end = horizon
             if self._runs:  # of equal times those that come first in the file
-                time, other = self._runs[0][:2]
-                end = min(end, time if place < other else time - 1)
+                next_time, next_number = self._runs[0][:2]
+                end = min(end, next_time if number < next_number else next_time - 1)
             stop = len(run)
             if run[-1].log_time > end:
                 stop = bisect_right(run, end, start, key=_LOG_TIME)
-                heappush(self._runs, (run[stop].log_time, place, stop, run))
+                heappush(self._runs, (run[stop].log_time, number, stop, run))
             else:
-                self.size -= self._sizes.pop(place)
+                self.size -= self._sizes.pop(number)
             yield run[start:stop]

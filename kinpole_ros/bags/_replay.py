@@ -27,10 +27,10 @@ from kinpole_ros.messages import (
     reader_of,
     theory_of,
 )
+from kinpole_ros.tracking.assignment import MarkerPlaces
 from kinpole_ros.tracking.estimate import MOST_PAIRED_BODIES, POLE_NAMES, Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import Settings
-from kinpole_ros.tracking.roster import MarkerPlaces
 from kinpole_ros.tracking.space import updated
 from kinpole_ros.tracking.tracker import Tracker
 
@@ -181,7 +181,7 @@ def replay(
         counts = tracker.counts
         if counts['unreadable'] and not counts['frames']:
             raise BagError(f'{bag}: no message on {name} can be read: {problem}')
-        lacking = reader.lacking() if isinstance(reader, PoseReader) else ''
+        lacking = reader.unseen_names() if isinstance(reader, PoseReader) else ''
         if lacking and not counts['frames']:
             raise BagError(f'{bag}: on {name} {lacking}')
     space = updated(space, tracker.space())

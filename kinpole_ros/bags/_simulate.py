@@ -159,20 +159,17 @@ def simulate(
                 ]
             shape = (part.stop - part.start, len(bodies))
             wide = (5, 5, *shape)
-            truth = Estimate(
-                stamps[part],
-                _FRAME,
-                bodies,
-                position[:, part],
-                angle[:, part],
-                np.broadcast_to(position_covariance[:, :, None], wide),
-                np.broadcast_to(angle_covariance[:, :, None], wide),
-                np.broadcast_to(size, shape),
-                np.zeros(shape),
-                np.zeros(shape),
-                np.zeros(shape),
-                np.full(shape, '', object),
-            )
+            arrays = {
+                'stamp': stamps[part],
+                'position': position[:, part],
+                'angle': angle[:, part],
+                'position_covariance': np.broadcast_to(position_covariance[:, :, None], wide),
+                'angle_covariance': np.broadcast_to(angle_covariance[:, :, None], wide),
+                'size': np.broadcast_to(size, shape),
+                **dict.fromkeys(('height', 'span', 'degree'), np.zeros(shape)),
+                'missing': np.full(shape, '', object),
+            }
+            truth = Estimate.of_arrays(arrays, _FRAME, bodies)
             columns = result_columns(outputs, truth, f'/{NODE_NAME}/truth', stamps[part])
             if tilt:
                 columns = (

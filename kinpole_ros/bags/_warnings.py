@@ -17,7 +17,7 @@ from kinpole_ros.messages import (
     unit_fault,
     unseen,
 )
-from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.parameters import Settings, deprecation_warnings
 
 # What can be done about the reasons that the tracker gives.
 _FIXES = {
@@ -40,7 +40,7 @@ _FIXES = {
 
 def warnings_of(result: Replayed, settings: Settings) -> list[str]:
     """Lines on what makes the results of a replay with these settings fewer or worse."""
-    lines = []
+    lines = deprecation_warnings(['method']) if settings.method != Settings.method else []
     if result.unreadable:
         lines.append(f'{result.unreadable} messages left out, the first: {result.problem}')
     files = result.concatenated

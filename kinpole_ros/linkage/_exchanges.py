@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinpole_ros.linkage._near import near_pairs
-from kinpole_ros.tracking.levels import SURE
+from kinpole_ros.tracking.thresholds import N_SIGMA
 
 # Two names are exchanged where their points are so many times nearer to where the other one leads.
 _NEARER = 10.0
@@ -104,7 +104,7 @@ def _keeps_distances_better(before: np.ndarray, now: np.ndarray, two: Sequence[i
             floor = _ROUNDING * np.maximum(mean[mates], 1e-300)
             deviations = np.abs(off) / np.maximum(spread[mates], floor)
             excess += sign * float(np.sum(deviations[seen_now] ** 2))
-    return excess > SURE**2
+    return excess > N_SIGMA**2
 
 
 def _ahead(points: np.ndarray, steps: np.ndarray) -> np.ndarray:

@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._residuals import place
 from kinpole_ros.linkage._unknowns import Solved
-from kinpole_ros.mechanism import Equations, Part
+from kinpole_ros.mechanism import Equations, Part, part_sum
 from kinpole_ros.planar._plane import Real
 
 # Newton steps. A radius is off by a share of 1e-4, which squared twice is below rounding.
@@ -81,7 +80,7 @@ def _lacking(arms: Sequence[_Arm], values: Real) -> tuple[Real, Real]:
     """How much longer each arm is than its radii add up to, m, and that by the dimensions."""
     lacking, slopes = np.empty(len(arms)), np.empty((len(arms), len(values)))
     for row, arm in enumerate(arms):
-        (a, by_a), (b, by_b) = place(arm.center, values), place(arm.hub, values)
+        (a, by_a), (b, by_b) = part_sum(arm.center, values), part_sum(arm.hub, values)
         total = values[arm.circle] + values[arm.radius]
         lacking[row] = abs(b - a) - abs(total)
         slopes[row] = ((by_b - by_a) * np.conj(b - a)).real / abs(b - a)

@@ -10,7 +10,7 @@ from kinpole_ros.linkage._model import GROUND_NUMBER, LINE, Place
 from kinpole_ros.linkage._poses import Pose
 from kinpole_ros.linkage._rolling import Rolling
 from kinpole_ros.planar import fit_pose
-from kinpole_ros.tracking.levels import LITTLE
+from kinpole_ros.tracking.thresholds import NEGLIGIBLE
 
 # Two places of a body are one if they are no farther than so many deviations, or this share of the
 # distance from the mean of the markers.
@@ -95,7 +95,7 @@ def match_places(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.nda
         worst = float(np.abs(residual).max())
         if worst < best:
             best, found = worst, nearest
-    if found is None or best > LITTLE * abs(few[last] - few[first]):
+    if found is None or best > NEGLIGIBLE * abs(few[last] - few[first]):
         return None
     order = np.arange(len(few))
     return (found, order) if swap else (order, found)

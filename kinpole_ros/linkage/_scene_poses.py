@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._residuals import place
-from kinpole_ros.mechanism import Equations
+from kinpole_ros.mechanism import Equations, part_sum
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.estimate import Estimate, FramePoses
@@ -89,7 +88,7 @@ def scene_poses(
         marked = shapes[:, b, lie.markers]
         frame = fit_pose(marked, lie.known, np.isfinite(marked).astype(float))
         turn = np.exp(1j * frame.angle)
-        origin = frame.position - turn * place(offset, values)[0]
+        origin = frame.position - turn * part_sum(offset, values)[0]
         known = (seen.angle_information[:, b] > 0) & (missing[:, b] == '')
         known &= np.isfinite(frame.angle)
         about_angle = 1 / np.where(known, seen.angle_information[:, b], 1.0)

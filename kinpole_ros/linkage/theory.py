@@ -12,7 +12,6 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from kinpole_ros.linkage._places import match_places
-from kinpole_ros.linkage._residuals import place
 from kinpole_ros.linkage._scene_poses import Lie
 from kinpole_ros.linkage.positions import Positions, PositionsFound
 from kinpole_ros.mechanism import (
@@ -26,6 +25,7 @@ from kinpole_ros.mechanism import (
     Scene,
     SceneError,
     load_scene,
+    part_sum,
 )
 from kinpole_ros.planar import (
     Port,
@@ -169,7 +169,7 @@ def on_tracked(scene: Scene, load: Load, tracked: Container[str]) -> Load:
     home, offset = equations.frames[load.body]
     for body, (other, of_other) in equations.frames.items():
         if other == home and body in tracked:
-            moved = place(offset, values)[0] - place(of_other, values)[0]
+            moved = part_sum(offset, values)[0] - part_sum(of_other, values)[0]
             if isinstance(load, Force):
                 return load._replace(body=body, point=load.point + moved)
             return load._replace(body=body)

@@ -1,26 +1,60 @@
 """Mechanisms whose motion is known exactly: the truth that measured kinematics is held against."""
 
-from kinpole_ros.mechanism._assembly import GROUND, Belt, Revolute, Rolling, Slot, Strut
 from kinpole_ros.mechanism._centers import Centers, instant_centers
-from kinpole_ros.mechanism._centrodes import Centrodes, centrodes
-from kinpole_ros.mechanism._constraints import why_no_reactions
-from kinpole_ros.mechanism._equations import Dimension, Equation, Equations, Part
-from kinpole_ros.mechanism._forces import Mass, Spring, Torsion, inertial_loads, spring_loads
-from kinpole_ros.mechanism._freed import Release, freed_reactions, releases
+from kinpole_ros.mechanism._centrodes import Centrodes, Poles, centrodes, poles
+from kinpole_ros.mechanism._equations import (
+    Dimension,
+    Equation,
+    Equations,
+    Part,
+    joint_at,
+    part_sum,
+)
+from kinpole_ros.mechanism._joints import (
+    GROUND,
+    Anchor,
+    Belt,
+    Pose,
+    Revolute,
+    Rolling,
+    Slot,
+    Strut,
+    constraint_rows,
+    loop_form,
+    wheel_state,
+)
 from kinpole_ros.mechanism._kennedy import center_name, explain
 from kinpole_ros.mechanism._loops import LinkageError, with_laws
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
 from kinpole_ros.mechanism._pitch import write_pitch_curves
-from kinpole_ros.mechanism._poles import Poles, poles
 from kinpole_ros.mechanism._polygon import Polygon, polygon
-from kinpole_ros.mechanism._reactions import reactions, undetermined
+from kinpole_ros.mechanism._reactions import (
+    Release,
+    reactions,
+    releases,
+    undetermined,
+    why_no_reactions,
+)
 from kinpole_ros.mechanism._rewrite import rewritten, value_spans
 from kinpole_ros.mechanism._scene import Scene, load_scene
 from kinpole_ros.mechanism._scene_file import scene_names, scene_text, scenes_folder
 from kinpole_ros.mechanism._share import share_folder
 from kinpole_ros.mechanism._start import mobility
-from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque, efforts, holding, load_rates
+from kinpole_ros.mechanism._statics import (
+    Force,
+    Holder,
+    Load,
+    Mass,
+    Spring,
+    Torque,
+    Torsion,
+    efforts,
+    holding,
+    inertial_loads,
+    load_rates,
+    spring_loads,
+)
 from kinpole_ros.mechanism._tolerance import (
     Tolerance,
     ToleranceSpread,
@@ -32,6 +66,7 @@ from kinpole_ros.mechanism._units import SceneError, quantity
 
 __all__ = [
     'GROUND',
+    'Anchor',
     'Belt',
     'BodyMotion',
     'Centers',
@@ -50,6 +85,7 @@ __all__ = [
     'Poles',
     'Polygon',
     'Port',
+    'Pose',
     'Release',
     'Revolute',
     'Rolling',
@@ -65,16 +101,19 @@ __all__ = [
     'advantage',
     'center_name',
     'centrodes',
+    'constraint_rows',
     'efforts',
     'explain',
-    'freed_reactions',
     'holding',
     'inertial_loads',
     'instant_centers',
+    'joint_at',
     'load_rates',
     'load_scene',
+    'loop_form',
     'marker_positions',
     'mobility',
+    'part_sum',
     'poles',
     'polygon',
     'propagate_tolerances',
@@ -92,6 +131,7 @@ __all__ = [
     'transmission_angles',
     'undetermined',
     'value_spans',
+    'wheel_state',
     'why_no_reactions',
     'with_laws',
     'write_pitch_curves',

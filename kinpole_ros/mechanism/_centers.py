@@ -1,22 +1,23 @@
-"""Instant centers of all pairs of bodies: by Kennedy's theorem, and what is left by the rates."""
+"""Instant centers of all pairs of bodies: by Kennedy's theorem, and all others by the rates."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._kennedy import Step, deduce, kennedy_centers
-from kinpole_ros.mechanism._loops import LinkageError
-from kinpole_ros.mechanism._mechanism import Mechanism
-from kinpole_ros.mechanism._places import (
+from kinpole_ros.mechanism._assembly import joint_extent, poses_of
+from kinpole_ros.mechanism._kennedy import (
     Pair,
+    Step,
     bodies_of,
-    extent,
+    deduce,
+    kennedy_centers,
     number_of,
     outward,
     pairs_of,
-    poses_of,
     unit,
 )
+from kinpole_ros.mechanism._loops import LinkageError
+from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.planar._plane import Complex, Real
 
 # Two bodies whose rates differ by this share of the largest one have equal motions.
@@ -28,8 +29,8 @@ class Centers(NamedTuple):
     All n(n - 1)/2 instant centers of n bodies, the ground first, at T positions.
 
     `pairs` (c) are the bodies i < j of each; `places` (3, c, T) holds (x, y, 1) of a center at
-    (x, y), m, in the ground frame, (cos, sin, 0) of one at infinity, NaN where there is none.
-    `by_rates` (c, T) tells which are from the rates; `steps` (c) how the others were deduced.
+    (x, y), m, in the ground frame, (cos, sin, 0) of one at infinity, NaN if none exists. `by_rates`
+    (c, T) tells which are from the rates, `steps` (c) how the others were deduced.
     """
 
     bodies: tuple[str, ...]
@@ -46,12 +47,12 @@ class Centers(NamedTuple):
 
     @property
     def directions(self) -> Real:
-        """Directions (c, T) toward centers at infinity, rad, from 0 to π; NaN for all others."""
+        """Directions (c, T) of centers at infinity, rad, from 0 to π; NaN for all others."""
         x, y, w = self.places
         return np.where(w == 0, np.arctan2(y, x), np.nan)
 
     def row(self, one: str, other: str) -> int:
-        """The row of the center of two bodies; raises LinkageError for what is not a pair."""
+        """The row of the center of two bodies; raises LinkageError if they are not a pair."""
         numbers = sorted(number_of(self.bodies, name) for name in (one, other))
         if numbers[0] == numbers[1]:
             raise LinkageError(f'{one} has no center with itself: name two bodies')
@@ -60,7 +61,7 @@ class Centers(NamedTuple):
 
 def instant_centers(mechanism: Mechanism, values: Real, rates: Real | None = None) -> Centers:
     """
-    All instant centers: Kennedy's, and what is left by the rates.
+    All instant centers: by Kennedy's theorem, and those that it does not determine by the rates.
 
     Parameters
     ----------
@@ -69,8 +70,8 @@ def instant_centers(mechanism: Mechanism, values: Real, rates: Real | None = Non
     values
         Its variables (n, T), m and rad.
     rates
-        Those of the drivers (d,) or (d, T), per s, needed where there are several. Kennedy's
-        centers do not depend on them, and hold also where the drivers do not determine the motion.
+        Rates of the drivers (d,) or (d, T), per s, needed for several drivers. Kennedy's centers
+        do not depend on them, and hold also where the drivers do not determine the motion.
 
     Returns
     -------
@@ -80,7 +81,7 @@ def instant_centers(mechanism: Mechanism, values: Real, rates: Real | None = Non
     Raises
     ------
     LinkageError
-        Where the rates are needed and not given.
+        If the rates are needed and not given.
 
     """
     steps = deduce(mechanism, values)
@@ -109,8 +110,8 @@ def centers_by_rates(mechanism: Mechanism, values: Real, rates: Real | None = No
             )
         rates = np.ones(1)
     weights = np.asarray(rates, float).reshape(len(velocity), 1, -1)
-    middle, size = extent(mechanism, values)
-    position, _ = poses_of(mechanism, values)
+    middle, size = joint_extent(mechanism.assembly, values)
+    position = np.stack([pose.position for pose in poses_of(mechanism.assembly, values).values()])
     omega = np.concatenate((np.zeros((1, len(middle))), (weights * turning).sum(axis=0)))
     shift = (weights * velocity).sum(axis=0) - 1j * omega[1:] * (position[1:] - middle)
     shift = np.concatenate((np.zeros((1, len(middle)), complex), shift)) / size

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import GROUND, Revolute
+from kinpole_ros.mechanism._assembly import joint_extent
+from kinpole_ros.mechanism._joints import GROUND, Revolute
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import rotation_derivatives
-from kinpole_ros.mechanism._places import extent
 from kinpole_ros.planar import (
     centrode_curvature,
     icr_velocity,
@@ -35,6 +35,8 @@ _CLEARANCE = 0.5
 # Nodes of Gauss's rule between two samples, for arc lengths.
 _NODES = 6
 _NOWHERE = complex(np.nan, np.nan)
+# In sizes of the linkage: beyond this distance a pole is at infinity but for rounding.
+_INFINITY = 1e9
 
 
 class Centrodes(NamedTuple):
@@ -123,7 +125,7 @@ def centrodes(
     along, rate = _warp(shares, ends)
     motion = mechanism.sweep(low + (high - low) * along)
     seen, back = _seen(mechanism, motion, one, other), _seen(mechanism, motion, other, one)
-    _, size = extent(mechanism, motion.values[0])
+    _, size = joint_extent(mechanism.assembly, motion.values[0])
 
     with np.errstate(all='ignore'):
         turning = np.where(motion.regular, seen[1][1], np.nan)
@@ -251,3 +253,55 @@ def _pins(mechanism: Mechanism, body: str) -> Complex:
     points = [joint.a for joint in joints if joint.one == body]
     points += [joint.b for joint in joints if joint.other == body]
     return np.array(list(dict.fromkeys(complex(point) for point in points)), complex)
+
+
+class Poles(NamedTuple):
+    """
+    Of bodies (B) at T positions: `icr`, `iap`, `ijp` and `isp` (B, T), complex, m, in the ground's
+    frame.
+
+    `velocity` (B, T), complex, m/s, is that of the ICR along the centrodes, `curvature` (B, T),
+    1/m, that of the fixed centrode. NaN where there is none: at infinity, at a dead point, and of
+    curvatures where the ICR stands still.
+    """
+
+    icr: Complex
+    iap: Complex
+    ijp: Complex
+    isp: Complex
+    velocity: Complex
+    curvature: Real
+
+
+def poles(mechanism: Mechanism, motion: Motion) -> Poles:
+    """
+    The poles of all bodies in a motion.
+
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    motion
+        Up to the snap, (5, B, T).
+
+    Returns
+    -------
+    Poles
+        Of B bodies at T instants, complex, m, in the ground's frame.
+
+    """
+    position, angle = motion.position, motion.angle
+    middle, size = joint_extent(mechanism.assembly, motion.values[0])
+    with np.errstate(all='ignore'):
+        found = []
+        for order in (1, 2, 3, 4):
+            place = pole(order, position, angle).value
+            near = np.abs(place - middle) < _INFINITY * size
+            found.append(np.where(near, place, complex(np.nan, np.nan)))
+        icr, iap, ijp, isp = found
+        there, still = np.isfinite(icr), _STILL * size * np.abs(angle[1])
+        velocity = np.where(there, icr_velocity(position, angle).value, complex(np.nan, np.nan))
+        velocity = np.where(np.abs(velocity) < still, 0.0, velocity)
+        bend = centrode_curvature(position, angle).value
+        curvature = np.where(np.abs(velocity) > still, bend, np.nan)
+    return Poles(icr, iap, ijp, isp, velocity, curvature)

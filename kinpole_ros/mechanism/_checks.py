@@ -6,8 +6,9 @@ from math import pi
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import Assembly, Rolling
+from kinpole_ros.mechanism._assembly import Assembly
 from kinpole_ros.mechanism._drivers import Driven
+from kinpole_ros.mechanism._joints import Rolling
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._reactions import loose_teeth

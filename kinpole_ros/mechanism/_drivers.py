@@ -5,10 +5,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import GROUND, Assembly, Belt, Strut
-from kinpole_ros.mechanism._drive import Drive, constant_rate, sine, smooth_step, table
-from kinpole_ros.mechanism._joints import mapping, need, refuse_unknown
+from kinpole_ros.mechanism._assembly import Assembly
+from kinpole_ros.mechanism._joints import GROUND, Belt, Strut
+from kinpole_ros.mechanism._laws import Function, constant_rate, sine, smooth_step, table
 from kinpole_ros.mechanism._mechanism import Driver
+from kinpole_ros.mechanism._scene_bodies import mapping, need, refuse_unknown
 from kinpole_ros.mechanism._units import SceneError, quantity
 
 _RATE_EXAMPLE = '{drive: crank, rate: 1 rev/s, start: 0 deg}'
@@ -67,7 +68,7 @@ def _driver(where: str, said: Any, assembly: Assembly) -> Driven:
     )
 
 
-def _drive(where: str, said: dict[str, Any], kind: str) -> tuple[Drive, float, float]:
+def _drive(where: str, said: dict[str, Any], kind: str) -> tuple[Function, float, float]:
     """The motion said, and when it begins and has been through all of its range."""
     rate = {'angle': 'angular velocity', 'length': 'velocity'}[kind]
     forms: dict[str, tuple[dict[str, str], dict[str, str]]] = {

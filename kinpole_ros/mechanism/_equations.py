@@ -1,26 +1,43 @@
 """
-A scene as equations between the poses of its bodies, with its dimensions as unknowns.
+The joints of a scene as equations between poses, with the dimensions of the scene as unknowns.
 
-What `_assembly` writes as loops to be solved is here what measured poses have to meet: each joint
-says where a point of one body is on another, whatever drives the mechanism. Each dimension is named
-and remembers where the scene's file has it.
+`_joints` has the equations; here each of their numbers is a dimension with a name and with its path
+in the scene's file, so that a fit can change it and a message can name it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from kinpole_ros.mechanism._assembly import GROUND, Belt, Joint, Revolute, Rolling, Slot, Strut
+import numpy as np
+
+from kinpole_ros.mechanism._joints import (
+    ALONG,
+    CIRCLE,
+    COLUMNS,
+    GROUND,
+    POSE_COLUMNS,
+    RADIUS,
+    START,
+    TURNED,
+    Belt,
+    Joint,
+    Revolute,
+    Rolling,
+    Slot,
+    Strut,
+)
 from kinpole_ros.mechanism._vectors import Vectors
+from kinpole_ros.planar._plane import Complex, Real
 
 Path = tuple[str | int, ...]
 
 
 class Dimension(NamedTuple):
     """
-    A length (m) or angle (rad) of a scene: `name` for people, `value`, `kind`, and its `path`.
+    A length (m) or angle (rad) of a scene: `name` for messages, `value`, `kind`, and its `path`.
 
-    Both coordinates of a point have the point's name; `axis` says which. The path is that in the
-    scene's file, empty for what no scene states.
+    Both coordinates of a point have the point's name; `axis` tells which one it is. The path is
+    that in the scene's file, empty for what no scene states.
     """
 
     name: str
@@ -31,7 +48,10 @@ class Dimension(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Of a sum of vectors: `sign` times (x, y), or times a length at an angle (`polar`)."""
+    """
+    A vector in a sum, by the numbers of two dimensions: `sign` times (x, y), or, if `polar`, times
+    a length at an angle.
+    """
 
     sign: float
     polar: bool
@@ -41,12 +61,11 @@ class Part(NamedTuple):
 
 class Equation(NamedTuple):
     """
-    What a joint says: the point `b` of the body `other` is at the point `a` of `one` (a pin).
+    A joint whose numbers are dimensions: the point `b` of `other` is at the point `a` of `one`.
 
-    With `along` it may be off it in that direction only (a slot); with `turned` the bodies do not
-    turn against each other (a guide). With `radius` it is the hub of a wheel that rolls: on the
-    line, or without `along` on a `circle`. Points are sums of parts, all else numbers of
-    dimensions.
+    Points are sums of parts, all else numbers of dimensions. Without any of these the joint is a
+    pin. With `along` it is a slot, with `turned` a guide, with `radius` a wheel that rolls on a
+    line, or, without `along`, on a `circle`.
     """
 
     name: str
@@ -65,8 +84,8 @@ class Equations(NamedTuple):
     """
     All equations of a scene, between `bodies` (the ground last), and its dimensions.
 
-    `frames` says of each body of the scene in which of the `bodies` its frame lies, and where its
-    origin is there: vectors that turn with each other are one body.
+    `frames` gives for each body of the scene the one of the `bodies` in which its frame lies, and
+    its origin there: vectors that turn with each other are one body.
     """
 
     bodies: tuple[str, ...]
@@ -75,111 +94,195 @@ class Equations(NamedTuple):
     frames: dict[str, tuple[str, tuple[Part, ...]]]
 
 
+def part_sum(parts: Sequence[Part], values: Real) -> tuple[complex, Complex]:
+    """
+    The sum of vectors of a body.
+
+    Parameters
+    ----------
+    parts
+        The vectors.
+    values
+        All dimensions (D,), m and rad.
+
+    Returns
+    -------
+    total : complex
+        The sum, m, in the frame of the body.
+    slope : ndarray
+        Its derivatives (D,), complex, by the dimensions.
+
+    """
+    total, slope = 0j, np.zeros(len(values), complex)
+    for part in parts:
+        first, second = values[part.first], values[part.second]
+        if part.polar:
+            turn = part.sign * np.exp(1j * second)
+            total += first * turn
+            slope[part.first] += turn
+            slope[part.second] += 1j * first * turn
+        else:
+            total += part.sign * (first + 1j * second)
+            slope[part.first] += part.sign
+            slope[part.second] += 1j * part.sign
+    return total, slope
+
+
+def joint_at(equations: Equations, number: int, values: Real) -> tuple[Joint, Real]:
+    """
+    The joint of an equation at given dimensions.
+
+    Parameters
+    ----------
+    equations
+        The equations of a scene.
+    number
+        Which of `equations.joints`.
+    values
+        All dimensions (D,), m and rad.
+
+    Returns
+    -------
+    joint : Revolute, Slot or Rolling
+        With the difference to the scene's own value for the `start` of a wheel, since no scene
+        tells which teeth are in mesh.
+    by_dimension : ndarray
+        Derivatives (9, D) of the sizes of the joint, in the columns of `constraint_rows` from the
+        seventh on, by the dimensions.
+
+    """
+    name, one, a, other, b, along, turned, radius, circle, start = equations.joints[number]
+    by_dimension = np.zeros((COLUMNS - POSE_COLUMNS, len(values)))
+    points = []
+    for row, parts in ((0, a), (2, b)):
+        point, slope = part_sum(parts, values)
+        points.append(point)
+        by_dimension[row], by_dimension[row + 1] = slope.real, slope.imag
+    sizes = {}
+    for column, dimension in (
+        (ALONG, along),
+        (TURNED, turned),
+        (RADIUS, radius),
+        (CIRCLE, circle),
+        (START, start),
+    ):
+        if dimension is not None:
+            by_dimension[column - POSE_COLUMNS, dimension] = 1.0
+            sizes[column] = float(values[dimension])
+    if radius is not None and start is not None:
+        sizes[START] -= equations.dimensions[start].value
+        line, round_ = sizes.get(ALONG, 0.0), sizes.get(CIRCLE, 0.0)
+        wheel = Rolling(
+            name, one, points[0], other, points[1], sizes[RADIUS], line, round_, sizes[START]
+        )
+        return wheel, by_dimension
+    if along is None:
+        return Revolute(name, one, points[0], other, points[1]), by_dimension
+    slot = Slot(name, one, points[0], sizes[ALONG], other, points[1], sizes.get(TURNED))
+    return slot, by_dimension
+
+
 class _Dimensions:
-    """A growing list of dimensions, each kept once."""
+    """A growing list of dimensions, each of a path once."""
 
     def __init__(self) -> None:
         self.rows: list[Dimension] = []
-        self._places: dict[tuple[Path, int], int] = {}
+        self._numbers: dict[tuple[Path, int], int] = {}
 
     def add(self, name: str, value: float, kind: str, path: Path, axis: int = 0) -> int:
         key = path, axis
-        if not path or key not in self._places:
-            self._places[key] = len(self.rows)
+        if not path or key not in self._numbers:
+            self._numbers[key] = len(self.rows)
             self.rows.append(Dimension(name, value, kind, path, axis))
-        return self._places[key]
+        return self._numbers[key]
 
-    def point(self, body: str, point: str, place: complex) -> tuple[Part, ...]:
+    def point(self, body: str, point: str, position: complex) -> tuple[Part, ...]:
         """The coordinates of a body's point."""
         rows = [
             self.add(f'{body}.{point}', value, 'length', ('bodies', body, point), axis)
-            for axis, value in enumerate((place.real, place.imag))
+            for axis, value in enumerate((position.real, position.imag))
         ]
         return (Part(1.0, False, rows[0], rows[1]),)
 
 
 def equations_of_joints(
-    bodies: Sequence[str], joints: Sequence[Joint], said: Mapping[int, dict[str, Any]]
+    bodies: Sequence[str], joints: Sequence[Joint], entries: Mapping[int, dict[str, Any]]
 ) -> Equations:
     """
-    Those of bodies (without the ground) on joints.
+    The equations of bodies (without the ground) on joints.
 
-    `said` are the last of these, by their places in the file's list.
+    The last joints are those of `entries`, which has them as the scene's file does, by their
+    numbers in its list; the first are pins.
     """
     rows = _Dimensions()
-    found = []
-    places = [-1] * (len(joints) - len(said)) + list(said)
-    for k, joint in zip(places, joints, strict=True):
+    equations = []
+    numbers = [-1] * (len(joints) - len(entries)) + list(entries)
+    for k, joint in zip(numbers, joints, strict=True):
         if isinstance(joint, Strut | Belt):
             continue
         if isinstance(joint, Revolute):
             point = joint.name.partition('.')[0]
             a = rows.point(joint.one, point, joint.a)
             b = rows.point(joint.other, point, joint.b)
-            found.append(Equation(joint.name, joint.one, a, joint.other, b))
+            equations.append(Equation(joint.name, joint.one, a, joint.other, b))
             continue
-        words = said[k]
-        kind = next(key for key in ('slot', 'prismatic', 'rolling') if key in words)
-        a = rows.point(joint.one, words['on'].partition('.')[2], joint.a)
-        b = rows.point(joint.other, words[kind].partition('.')[2], joint.b)
-        path: Path = ('joints', k)
-        equation = Equation(joint.name, joint.one, a, joint.other, b)
-
-        def number(key: str, value: float, kind: str, at: Path = path, of: Joint = joint) -> int:
-            return rows.add(f'{of.name}.{key}', value, kind, (*at, key))
-
-        if isinstance(joint, Slot):
-            equation = equation._replace(along=number('along', joint.along, 'angle'))
-            if joint.turned is not None:
-                equation = equation._replace(turned=number('turned', joint.turned, 'angle'))
+        entry = entries[k]
+        kind = next(key for key in ('slot', 'prismatic', 'rolling') if key in entry)
+        a = rows.point(joint.one, entry['on'].partition('.')[2], joint.a)
+        b = rows.point(joint.other, entry[kind].partition('.')[2], joint.b)
+        sizes = {'along': 'angle'}
+        if isinstance(joint, Slot) and joint.turned is not None:
+            sizes['turned'] = 'angle'
         elif isinstance(joint, Rolling):
-            on_line = not joint.circle
-            of_start = 'length' if on_line else 'angle'
-            equation = equation._replace(
-                radius=number('radius', joint.radius, 'length'),
-                # Which tooth is in which gap no scene can know.
-                start=rows.add(f'{joint.name}.start', joint.start, of_start, ()),
+            on_line = {'radius': 'length', 'start': 'length', 'along': 'angle'}
+            on_circle = {'radius': 'length', 'start': 'angle', 'circle': 'length'}
+            sizes = on_circle if joint.circle else on_line
+        dimensions = {
+            key: rows.add(
+                f'{joint.name}.{key}',
+                getattr(joint, key),
+                kind,
+                # No scene tells which teeth are in mesh.
+                () if key == 'start' else ('joints', k, key),
             )
-            if on_line:
-                equation = equation._replace(along=number('along', joint.along, 'angle'))
-            else:
-                equation = equation._replace(circle=number('circle', joint.circle, 'length'))
-        found.append(equation)
+            for key, kind in sizes.items()
+        }
+        equations.append(Equation(joint.name, joint.one, a, joint.other, b, **dimensions))
     own: dict[str, tuple[str, tuple[Part, ...]]] = {body: (body, ()) for body in bodies}
-    return Equations((*bodies, GROUND), tuple(rows.rows), tuple(found), own)
+    return Equations((*bodies, GROUND), tuple(rows.rows), tuple(equations), own)
 
 
 # Vector loops. A vector that turns with another is on the body of that one: each is a line between
 # two nodes, and a node that two bodies have is a pin, or a slot where the way there slides.
 
 
-class _Reached(NamedTuple):
-    """Where a node is on a body: a sum of parts, and the direction in which it may slide."""
+class _Node(NamedTuple):
+    """The position of a node on a body: a sum of parts, and the directions in which it slides."""
 
-    place: tuple[Part, ...]
+    position: tuple[Part, ...]
     slides: tuple[tuple[float, int], ...]
 
 
 def equations_of_vectors(read: Vectors) -> Equations:
-    """Those of vector loops."""
+    """The equations of vector loops."""
     rows = _Dimensions()
     lines: dict[str, Part] = {}
-    for name, one in read.vectors.items():
+    for name, vector in read.vectors.items():
         path: Path = ('vectors', name)
-        length = one.length if one.length is not None else 0.0
-        of_length = (*path, 'length') if one.length is not None else ()
-        of_angle = (
-            () if one.turns_with == name or (one.turns_with and not one.angle) else (*path, 'angle')
-        )
+        length = vector.length if vector.length is not None else 0.0
+        is_same = vector.turns_with and vector.turns_with != name and not vector.angle
+        free_angle = vector.turns_with == name or is_same
+        of_length = (*path, 'length') if vector.length is not None else ()
         first = rows.add(f'{name}.length', length, 'length', of_length)
-        second = rows.add(f'{name}.angle', one.angle, 'angle', of_angle)
+        of_angle = () if free_angle else (*path, 'angle')
+        second = rows.add(f'{name}.angle', vector.angle, 'angle', of_angle)
         lines[name] = Part(1.0, True, first, second)
-    bodies: dict[str, dict[object, _Reached]] = {}
+    bodies: dict[str, dict[object, _Node]] = {}
     frames: dict[str, tuple[str, tuple[Part, ...]]] = {}
-    for name in [*(n for n, one in read.vectors.items() if one.turns_with), GROUND]:
+    for name in [*(n for n, vector in read.vectors.items() if vector.turns_with), GROUND]:
         turns_with = None if name == GROUND else read.vectors[name].turns_with
         origin = frozenset() if name == GROUND else read.ends[name][0]
-        home = next(
+        carrier = next(
             (
                 body
                 for body, nodes in bodies.items()
@@ -190,55 +293,57 @@ def equations_of_vectors(read: Vectors) -> Equations:
             ),
             None,
         )
-        if home is not None and name != GROUND:
-            frames[name] = home, bodies[home][origin].place
+        if carrier is not None and name != GROUND:
+            frames[name] = carrier, bodies[carrier][origin].position
             continue
-        bodies[name] = _reach(read, turns_with, origin, lines)
+        bodies[name] = _nodes_on(read, turns_with, origin, lines)
         frames[name] = name, ()
     del frames[GROUND]
-    return Equations(tuple(bodies), tuple(rows.rows), tuple(_nodes(bodies, rows)), frames)
+    return Equations(tuple(bodies), tuple(rows.rows), tuple(_node_equations(bodies)), frames)
 
 
-def _reach(
+def _nodes_on(
     read: Vectors, turns_with: str | None, origin: object, lines: dict[str, Part]
-) -> dict[object, _Reached]:
+) -> dict[object, _Node]:
     """All nodes on a body, from its origin along vectors that turn with it, rigid ones first."""
-    found = {origin: _Reached((), ())}
-    own = [name for name, one in read.vectors.items() if one.turns_with == turns_with]
-    for rigid in (True, False):
-        grown = True
-        while grown:
-            grown = False
-            for name in own:
-                fixed = read.vectors[name].length is not None
-                ends = read.ends.get(name)
-                if ends is None or (rigid and not fixed):
+    nodes = {origin: _Node((), ())}
+    own = [name for name, vector in read.vectors.items() if vector.turns_with == turns_with]
+
+    def grows(rigid: bool) -> bool:
+        """Whether any vector leads to new nodes, which are then added."""
+        before = len(nodes)
+        for name in own:
+            fixed = read.vectors[name].length is not None
+            if name not in read.ends or (rigid and not fixed):
+                continue
+            tail, head = read.ends[name]
+            for near, far, sign in ((tail, head, 1.0), (head, tail, -1.0)):
+                if near not in nodes or far in nodes:
                     continue
-                for here, there, sign in ((*ends, 1.0), (*ends[::-1], -1.0)):
-                    if here not in found or there in found:
-                        continue
-                    part = lines[name]._replace(sign=sign)
-                    before = found[here]
-                    found[there] = (
-                        before._replace(place=(*before.place, part))
-                        if fixed
-                        else before._replace(slides=(*before.slides, (sign, part.second)))
-                    )
-                    grown = True
-    return found
+                node, part = nodes[near], lines[name]._replace(sign=sign)
+                if fixed:
+                    nodes[far] = node._replace(position=(*node.position, part))
+                else:
+                    nodes[far] = node._replace(slides=(*node.slides, (sign, part.second)))
+        return len(nodes) > before
+
+    for rigid in (True, False):
+        while grows(rigid):
+            pass
+    return nodes
 
 
-def _nodes(bodies: dict[str, dict[object, _Reached]], rows: _Dimensions) -> Iterator[Equation]:
+def _node_equations(bodies: dict[str, dict[object, _Node]]) -> Iterator[Equation]:
     """A pin or slot for each node that several bodies have."""
     for node in dict.fromkeys(node for nodes in bodies.values() for node in nodes):
         having = [(body, nodes[node]) for body, nodes in bodies.items() if node in nodes]
         rigid = [(body, at) for body, at in having if not at.slides]
         if not rigid or len(having) < 2:
             continue
-        first, place = rigid[0]
+        first, position = rigid[0]
         for body, at in having:
-            if body == first or len(at.slides) > 1:
-                continue
-            name = f'{first}-{body}'
-            equation = Equation(name, body, at.place, first, place.place)
-            yield equation._replace(along=at.slides[0][1]) if at.slides else equation
+            if body != first and len(at.slides) <= 1:
+                along = at.slides[0][1] if at.slides else None
+                yield Equation(
+                    f'{first}-{body}', body, at.position, first, position.position, along
+                )

@@ -1,372 +1,432 @@
-"""The usual form of a scene: bodies with named points, pins where they share one, other joints."""
+"""
+The kinds of joints, and what each says of its two bodies.
 
-import re
-from cmath import phase
-from collections.abc import Sequence
-from itertools import combinations
-from math import pi, remainder
-from typing import Any
+A joint relates the point `a` of the body `one` to the point `b` of the body `other`. `loop_form`
+writes it as vectors from `a` to `b`, of which `_assembly` makes the vector loops that are solved.
+`constraint_rows` writes it as equations between the poses of the two bodies; reactions, verdicts
+and fits of dimensions follow from these and their derivatives.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import (
-    GROUND,
-    Assembly,
-    Belt,
-    Follower,
-    Joint,
-    Revolute,
-    Rolling,
-    Slot,
-    Strut,
-    assemble,
-    strand,
-)
-from kinpole_ros.mechanism._equations import Equations, equations_of_joints
-from kinpole_ros.mechanism._laws import RISES, cam, geneva
-from kinpole_ros.mechanism._units import SceneError, quantity, vector
+from kinpole_ros.planar._plane import Complex, Real
 
-Points = dict[str, tuple[str, complex]]
-_WORD = re.compile(r'\w[\w-]*')
-_KEYS = {
-    'slot': ('slot', 'on', 'along', 'name'),
-    'prismatic': ('prismatic', 'on', 'along', 'turned', 'name'),
-    'rolling': ('rolling', 'radius', 'on', 'along', 'circle', 'start', 'pressure', 'name'),
-    'strut': ('strut', 'name'),
-    'belt': ('belt', 'radii', 'length', 'direction', 'name'),
-    'geneva': ('geneva', 'on', 'slots', 'pin', 'slot'),
-    'cam': ('cam', 'moves', 'of', 'angles', 'lift', 'law'),
-}
-_EXAMPLES = {
-    'slot': '{slot: rod.B, on: ground.O, along: 0 deg}',
-    'prismatic': '{prismatic: block.Q, on: ground.O, along: 90 deg, turned: 0 deg}',
-    'rolling': '{rolling: wheel.H, radius: 0.1, on: ground.O, along: 0 deg}',
-    'strut': '{strut: [ground.D, lift.E], name: cylinder}',
-    'belt': '{belt: [motor.H, fan.K], radii: [3 cm, 9 cm], name: belt}',
-    'geneva': '{geneva: wheel.W, on: crank.O, slots: 4}',
-    'cam': '{cam: shaft, moves: valve, angles: [0 deg, 90 deg, 360 deg], lift: [0, 1 cm, 0]}',
-}
+GROUND = 'ground'
+# Columns of the derivatives in `constraint_rows`: poses of both bodies, then sizes of the joint.
+X, Y, ANGLE, OTHER_X, OTHER_Y, OTHER_ANGLE = range(6)
+A, _, B, _, ALONG, TURNED, RADIUS, CIRCLE, START = range(6, 15)
+POSE_COLUMNS, COLUMNS = 6, 15
+# Directions of a constraint: along the axis of the joint, across it (to the left), and a turn.
+ALONG_AXIS, ACROSS_AXIS, TURN = range(3)
 
 
-def mapping(where: str, value: Any, example: str) -> dict[str, Any]:
-    """`value` if it is a mapping with text for keys, and not empty; else SceneError."""
-    if not isinstance(value, dict) or not value:
-        raise SceneError(f'{where} holds no keys and values: write {example}')
-    for key in value:
-        if not isinstance(key, str):
-            raise SceneError(
-                f"{where} has a name {key!r} that is not text: write it in quotes, '{key}'"
-            )
-    return value
+class Revolute(NamedTuple):
+    """A pin through the point `a` of the body `one` and the point `b` of `other` (complex, m)."""
+
+    name: str
+    one: str
+    a: complex
+    other: str
+    b: complex
 
 
-def refuse_unknown(where: str, data: dict[str, Any], known: tuple[str, ...]) -> None:
-    """Raise SceneError for the first key that is not among `known`."""
-    for key in data:
-        if key not in known:
-            raise SceneError(f"{where}: unknown key '{key}': use {', '.join(known)}")
-
-
-def need(where: str, data: dict[str, Any], keys: tuple[str, ...], example: str) -> None:
-    """Raise SceneError for the first of `keys` that is not there."""
-    for key in keys:
-        if key not in data:
-            raise SceneError(f"{where}: the key '{key}' is missing: add it, as in {example}")
-
-
-def named_point(where: str, value: Any, points: Points) -> tuple[str, complex]:
-    """The body and place of a point written as BODY.POINT; raises SceneError."""
-    # A list cannot be looked up.
-    if not isinstance(value, str) or value not in points:
-        known = ', '.join(points)
-        raise SceneError(f'{where} is {value!r}, which is no point: give one of {known}')
-    return points[value]
-
-
-def read_bodies(bodies: Any, joints: Any) -> tuple[Assembly, Points, Equations]:
+class Slot(NamedTuple):
     """
-    The assembly of what `bodies` and `joints` hold, all points by their names BODY.POINT, and
-    the equations of the joints.
+    The point `b` of `other` slides on a line of `one`, through `a` in the direction `along` (rad).
 
-    Raises SceneError for whatever is malformed, LinkageError for bodies that hang on nothing.
+    With `turned` (rad) it is a prismatic joint: the angle of `other` is that of `one` plus
+    `turned`. The slide, from `a` on, is a variable with the name of the joint.
     """
-    read = _bodies(bodies)
-    points = {
-        f'{body}.{name}': (body, z) for body, named in read.items() for name, z in named.items()
-    }
-    if joints is not None and not isinstance(joints, list):
-        raise SceneError(f"'joints' is no list: write each as - {_EXAMPLES['slot']}")
-    found: list[Joint] = [*_pins(read)]
-    taken = {*read, *(pin.name for pin in found)}
-    described: dict[int, dict[str, Any]] = {}
-    followers: dict[str, dict[str, Any]] = {}
-    for k, said in enumerate(joints or []):
-        if isinstance(said, dict) and ('cam' in said or 'geneva' in said):
-            followers[f"'joints: {k + 1}'"] = said
-            continue
-        described[k] = said
-        joint = _joint(f"'joints: {k + 1}'", said, points)
-        if joint.name in taken and 'name' not in said:
-            # The hub of a wheel is often a pin as well.
-            joint = _renamed(joint, taken)
-        found.append(joint)
-        taken.add(joint.name)
-    taken = set(read)
-    for joint in found:
-        if joint.name in taken:
-            what = 'body' if joint.name in read else 'joint'
-            raise SceneError(
-                f"'joints': a {what} is named '{joint.name}' already: add name: to the joint, with "
-                'another'
+
+    name: str
+    one: str
+    a: complex
+    along: float
+    other: str
+    b: complex
+    turned: float | None = None
+
+
+class Rolling(NamedTuple):
+    """
+    A wheel, the body `other` with its hub at `b` and `radius` (m), rolls on `one` without slip.
+
+    It rolls on the left side of a line through `a` in the direction `along`, or on a circle of
+    radius `circle` about `a`: outside of it, or inside if `circle` is negative. The variable with
+    the name of the joint is the slide of the hub along the line, or the direction from the point of
+    contact to the hub. That variable is `start` when all angles are zero. With a `pressure` angle
+    (rad) the wheels have teeth, which push each other away with the tangent of that angle times the
+    force that they transmit; other joints then hold the hub at its distance.
+    """
+
+    name: str
+    one: str
+    a: complex
+    other: str
+    b: complex
+    radius: float
+    along: float = 0.0
+    circle: float = 0.0
+    start: float = 0.0
+    pressure: float | None = None
+
+    @property
+    def arm(self) -> float:
+        """Signed distance of the hub from the center of the circle, m."""
+        return self.circle + self.radius
+
+
+class Strut(NamedTuple):
+    """
+    A cylinder or spring from the point `a` of `one` to `b` of `other`; it constrains nothing.
+
+    Its length is a variable with its name, which a driver may prescribe. Its direction is the
+    variable NAME.angle.
+    """
+
+    name: str
+    one: str
+    a: complex
+    other: str
+    b: complex
+
+
+class Belt(NamedTuple):
+    """
+    One taut strand of a belt, chain or rope, from a wheel on the body `one` to one on `other`.
+
+    The wheels have their hubs at `a` and `b` and the given `radii` (m), positive where the strand
+    runs on the left of the hub; a radius of zero ties that end to the point. The strand does not
+    slip. Its variables are those of a strut: the length of the straight part and its direction.
+    The length is `length` where the strand points to `direction` (rad) and both wheels are at angle
+    zero. A `carrier` is a body that has both hubs: it turns the strand and keeps its length.
+    """
+
+    name: str
+    one: str
+    a: complex
+    other: str
+    b: complex
+    radii: tuple[float, float]
+    length: float
+    direction: float
+    carrier: str | None = None
+
+
+Joint = Revolute | Slot | Rolling | Strut | Belt
+
+
+class Term(NamedTuple):
+    """
+    The vector length · e^{i(θ + offset)}, where θ is the angle of `turn`, a body or a variable.
+
+    With the name of a variable in `slide` its length is `length` times that variable.
+    """
+
+    length: float
+    offset: float
+    turn: str
+    slide: str = ''
+
+
+class Tie(NamedTuple):
+    """The linear equation Σ weight · variable = value. Angles of bodies are variables."""
+
+    weights: dict[str, float]
+    value: float
+
+
+class LoopForm(NamedTuple):
+    """The variables of a joint, the vectors that lead from `a` to `b`, and its linear equations."""
+
+    variables: tuple[str, ...] = ()
+    terms: tuple[Term, ...] = ()
+    ties: tuple[Tie, ...] = ()
+
+
+def loop_form(joint: Joint) -> LoopForm:
+    """
+    Write a joint as terms of a vector loop.
+
+    Parameters
+    ----------
+    joint
+        The joint.
+
+    Returns
+    -------
+    LoopForm
+        Its variables, terms, m and rad, and linear equations.
+
+    Notes
+    -----
+    The ties of a wheel state that both bodies move alike at the point of contact. On a circle of
+    radius R, a wheel of radius r with its hub in the direction φ has
+    (R + r) φ' = R θ_one' + r θ_other'. Of a belt they state the length that its wheels unwind:
+    s' = r_one (φ' - θ_one') - r_other (φ' - θ_other').
+    """
+    match joint:
+        case Slot(name, one, _, along, other, _, turned):
+            guide = () if turned is None else (Tie({other: 1.0, one: -1.0}, turned),)
+            return LoopForm((name,), (Term(1.0, along, one, name),), guide)
+        case Rolling(name, one, _, other, _, radius, along, circle, start):
+            if circle:
+                tie = Tie({name: joint.arm, one: -circle, other: -radius}, joint.arm * start)
+                return LoopForm((name,), (Term(joint.arm, 0.0, name),), (tie,))
+            slide, up = Term(1.0, along, one, name), Term(radius, along + np.pi / 2, one)
+            return LoopForm(
+                (name,), (slide, up), (Tie({name: 1.0, other: radius, one: -radius}, start),)
             )
-        taken.add(joint.name)
-    _refuse_flat(read, found)
-    moving = [body for body in read if body != GROUND]
-    laws = [
-        (_geneva if 'geneva' in said else _cam)(where, said, points, found)
-        # A Geneva wheel may carry a cam.
-        for where, said in sorted(followers.items(), key=lambda item: 'cam' in item[1])
-    ]
-    return (
-        assemble(moving, found, laws),
-        points,
-        equations_of_joints(moving, found, described),
-    )
+        case Strut(name):
+            angle = f'{name}.angle'
+            return LoopForm((name, angle), (Term(1.0, 0.0, angle, name),))
+        case Belt(name, one, _, other, _, (first, last), length, direction, carrier):
+            angle = f'{name}.angle'
+            straight, step = Term(1.0, 0.0, angle, name), Term(first - last, np.pi / 2, angle)
+            weights = {name: 1.0, angle: last - first, one: first, other: -last}
+            ties = [Tie(weights, length + (last - first) * direction)]
+            if carrier is not None:
+                ties[:0] = Tie({name: 1.0}, length), Tie({angle: 1.0, carrier: -1.0}, direction)
+            terms = (straight,) if first == last else (straight, step)
+            return LoopForm((name, angle), terms, tuple(ties))
+    return LoopForm()
 
 
-def _renamed(joint: Joint, taken: set[str]) -> Joint:
-    """The joint with a name of its own, by its bodies: planet.H, or planet.H.sun."""
-    for name in (f'{joint.other}.{joint.name}', f'{joint.other}.{joint.name}.{joint.one}'):
-        if name not in taken:
-            return joint._replace(name=name)
-    return joint
+class Pose(NamedTuple):
+    """Position, complex, m, of a body's origin, and its angle, rad: (T,) each."""
+
+    position: Complex
+    angle: Real
+
+    def point(self, point: complex) -> Complex:
+        """Where a point of the body's frame lies in the plane."""
+        return np.asarray(self.position + point * np.exp(1j * self.angle))
 
 
-def _bodies(bodies: Any) -> dict[str, dict[str, complex]]:
-    example = 'crank: {O: [0, 0], A: [0.12, 0]}'
-    read = {}
-    for body, said in mapping("'bodies'", bodies, example).items():
-        where = f"'bodies: {body}'"
-        if not _WORD.fullmatch(body):
-            raise SceneError(f'{where}: name a body with letters, digits, _ and -')
-        named = {}
-        for name, place in mapping(where, said, '{O: [0, 0], A: [0.12, 0]}').items():
-            if not _WORD.fullmatch(name):
-                raise SceneError(f"{where}: name the point '{name}' with letters, digits, _ and -")
-            named[name] = vector(f"{where}: '{name}'", place)
-        read[body] = named
-    if GROUND not in read:
-        raise SceneError("'bodies' has no ground: add one, as ground: {O: [0, 0]}")
-    if len(read) == 1:
-        raise SceneError(f"'bodies' has nothing but the ground: add a body, as {example}")
-    return read
+def contact(joint: Joint, one: Pose, other: Pose) -> tuple[Complex, Complex]:
+    """
+    Point at which the two bodies act on each other, and the joint's axis, complex of length 1.
+
+    The axis is that of the slot, the strut, the strand or the tangent of the wheel, which lies to
+    its left. A pin has the x axis of the ground.
+    """
+    hub = other.point(joint.b)
+    if isinstance(joint, Revolute):
+        return hub, np.ones_like(hub)
+    if isinstance(joint, Slot):
+        return hub, np.exp(1j * (one.angle + joint.along))
+    between = hub - one.point(joint.a)
+    if isinstance(joint, Rolling):
+        axis = np.exp(1j * (one.angle + joint.along))
+        if joint.circle:
+            axis = -1j * np.sign(joint.arm) * between / np.abs(between)
+        return hub - 1j * joint.radius * axis, axis
+    if isinstance(joint, Belt):
+        axis = strand(joint, between)[1]
+        return hub + 1j * joint.radii[1] * axis, axis
+    with np.errstate(invalid='ignore'):
+        return hub, between / np.abs(between)
 
 
-def _pins(bodies: dict[str, dict[str, complex]]) -> list[Revolute]:
-    """A pin for each name of a point that several bodies have."""
-    pins = []
-    for name in dict.fromkeys(name for named in bodies.values() for name in named):
-        first, *others = [body for body, named in bodies.items() if name in named]
-        for other in others:
-            called = name if len(others) == 1 else f'{name}.{other}'
-            pins.append(Revolute(called, first, bodies[first][name], other, bodies[other][name]))
-    return pins
+def strand(joint: Belt, hubs: Complex) -> tuple[Real, Complex]:
+    """Length and direction, complex of length 1, of a belt's strand, from hub to hub (complex)."""
+    step = joint.radii[0] - joint.radii[1]
+    length = np.sqrt(np.maximum(np.abs(hubs) ** 2 - step**2, 0.0))
+    return length, hubs / (length + 1j * step)
 
 
-def _joint(where: str, said: Any, points: Points) -> Joint:
-    kind = next((kind for kind in _KEYS if isinstance(said, dict) and kind in said), None)
-    if kind is None:
-        kinds = ', '.join(_KEYS)
-        raise SceneError(f'{where} is {said!r}: give one of {kinds}, as {_EXAMPLES["slot"]}')
-    refuse_unknown(where, said, _KEYS[kind])
-    where = f"{where[:-1]}, {kind}'"
-    name = said.get('name')
-    if name is not None and not (isinstance(name, str) and _WORD.fullmatch(name)):
-        raise SceneError(f'{where}: name is {name!r}: give letters, digits, _ and -')
-    if kind in ('strut', 'belt'):
-        need(where, said, (kind, 'name'), _EXAMPLES[kind])
-        ends = said[kind]
-        if not isinstance(ends, list) or len(ends) != 2:
-            raise SceneError(f'{where} is {ends!r}: give its two ends, as {_EXAMPLES[kind]}')
-        (one, a), (other, b) = (named_point(where, end, points) for end in ends)
-        _refuse_same(where, one, other)
-        joint = Strut(str(name), one, a, other, b)
-        return joint if kind == 'strut' else _belt(where, said, joint, ends, points)
-    need(where, said, ('on',) + (('radius',) if kind == 'rolling' else ()), _EXAMPLES[kind])
-    other, b = named_point(where, said[kind], points)
-    one, a = named_point(f'{where}: on', said['on'], points)
-    _refuse_same(where, one, other)
-    name = name or str(said[kind]).rpartition('.')[2]
-    if kind == 'rolling':
-        return _rolling(where, said, name, (one, a), (other, b))
-    need(where, said, ('along',), _EXAMPLES[kind])
-    along = quantity(f'{where}: along', said['along'], 'angle')
-    if kind == 'slot':
-        return Slot(name, one, a, along, other, b)
-    turned = quantity(f'{where}: turned', said.get('turned', 0.0), 'angle')
-    return Slot(name, one, a, along, other, b, turned)
+class Rows(NamedTuple):
+    """
+    The k equations of a joint at T instants: `value` (T, k), m or rad, zero where they hold.
+
+    `slope` (T, k, 15) is the derivative by x, y and angle of both bodies and by the sizes of the
+    joint: x and y of `a` and of `b`, along, turned, radius, circle and start. `direction` (k,)
+    tells for each row whether it acts along the axis, across it, or is a turn.
+    """
+
+    value: Real
+    slope: Real
+    direction: tuple[int, ...]
 
 
-def _belt(where: str, said: dict[str, Any], ends: Strut, names: list[str], points: Points) -> Belt:
-    need(where, said, ('radii',), _EXAMPLES['belt'])
-    radii = vector(f'{where}: radii', said['radii'])
-    first, last = radii.real, radii.imag
-    belt = Belt(*ends, (first, last), 0.0, 0.0)
-    if held := _carrier(names, points):
-        carrier, hubs = held
-        if abs(hubs) <= abs(first - last):
-            raise SceneError(
-                f'{where}: on {carrier} its hubs are {abs(hubs):.6g} m apart: no strand of radii '
-                f'{first:.6g} and {last:.6g} m fits: move them apart'
+# The slide of a wheel's hub, or its direction from the center, and the angles of both bodies.
+Anchor = tuple[float, float, float]
+
+
+def constraint_rows(joint: Joint, one: Pose, other: Pose, anchor: Anchor | None = None) -> Rows:
+    """
+    Equations of a joint between the poses of its bodies, with their derivatives.
+
+    Parameters
+    ----------
+    joint
+        The joint, with lengths in m and angles in rad.
+    one, other
+        Poses of its bodies at T instants.
+    anchor
+        The state from which the slip of a wheel is measured (`wheel_state`); without one it is
+        measured from where the hub and both angles are zero.
+
+    Returns
+    -------
+    Rows
+        Of a pin the distances along x and y; of a slot the distance across it; of a guide also the
+        turn; of a wheel the error of the distance of its hub, and its slip; of a belt the slack. A
+        strut has no rows.
+
+    """
+    between, slope = _between(joint, one, other)
+    match joint:
+        case Revolute():
+            return _rows(
+                (between.real, slope.real, ALONG_AXIS), (between.imag, slope.imag, ACROSS_AXIS)
             )
-        size, along = strand(belt, np.array(hubs))
-        return belt._replace(length=float(size), direction=phase(along), carrier=carrier)
-    need(where, said, ('length', 'direction'), '{..., length: 1 m, direction: -90 deg}')
-    length = quantity(f'{where}: length', said['length'], 'length')
-    if length <= 0:
-        raise SceneError(f'{where}: length is {said["length"]!r}: give one greater than 0')
-    return belt._replace(
-        length=length, direction=quantity(f'{where}: direction', said['direction'], 'angle')
-    )
+        case Slot():
+            local, slope = _in_axes_of_line(joint, one, between, slope)
+            across = local.imag, slope.imag, ACROSS_AXIS
+            if joint.turned is None:
+                return _rows(across)
+            turned = other.angle - one.angle - joint.turned
+            turned = (turned + np.pi) % (2 * np.pi) - np.pi
+            by = np.zeros(slope.shape)
+            by[:, [OTHER_ANGLE, ANGLE, TURNED]] = 1.0, -1.0, -1.0
+            return _rows(across, (turned, by, TURN))
+        case Rolling():
+            gap = _hub_distance(joint, one, between, slope)
+            return _rows(gap, _slip(joint, one, other, between, slope, anchor))
+        case Belt():
+            return _rows(_unwound(joint, one, other, between, slope))
+    return Rows(np.empty((len(between), 0)), np.empty((len(between), 0, COLUMNS)), ())
 
 
-def _carrier(names: Sequence[str], points: Points) -> tuple[str, complex] | None:
-    """The third body that has the points of both names, and the second as seen from the first."""
-    (one, a), (other, b) = (name.split('.') for name in names)
-    for carrier in dict.fromkeys(body for body, _ in points.values()):
-        first, last = points.get(f'{carrier}.{a}'), points.get(f'{carrier}.{b}')
-        if carrier not in (one, other) and first and last:
-            return carrier, last[1] - first[1]
-    return None
+def wheel_state(joint: Rolling, one: Pose, other: Pose) -> Anchor:
+    """
+    Position of a wheel at the first instant, from which `constraint_rows` measures its slip.
+
+    Parameters
+    ----------
+    joint
+        The wheel.
+    one, other
+        Poses of its bodies at T instants.
+
+    Returns
+    -------
+    tuple of float
+        The slide of the hub, m, or its direction from the center of the circle, rad, and the angles
+        of both bodies, rad.
+
+    """
+    between, slope = _between(joint, one, other)
+    if joint.circle:
+        hub = float(np.angle(between[0] * np.sign(joint.arm)))
+    else:
+        hub = float(_in_axes_of_line(joint, one, between, slope)[0][0].real)
+    return hub, float(one.angle[0]), float(other.angle[0])
 
 
-def _geneva(where: str, said: dict[str, Any], points: Points, joints: Sequence[Joint]) -> Follower:
-    """The wheel's angle over the crank's, whose pin runs into its slots without shock."""
-    refuse_unknown(where, said, _KEYS['geneva'])
-    where = f"{where[:-1]}, geneva'"
-    need(where, said, ('on', 'slots'), _EXAMPLES['geneva'])
-    wheel, _ = named_point(where, said['geneva'], points)
-    crank, _ = named_point(f'{where}: on', said['on'], points)
-    _refuse_same(where, crank, wheel)
-    slots = said['slots']
-    if not isinstance(slots, int) or isinstance(slots, bool) or not 3 <= slots <= 100:
-        raise SceneError(f'{where}: slots is {slots!r}: give a whole number from 3 to 100')
-    held = _carrier([said['on'], said['geneva']], points)
-    if held is None or held[1] == 0:
-        raise SceneError(
-            f'{where}: no body holds {said["on"]} and {said["geneva"]} apart: give it points of '
-            'these names, as ground: {O: [0, 0], W: [0.1, 0]}'
-        )
-    carrier, toward = held[0], phase(held[1])
-    pin = quantity(f'{where}: pin', said.get('pin', 0.0), 'angle')
-    slot = quantity(f'{where}: slot', said.get('slot', 0.0), 'angle')
-    # Of the wheel's slots one is as good as another: it starts with the least turn.
-    offset = remainder(toward + pi - slot, 2 * pi / slots)
-    law = geneva(slots, toward - pin, offset)
-    hubs = tuple(said[key].rpartition('.')[2] for key in ('on', 'geneva'))
-    return Follower(where, wheel, crank, carrier, law, hubs)
+def variable_rates(joint: Joint, one: Pose, other: Pose) -> dict[str, Real]:
+    """Derivatives (T, 6) of the joint's own variables by the poses of its bodies."""
+    if isinstance(joint, Revolute):
+        return {}
+    between, slope = _between(joint, one, other)
+    slope = slope[:, :POSE_COLUMNS]
+    if isinstance(joint, Rolling) and joint.circle:
+        return {joint.name: (slope / between[:, None]).imag}
+    if isinstance(joint, Rolling | Slot):
+        return {joint.name: _in_axes_of_line(joint, one, between, slope)[1].real}
+    step = joint.radii[0] - joint.radii[1] if isinstance(joint, Belt) else 0.0
+    length = np.sqrt(np.maximum(np.abs(between) ** 2 - step**2, 0.0))[:, None]
+    slope = slope * ((length + 1j * step) / between[:, None])
+    angle = slope.imag / length
+    return {joint.name: slope.real + step * angle, f'{joint.name}.angle': angle}
 
 
-def _cam(where: str, said: dict[str, Any], points: Points, joints: Sequence[Joint]) -> Follower:
-    refuse_unknown(where, said, _KEYS['cam'])
-    where = f"{where[:-1]}, cam'"
-    need(where, said, ('moves', 'angles', 'lift'), _EXAMPLES['cam'])
-    bodies = list(dict.fromkeys(body for body, _ in points.values()))
-    slides = [joint.name for joint in joints if isinstance(joint, Slot)]
-    turning = [body for body in bodies if body != GROUND]
-    seen = said.get('of', GROUND)
-    for key, value, known in (
-        ('cam', said['cam'], turning),
-        ('moves', said['moves'], slides + turning),
-        ('of', seen, bodies),
-    ):
-        if value not in known:
-            raise SceneError(f'{where}: {key} is {value!r}: give one of {", ".join(known)}')
-    if len({said['cam'], said['moves'], seen}) < 3:
-        raise SceneError(f'{where}: cam, moves and of are to be three: {said["cam"]!r} is two')
-    kinds = {'angles': 'angle', 'lift': 'length' if said['moves'] in slides else 'angle'}
-    for key in kinds:
-        if not isinstance(said[key], list):
-            raise SceneError(f'{where}: {key} is {said[key]!r}: give a list, as [0, 1, 0]')
-    angles, lifts = (
-        [quantity(f'{where}: {key}', one, kind) for one in said[key]] for key, kind in kinds.items()
-    )
-    if len(angles) != len(lifts) or len(angles) < 3 or min(np.diff(angles)) <= 0:
-        raise SceneError(
-            f'{where}: {len(angles)} angles and {len(lifts)} lifts: give three or more, as many of '
-            'each, the angles rising'
-        )
-    if abs(angles[-1] - angles[0] - 2 * pi) > 1e-9 or lifts[0] != lifts[-1]:
-        raise SceneError(
-            f'{where}: a cam goes once round: end it 360 deg after its first angle, with the lift '
-            'that it has there'
-        )
-    law = said.get('law', RISES[0])
-    if law not in RISES:
-        raise SceneError(f'{where}: law is {law!r}: give one of {", ".join(RISES)}')
-    return Follower(where, said['moves'], said['cam'], seen, cam(angles, lifts, law))
+def _between(joint: Joint, one: Pose, other: Pose) -> tuple[Complex, Complex]:
+    """The vector (T,) from the point `a` to the point `b`, with its derivatives (T, 15)."""
+    turn, other_turn = np.exp(1j * one.angle), np.exp(1j * other.angle)
+    slope = np.zeros((len(turn), COLUMNS), complex)
+    slope[:, [X, Y, OTHER_X, OTHER_Y]] = -1, -1j, 1, 1j
+    slope[:, ANGLE], slope[:, OTHER_ANGLE] = -1j * joint.a * turn, 1j * joint.b * other_turn
+    slope[:, A], slope[:, A + 1] = -turn, -1j * turn
+    slope[:, B], slope[:, B + 1] = other_turn, 1j * other_turn
+    return other.position + joint.b * other_turn - one.position - joint.a * turn, slope
 
 
-def _rolling(
-    where: str, said: dict[str, Any], name: str, on: tuple[str, complex], hub: tuple[str, complex]
-) -> Rolling:
-    radius = quantity(f'{where}: radius', said['radius'], 'length')
-    if radius <= 0:
-        raise SceneError(f'{where}: radius is {said["radius"]!r}: give one greater than 0')
-    pressure = None
-    if 'pressure' in said:
-        pressure = quantity(f'{where}: pressure', said['pressure'], 'angle')
-        if not 0 <= pressure < pi / 2:
-            raise SceneError(
-                f'{where}: pressure is {said["pressure"]!r}: give an angle from 0 to less than '
-                '90 deg, as 20 deg'
-            )
-    if ('along' in said) == ('circle' in said):
-        raise SceneError(
-            f'{where}: give along: 0 deg for a line, or circle: 0.2 for a circle of that radius'
-        )
-    if 'along' in said:
-        along = quantity(f'{where}: along', said['along'], 'angle')
-        start = quantity(f'{where}: start', said.get('start', 0.0), 'length')
-        return Rolling(name, *on, *hub, radius, along=along, start=start, pressure=pressure)
-    circle = quantity(f'{where}: circle', said['circle'], 'length')
-    if circle == 0 or (circle < 0 and -circle <= radius):
-        raise SceneError(
-            f'{where}: circle is {said["circle"]!r}: give the radius to roll on, or, to roll '
-            'inside of it, one less than minus that of the wheel'
-        )
-    # Inside, the hub lies opposite to the direction that says where it is: by default along x.
-    usual = pi if circle < 0 else 0.0
-    start = quantity(f'{where}: start', said.get('start', usual), 'angle')
-    return Rolling(name, *on, *hub, radius, circle=circle, start=start, pressure=pressure)
+def _in_axes_of_line(
+    joint: Slot | Rolling, one: Pose, between: Complex, slope: Complex
+) -> tuple[Complex, Complex]:
+    """A vector and its derivatives in the axes of the joint's line, which turns with `one`."""
+    turn = np.exp(-1j * (one.angle + joint.along))
+    local, slope = turn * between, turn[:, None] * slope
+    slope[:, ANGLE] -= 1j * local
+    if slope.shape[1] == COLUMNS:
+        slope[:, ALONG] -= 1j * local
+    return local, slope
 
 
-def _refuse_same(where: str, one: str, other: str) -> None:
-    if one == other:
-        raise SceneError(f"{where}: both its points are on '{one}': give points of two bodies")
+def _hub_distance(
+    joint: Rolling, one: Pose, between: Complex, slope: Complex
+) -> tuple[Real, Real, int]:
+    """The row across of a wheel: the error of its hub's distance from the line or center."""
+    if joint.circle:
+        outward = (np.sign(joint.arm) * between / np.abs(between)).conj()
+        gap, by = (outward * between).real - joint.arm, (outward[:, None] * slope).real
+        by[:, CIRCLE] -= 1.0
+    else:
+        local, slope = _in_axes_of_line(joint, one, between, slope)
+        gap, by = local.imag - joint.radius, slope.imag
+    by[:, RADIUS] -= 1.0
+    return gap, by, ACROSS_AXIS
 
 
-def _refuse_flat(bodies: dict[str, dict[str, complex]], joints: list[Joint]) -> None:
-    """Refuse links of no length: two joints at one place of a body that are not one point."""
-    places: dict[str, set[complex]] = {body: set() for body in bodies}
-    for joint in joints:
-        places[joint.one].add(joint.a)
-        places[joint.other].add(joint.b)
-    for body, used in places.items():
-        if body == GROUND:
-            # Which is no link: bodies may turn about one place of it.
-            continue
-        names = {z: name for name, z in bodies[body].items()}
-        twice = [name for name, z in bodies[body].items() if z in used and names[z] != name]
-        for name in twice:
-            other = names[bodies[body][name]]
-            raise SceneError(
-                f"'bodies: {body}': '{name}' and '{other}' are at the same place, a link of length "
-                '0: move one, or give them one name'
-            )
-        for near, far in combinations(used, 2):
-            if abs(near - far) <= 1e-9 * max(map(abs, used)):
-                raise SceneError(
-                    f"'bodies: {body}': '{names[near]}' and '{names[far]}' are at the same place "
-                    'but for rounding, a link of length 0: move one, or give them one name'
-                )
+def _slip(
+    joint: Rolling, one: Pose, other: Pose, between: Complex, slope: Complex, anchor: Anchor | None
+) -> tuple[Real, Real, int]:
+    """The row along of a wheel: its slip since the anchor, but for whole turns of the wheel."""
+    first_hub, first_angle, first_other = anchor or (0.0, 0.0, 0.0)
+    angle, other_angle = one.angle - first_angle, other.angle - first_other
+    radius, arm = joint.radius, joint.arm
+    if joint.circle:
+        # The direction of the hub is known but for whole turns; the angles tell how many.
+        ahead = (joint.circle * angle + radius * other_angle) / arm + joint.start
+        hub = np.angle(between * np.sign(arm)) - first_hub
+        hub += 2 * np.pi * np.round((ahead - hub) / (2 * np.pi))
+        slip, by = arm * (ahead - hub), -arm * (slope / between[:, None]).imag
+        by[:, ANGLE] += joint.circle
+        by[:, OTHER_ANGLE] += radius
+        by[:, CIRCLE] += angle + joint.start - hub
+        by[:, RADIUS] += other_angle + joint.start - hub
+        by[:, START] += arm
+    else:
+        local, slope = _in_axes_of_line(joint, one, between, slope)
+        turned = other_angle - angle
+        slip, by = local.real - first_hub + radius * turned - joint.start, slope.real
+        by[:, OTHER_ANGLE] += radius
+        by[:, ANGLE] -= radius
+        by[:, RADIUS] += turned
+        by[:, START] -= 1.0
+    circumference = 2 * np.pi * radius
+    slip = (slip + circumference / 2) % circumference - circumference / 2
+    return slip, by, ALONG_AXIS
+
+
+def _unwound(
+    joint: Belt, one: Pose, other: Pose, between: Complex, slope: Complex
+) -> tuple[Real, Real, int]:
+    """The row of a belt: by how much its free length differs from what its wheels unwound."""
+    first, last = joint.radii
+    length, axis = strand(joint, between)
+    turned = np.angle(axis * np.exp(-1j * joint.direction))
+    gap = length - joint.length + (last - first) * turned + first * one.angle - last * other.angle
+    by = (axis.conj()[:, None] * slope).real
+    by[:, ANGLE] += first
+    by[:, OTHER_ANGLE] -= last
+    return gap, by, ALONG_AXIS
+
+
+def _rows(*rows: tuple[Real, Real, int]) -> Rows:
+    value, slope, direction = zip(*rows, strict=True)
+    return Rows(np.stack(value, axis=1), np.stack(slope, axis=1), direction)

@@ -1,7 +1,10 @@
 """
 Instant centers by Kennedy's theorem: which follow from the joints, in which order, and where.
 
-The centers of three bodies lie on a line; two such lines meet in a center.
+The centers of three bodies lie on a line; two such lines meet in a center. Points and lines are
+unit vectors of homogeneous coordinates, from the middle of the linkage and in units of its size. A
+center at infinity is then a point like others, with w = 0. The line through two points and the
+point on two lines are both the cross product, and its length tells how sharply they determine it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,39 +13,42 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import Belt, Joint, Revolute, Rolling, Slot, Strut, strand
-from kinpole_ros.mechanism._mechanism import Mechanism
-from kinpole_ros.mechanism._places import (
-    Pair,
-    bodies_of,
-    cross,
-    extent,
-    homogeneous,
-    number_of,
-    ordered,
-    outward,
-    pairs_of,
-    poses_of,
+from kinpole_ros.mechanism._assembly import joint_extent, poses_of
+from kinpole_ros.mechanism._joints import (
+    GROUND,
+    Belt,
+    Joint,
+    Revolute,
+    Rolling,
+    Slot,
+    Strut,
+    contact,
 )
+from kinpole_ros.mechanism._loops import LinkageError
+from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.planar._plane import Complex, Real
 
+# Farther away than this, in sizes of the linkage, a center is at infinity but for rounding.
+_INFINITY = 1e9
 # Lines and points less distinct than this leave fewer than nine digits.
 _SHARP = 1e-6
 # Points nearer to each other than this, in sizes of the linkage, at all positions, are one.
-_SAME = 1e-12
-# Positions at which lines are tried, before the best ones are used at all.
-_TRIED = 33
+_COINCIDENT = 1e-12
+# Lines are tried at this many positions before the best ones are used at all of them.
+_TRIAL_POSITIONS = 33
+
+Pair = tuple[int, int]
 
 
 class Step(NamedTuple):
     """
-    How one center is found: that of the bodies `pair` (i, j), numbers from 0, the ground's.
+    How one center is found: that of the bodies `pair` (i, j), numbered from the ground, 0.
 
-    By `rule` 'joint' it is that of the joint number `by[0]`. By 'lines' it is on the two lines
+    By the `rule` 'joint' it is that of the joint number `by[0]`. By 'lines' it is on the two lines
     `by`, where k is the line through the centers ik and kj, and ~m the normal to the slot, or the
-    strand of the belt, of the joint number m. By 'same' it is where the centers ik and kj are,
-    k = `by[0]`, which are always one. By 'rates' Kennedy's theorem does not reach
-    it, for all it has are the lines `by`.
+    strand of the belt, of the joint number m. By 'same' it coincides with the centers ik and kj,
+    k = `by[0]`, which always coincide. By 'rates' Kennedy's theorem does not determine it, since
+    `by` are all lines that it gives.
     """
 
     pair: Pair
@@ -50,34 +56,51 @@ class Step(NamedTuple):
     by: tuple[int, ...]
 
 
+def bodies_of(mechanism: Mechanism) -> tuple[str, ...]:
+    """All bodies in the order of their numbers, the ground first."""
+    return (GROUND, *mechanism.bodies)
+
+
+def number_of(bodies: Sequence[str], name: str) -> int:
+    """The number of a body; raises LinkageError for a name that is none."""
+    if name not in bodies:
+        raise LinkageError(f'there is no body {name}: name one of {", ".join(bodies)}')
+    return bodies.index(name)
+
+
+def pairs_of(mechanism: Mechanism) -> tuple[Pair, ...]:
+    """All pairs (i, j) of numbers of bodies, i < j."""
+    return tuple(combinations(range(len(mechanism.bodies) + 1), 2))
+
+
 def deduce(mechanism: Mechanism, values: Real) -> tuple[Step, ...]:
     """
     The chain of deduction that leads from the joints to all centers, in order.
 
-    Primary centers first; then again and again, of all centers on two known lines, the one that is
-    determined best over the positions `values` (n, T); last those that only the rates tell.
+    Primary centers come first; then again and again, of all centers on two known lines, the one
+    that is determined best over the positions `values` (n, T); last those that only the rates give.
     """
     values = np.asarray(values, float)
-    count = values.shape[1]
-    known = _Known(mechanism, values[:, np.unique(np.linspace(0, count - 1, _TRIED).astype(int))])
+    trial = np.unique(np.linspace(0, values.shape[1] - 1, _TRIAL_POSITIONS).astype(int))
+    centers = _CenterMap(mechanism, values[:, trial])
     steps = []
-    for m, joint in enumerate(known.joints):
-        pair = ordered(*(number_of(known.bodies, body) for body in (joint.one, joint.other)))
-        if pair not in known.centers and not _is_line(joint) and not isinstance(joint, Strut):
+    for m, joint in enumerate(centers.joints):
+        pair = centers.pair_of(joint)
+        if pair not in centers.centers and not _is_line(joint) and not isinstance(joint, Strut):
             steps.append(Step(pair, 'joint', (m,)))
-            known.add(steps[-1])
-    left = [pair for pair in pairs_of(mechanism) if pair not in known.centers]
-    while left:
-        # Rounded: of choices that are as good but for rounding the first is taken.
-        found = [(round(known.sharpness(step), 9), step) for step in known.steps(left)]
-        best, step = max(found, key=lambda choice: choice[0], default=(0.0, None))
+            centers.add(steps[-1])
+    remaining = [pair for pair in pairs_of(mechanism) if pair not in centers.centers]
+    while remaining:
+        # Rounded, so that of choices that are equal but for rounding the first is taken.
+        choices = [(round(centers.sharpness(step), 9), step) for step in centers.steps(remaining)]
+        best, step = max(choices, key=lambda choice: choice[0], default=(0.0, None))
         if step is None or best < _SHARP:
             break
         steps.append(step)
-        known.add(step)
-        left.remove(step.pair)
-    for pair in left:
-        steps.append(Step(pair, 'rates', tuple(known.lines(pair))))
+        centers.add(step)
+        remaining.remove(step.pair)
+    for pair in remaining:
+        steps.append(Step(pair, 'rates', tuple(centers.lines(pair))))
     return tuple(steps)
 
 
@@ -85,17 +108,17 @@ def kennedy_centers(mechanism: Mechanism, steps: Sequence[Step], values: Real) -
     """
     Centers `places` (3, c, T), as in Centers, at the variables `values` (n, T), by `steps`.
 
-    NaN where they leave it to the rates, and where two lines coincide (within 1e-6).
+    NaN where the steps leave them to the rates, and where two lines coincide (within 1e-6).
     """
     values = np.asarray(values, float)
-    known = _Known(mechanism, values)
+    centers = _CenterMap(mechanism, values)
     for step in steps:
         if step.rule != 'rates':
-            known.add(step)
-    nothing = np.full((3, values.shape[1]), np.nan), np.zeros(values.shape[1])
-    found = [known.centers.get(pair, nothing) for pair in pairs_of(mechanism)]
-    places = np.stack([np.where(sharp > _SHARP, place, np.nan) for place, sharp in found], axis=1)
-    return outward(places, known.middle, known.size)
+            centers.add(step)
+    missing = np.full((3, values.shape[1]), np.nan), np.zeros(values.shape[1])
+    located = [centers.centers.get(pair, missing) for pair in pairs_of(mechanism)]
+    points = [np.where(sharp > _SHARP, point, np.nan) for point, sharp in located]
+    return outward(np.stack(points, axis=1), centers.middle, centers.size)
 
 
 def explain(mechanism: Mechanism, steps: Sequence[Step]) -> list[str]:
@@ -112,14 +135,14 @@ def explain(mechanism: Mechanism, steps: Sequence[Step]) -> list[str]:
     Returns
     -------
     list of str
-        The first tells the bodies' numbers, the ground being 1; then 'I13: line I12-I23 meets line
-        I14-I34', and so on.
+        The first has the numbers of the bodies, from 1 for the ground; then 'I13: line I12-I23
+        meets line I14-I34', and so on.
 
     """
     bodies, joints = bodies_of(mechanism), mechanism.assembly.joints
 
     def center(i: int, j: int) -> str:
-        return center_name(len(bodies), *ordered(i, j))
+        return center_name(len(bodies), *_ordered(i, j))
 
     def line(pair: Pair, code: int) -> str:
         if code < 0:
@@ -143,15 +166,15 @@ def explain(mechanism: Mechanism, steps: Sequence[Step]) -> list[str]:
         elif rule == 'same':
             text = f'where {center(pair[0], by[0])} and {center(by[0], pair[1])} are one'
         else:
-            has = ' and '.join(line(pair, code) for code in by) or 'no line'
-            text = f'from the rates: Kennedy has {"only " if by else ""}{has} for it'
+            known = ' and '.join(line(pair, code) for code in by) or 'no line'
+            text = f'from the rates: Kennedy has {"only " if by else ""}{known} for it'
         lines.append(f'{center(*pair)}: {text}')
     return lines
 
 
 def center_name(count: int, i: int, j: int) -> str:
     """
-    What the center of two bodies is called: I13, from ten bodies on I1,3.
+    The name of the center of two bodies: I13, from ten bodies on I1,3.
 
     Parameters
     ----------
@@ -169,102 +192,121 @@ def center_name(count: int, i: int, j: int) -> str:
     return f'I{i + 1}{"," if count > 9 else ""}{j + 1}'
 
 
-class _Known:
+class _CenterMap:
     """
-    Centers found so far: `centers` maps a pair to its place (3, T), and how sharp it is (T,).
+    The centers deduced so far: `centers` maps a pair to its point (3, T) and its sharpness (T,).
 
-    The sharpness is about the share of the digits left: those of what it is found from, times the
-    length of the cross product.
+    The sharpness is about the share of the digits that are left: that of the lines or points it is
+    deduced from, times the length of the cross product.
     """
 
     def __init__(self, mechanism: Mechanism, values: Real) -> None:
-        self.bodies = bodies_of(mechanism)
+        self._bodies = bodies_of(mechanism)
         self.joints = mechanism.assembly.joints
-        self.middle, self.size = extent(mechanism, values)
-        position, self.turn = poses_of(mechanism, values)
-        self.position = (position - self.middle) / self.size
+        self.middle, self.size = joint_extent(mechanism.assembly, values)
+        poses = poses_of(mechanism.assembly, values)
+        self._contacts = [contact(j, poses[j.one], poses[j.other]) for j in self.joints]
         self.centers: dict[Pair, tuple[Real, Real]] = {}
-        self.slots: dict[Pair, list[int]] = {}
+        self._slots: dict[Pair, list[int]] = {}
         for m, joint in enumerate(self.joints):
             if _is_line(joint):
-                pair = ordered(*(number_of(self.bodies, name) for name in (joint.one, joint.other)))
-                self.slots.setdefault(pair, []).append(m)
+                self._slots.setdefault(self.pair_of(joint), []).append(m)
+
+    def pair_of(self, joint: Joint) -> Pair:
+        """The numbers of the bodies of a joint."""
+        return _ordered(number_of(self._bodies, joint.one), number_of(self._bodies, joint.other))
 
     def add(self, step: Step) -> None:
-        """Find the center that the step tells."""
+        """Add the center that a step deduces."""
         self.centers[step.pair] = self._center(step)
 
     def sharpness(self, step: Step) -> float:
         """How well a step determines its center, at most positions."""
         return float(np.median(np.nan_to_num(self._center(step)[1])))
 
-    def steps(self, left: Sequence[Pair]) -> Iterator[Step]:
-        """All that can be deduced now of the pairs that are left."""
-        for pair in left:
+    def steps(self, remaining: Sequence[Pair]) -> Iterator[Step]:
+        """All steps that are possible now for the remaining pairs."""
+        for pair in remaining:
             lines = self.lines(pair)
             for k in lines:
-                if k >= 0 and self._line(pair, k)[1].max() < _SAME:
+                if k >= 0 and self._line(pair, k)[1].max() < _COINCIDENT:
                     yield Step(pair, 'same', (k,))
             for two in combinations(lines, 2):
                 yield Step(pair, 'lines', two)
 
     def lines(self, pair: Pair) -> list[int]:
-        """The lines known of a center, as in Step."""
+        """The known lines through a center, as in Step."""
         i, j = pair
         return [
             k
-            for k in range(len(self.bodies))
-            if k not in pair and ordered(i, k) in self.centers and ordered(k, j) in self.centers
-        ] + [~m for m in self.slots.get(pair, [])]
+            for k in range(len(self._bodies))
+            if k not in pair and _ordered(i, k) in self.centers and _ordered(k, j) in self.centers
+        ] + [~m for m in self._slots.get(pair, [])]
 
     def _center(self, step: Step) -> tuple[Real, Real]:
         if step.rule == 'joint':
-            place = self._joint(self.joints[step.by[0]])
-            return place, np.ones(place.shape[1])
+            m = step.by[0]
+            point = self._normal(m) if isinstance(self.joints[m], Slot) else self._contact(m)
+            return point, np.ones(point.shape[1])
         if step.rule == 'same':
-            return self.centers[ordered(step.pair[0], step.by[0])]
+            return self.centers[_ordered(step.pair[0], step.by[0])]
         return cross(*(self._line(step.pair, code) for code in step.by))
 
     def _line(self, pair: Pair, code: int) -> tuple[Real, Real]:
         """A line (3, T), and how sharp it is (T,)."""
         if code >= 0:
-            ends = (ordered(pair[0], code), ordered(code, pair[1]))
+            ends = (_ordered(pair[0], code), _ordered(code, pair[1]))
             return cross(*(self.centers[end] for end in ends))
-        joint = self.joints[~code]
-        on, far = self._point(joint.other, joint.b), self._normal(joint)
-        if isinstance(joint, Belt):
-            on = on + 1j * joint.radii[1] / self.size * (far[0] + 1j * far[1])
-        line, _ = cross((homogeneous(on, 1.0), np.ones(1)), (far, np.ones(1)))
-        return line, np.ones(line.shape[1])
+        m, sharp = ~code, np.ones(len(self.middle))
+        line, _ = cross((self._contact(m), sharp), (self._normal(m), sharp))
+        return line, sharp
 
-    def _joint(self, joint: Joint) -> Real:
-        """The center (3, T) of the two bodies that a joint determines."""
-        if isinstance(joint, Slot):
-            return self._normal(joint)
-        if not isinstance(joint, Rolling):
-            return homogeneous(self._point(joint.one, joint.a), 1.0)
-        hub = self._point(joint.other, joint.b)
-        if joint.circle:
-            middle = self._point(joint.one, joint.a)
-            share = joint.circle / (joint.circle + joint.radius)
-            return homogeneous(middle + share * (hub - middle), 1.0)
-        up = 1j * np.exp(1j * joint.along) * self.turn[number_of(self.bodies, joint.one)]
-        return homogeneous(hub - joint.radius / self.size * up, 1.0)
+    def _contact(self, m: int) -> Real:
+        """The pin or point of contact of a joint (3, T)."""
+        return _homogeneous((self._contacts[m][0] - self.middle) / self.size, 1.0)
 
-    def _normal(self, joint: Joint) -> Real:
+    def _normal(self, m: int) -> Real:
         """The point at infinity (3, T) at a right angle to a slot, or along a belt."""
-        if isinstance(joint, Belt):
-            hubs = self._point(joint.other, joint.b) - self._point(joint.one, joint.a)
-            return homogeneous(strand(joint, self.size * hubs)[1], 0.0)
-        assert isinstance(joint, Slot)
-        along = np.exp(1j * joint.along) * self.turn[number_of(self.bodies, joint.one)]
-        return homogeneous(1j * along, 0.0)
-
-    def _point(self, body: str, place: complex) -> Complex:
-        k = number_of(self.bodies, body)
-        return self.position[k] + self.turn[k] * place / self.size
+        axis = self._contacts[m][1]
+        return _homogeneous(axis if isinstance(self.joints[m], Belt) else 1j * axis, 0.0)
 
 
 def _is_line(joint: Joint) -> bool:
-    """Whether all that a joint tells of its bodies' center is a line: a pin in a slot, a belt."""
+    """Whether a joint gives only a line for its bodies' center: a pin in a slot, a belt."""
     return isinstance(joint, Belt) or (isinstance(joint, Slot) and joint.turned is None)
+
+
+def _ordered(i: int, j: int) -> Pair:
+    return (i, j) if i < j else (j, i)
+
+
+def _homogeneous(point: Complex, w: float) -> Real:
+    return unit(np.stack((point.real, point.imag, np.full(point.shape, w))))[0]
+
+
+def cross(one: tuple[Real, Real], other: tuple[Real, Real]) -> tuple[Real, Real]:
+    """The line through two points, or the point on two lines, and how sharp it is."""
+    vectors, length = unit(np.cross(one[0], other[0], axis=0))
+    return vectors, length * np.minimum(one[1], other[1])
+
+
+def unit(vectors: Real) -> tuple[Real, Real]:
+    """Vectors (3, ...) divided by their lengths (...), and these; NaN for those of length 0."""
+    length = np.sqrt((vectors**2).sum(axis=0))
+    with np.errstate(invalid='ignore', divide='ignore'):
+        return vectors / length, length
+
+
+def outward(vectors: Real, middle: Complex, size: float) -> Real:
+    """Centers (3, c, T) as in Centers, from homogeneous coordinates of the linkage's own."""
+    x, y, w = vectors
+    with np.errstate(invalid='ignore', divide='ignore'):
+        is_far = np.hypot(x, y) > _INFINITY * np.abs(w)
+        point = middle + size * (x + 1j * y) / w
+        # A direction and its opposite are one: upward, and to the right if level.
+        is_steep = np.abs(y) > np.abs(x) / _INFINITY
+        scale = np.where(is_steep, np.sign(y), np.sign(x)) / np.hypot(x, y)
+        finite = np.stack((point.real, point.imag, np.ones(x.shape)))
+        infinite = np.stack((x * scale, np.where(is_steep, y * scale, 0.0), np.zeros(x.shape)))
+        centers = np.where(is_far, infinite, finite)
+    return np.where(np.isnan(vectors).any(axis=0), np.nan, centers)

@@ -2,10 +2,9 @@
 
 from typing import Any
 
-from kinpole_ros.mechanism._assembly import GROUND
-from kinpole_ros.mechanism._forces import Mass, Spring, Torsion
-from kinpole_ros.mechanism._joints import Points, mapping, named_point, need, refuse_unknown
-from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque
+from kinpole_ros.mechanism._joints import GROUND
+from kinpole_ros.mechanism._scene_bodies import Points, mapping, named_point, need, refuse_unknown
+from kinpole_ros.mechanism._statics import Force, Holder, Load, Mass, Spring, Torque, Torsion
 from kinpole_ros.mechanism._units import SceneError, quantity, vector
 
 _GRAVITY = 9.80665  # m/s^2, the standard one

@@ -1,9 +1,9 @@
 """
-Linkages as vector loops: sums of terms r e^{iθ} that close, split into what can be solved.
+Linkages as vector loops: sums of terms r e^{iθ} that close, split into blocks that can be solved.
 
 Every planar joint can be written so (seed 003): lengths r and angles θ are affine in a few
 variables, of which linear ties and drivers leave the unknowns. The loops are split into the
-smallest sets that can be solved one after the other: a four-bar's is one loop with two unknowns.
+smallest sets that can be solved one after the other: a four-bar is one loop with two unknowns.
 """
 
 from collections.abc import Sequence
@@ -27,8 +27,8 @@ class Loops(NamedTuple):
     `variables` names the n variables u; `lengths` and `angles` (terms, n), `length0` and `angle0`
     (terms,). `loops` (m, terms) holds the sign of each term in each closed sum. Each row of `ties`
     (k, n) is a linear equation ties u = tie0; each of `drives` (d, n) one whose right side is an
-    input. `around` names, for people, the joints or vectors that each loop goes around by. `laws`
-    are equations that are not linear, whose arguments the inputs alone determine.
+    input. `around` names the joints or vectors of each loop, for messages. `laws` are equations
+    that are not linear, whose arguments the inputs alone determine.
     """
 
     variables: tuple[str, ...]
@@ -43,16 +43,21 @@ class Loops(NamedTuple):
     around: tuple[tuple[str, ...], ...]
     laws: tuple[Law, ...] = ()
 
+    @property
+    def is_angle(self) -> np.ndarray:
+        """Which variables (n,) are angles: also those of no term, as of a wheel that rolls."""
+        return ~np.asarray((self.lengths != 0).any(axis=0))
+
 
 class Linkage(NamedTuple):
     """
     Loops reduced to their unknowns: u = free @ w + driven @ inputs + fixed, where w = u[unknown].
-    The inputs are those of the drivers, and then what laws make of them (`with_laws`).
 
-    The terms are as in Loops, over both w and the inputs (terms, unknowns + inputs). `blocks`
-    are to be solved in order. `turns` (A, unknowns + inputs) are the different angles α of the
-    terms, in the order they become known (those that need no unknown first), `slides` (V, ...)
-    their different lengths: every sum of terms is one of e^{iα}, see `sums`.
+    The inputs are those of the drivers, then those that laws make of them (`with_laws`). The terms
+    are as in Loops, over both w and the inputs (terms, unknowns + inputs). `blocks` are to be
+    solved in order. `turns` (A, unknowns + inputs) are the distinct angles α of the terms, in the
+    order in which they become known (those that need no unknown first), `slides` (V, ...) the
+    distinct lengths: every sum of terms is a sum of e^{iα}, see `sums`.
     """
 
     loops: Loops
@@ -73,12 +78,12 @@ class Block(NamedTuple):
     """
     Loops (m) that are solved jointly for their `unknown` (j), and the sums they are made of.
 
-    With E = e^{iα}: the loops and below them their columns, their derivatives by the unknowns (m
-    and m j rows), are constant @ E plus each slide times sliding @ E. `turns` and `slides` are the
-    ranges of angles and lengths that become known with the block. `dyad` says by its joints which
-    of the loops with a closed form it is (`_dyads`): RRR of two angles, RRP of an angle and a slide
-    in a known direction, RPR of a slide that turns; else empty. `mixed` tells whether its angles
-    and lengths also need what was known before.
+    With E = e^{iα}: the loops, and below them their derivatives by the unknowns (m and m j rows),
+    are constant @ E plus each slide times sliding @ E. `turns` and `slides` are the ranges of
+    angles and lengths that become known with the block. `dyad` names by its joints the loop with a
+    closed form that it is (`_dyads`): RRR of two angles, RRP of an angle and a slide in a known
+    direction, RPR of a slide that turns; else empty. `mixed` tells whether its angles and lengths
+    also depend on unknowns of earlier blocks or on inputs.
     """
 
     loops: tuple[int, ...]
@@ -95,8 +100,8 @@ def reduce(loops: Loops) -> Linkage:
     """
     Use ties and drivers to leave the unknowns, and find the order to solve them in.
 
-    Raises LinkageError where ties contradict each other, drivers are too few or too many, or a law
-    is of what the loops determine.
+    Raises LinkageError where ties contradict each other, drivers are too few or too many, or the
+    argument of a law depends on the loops.
     """
     count = len(loops.variables)
     laws = np.array([law.row for law in loops.laws]).reshape(-1, count)
@@ -121,13 +126,13 @@ def reduce(loops: Loops) -> Linkage:
                 f'{law.name}: what turns it is not known before loops are closed: drive the body '
                 'that it is on, by itself, by gears or by belts on one body'
             )
-    both = np.concatenate((free, driven), axis=1)
-    lengths, angles = loops.lengths @ both, loops.angles @ both
+    coefficients = np.concatenate((free, driven), axis=1)
+    lengths, angles = loops.lengths @ coefficients, loops.angles @ coefficients
     names = [loops.variables[k] for k in unknown]
-    order = _blocks(loops.loops, lengths, angles, names, len(loops.drives))
+    order = _solving_order(loops.loops, lengths, angles, names, len(loops.drives))
     stage = np.zeros(len(unknown) + inputs, int)
-    for k, (_, some) in enumerate(order):
-        stage[list(some)] = k + 1
+    for k, (_, block_unknowns) in enumerate(order):
+        stage[list(block_unknowns)] = k + 1
     turns, slides = _by_stage(angles, stage), _by_stage(lengths, stage)
     linkage = Linkage(
         loops,
@@ -140,18 +145,17 @@ def reduce(loops: Loops) -> Linkage:
         angles,
         loops.angle0 + loops.angles @ fixed,
         turns,
-        # What does not slide is no length of its own.
+        # A constant length is part of the coefficients.
         slides[(slides != 0).any(axis=1)],
         (),
     )
-    return linkage._replace(
-        blocks=tuple(_block(linkage, *some, stage, k + 1) for k, some in enumerate(order))
-    )
+    blocks = [_block(linkage, *block, stage, k + 1) for k, block in enumerate(order)]
+    return linkage._replace(blocks=tuple(blocks))
 
 
 def with_laws(linkage: Linkage, inputs: Real) -> Real:
     """
-    Inputs with what the laws of cams and Geneva drives make of them.
+    Inputs followed by the values of cams and Geneva drives, which their laws give.
 
     Parameters
     ----------
@@ -167,10 +171,10 @@ def with_laws(linkage: Linkage, inputs: Real) -> Real:
 
     """
     for law in linkage.loops.laws:
-        by = law.of @ linkage.driven[:, : inputs.shape[1]]
-        at = by @ inputs
-        at[0] += law.of @ linkage.fixed
-        inputs = np.concatenate((inputs, compose(law.function(at[0]), at)[:, None]), axis=1)
+        argument = law.of @ linkage.driven[:, : inputs.shape[1]] @ inputs
+        argument[0] += law.of @ linkage.fixed
+        value = compose(law.function(argument[0]), argument)
+        inputs = np.concatenate((inputs, value[:, None]), axis=1)
     return inputs
 
 
@@ -182,23 +186,44 @@ def sums(linkage: Linkage, weights: Real) -> tuple[Complex, Complex]:
     l times sliding @ E.
     """
     at = np.exp(1j * linkage.angle0)
-    with_turn = _same(linkage.angles, linkage.turns)
+    with_turn = _equal_rows(linkage.angles, linkage.turns)
     constant = (weights * (linkage.length0 * at)) @ with_turn
-    with_slide = _same(linkage.lengths, linkage.slides)
+    with_slide = _equal_rows(linkage.lengths, linkage.slides)
     sliding = [(weights * (at * slide)) @ with_turn for slide in with_slide.T]
     return constant, np.array(sliding, complex).reshape(len(sliding), *constant.shape)
 
 
+def term_vectors(loops: Loops, values: Real) -> tuple[Real, Complex]:
+    """Lengths (terms, T), m, of the terms and their directions e^{iθ}, at variables (n, T)."""
+    length = loops.lengths @ values + loops.length0[:, None]
+    return length, np.exp(1j * (loops.angles @ values + loops.angle0[:, None]))
+
+
+def loop_jacobian(loops: Loops, values: Real) -> tuple[Complex, Complex]:
+    """Gaps (m, T) of the loops at variables (n, T), and their derivatives (m, n, T) by these."""
+    length, turn = term_vectors(loops, values)
+    slope = np.empty((len(loops.loops), *values.shape), complex)
+    for j, (by_length, by_angle) in enumerate(zip(loops.lengths.T, loops.angles.T, strict=True)):
+        slope[:, j] = loops.loops @ (turn * (by_length[:, None] + 1j * length * by_angle[:, None]))
+    return loops.loops @ (length * turn), slope
+
+
+def loop_rates(loops: Loops, values: Real, rates: Real) -> Complex:
+    """Derivatives (terms, T) of the terms at variables (n, T) with these rates."""
+    length, turn = term_vectors(loops, values)
+    return turn * (loops.lengths @ rates + 1j * length * (loops.angles @ rates))
+
+
 def _by_stage(rows: Real, stage: np.ndarray) -> Real:
-    """The different rows, in the order of the last stage that they need."""
-    different = np.unique(rows, axis=0)
-    last = (stage * (different != 0)).max(axis=1, initial=0)
-    return different[np.argsort(last, kind='stable')]
+    """The distinct rows, in the order of the last stage that they need."""
+    distinct = np.unique(rows, axis=0)
+    last = (stage * (distinct != 0)).max(axis=1, initial=0)
+    return distinct[np.argsort(last, kind='stable')]
 
 
-def _same(rows: Real, different: Real) -> Real:
-    """Which of the `different` each row is, as zeros and ones."""
-    return (rows[:, None] == different).all(axis=2).astype(float)
+def _equal_rows(rows: Real, distinct: Real) -> Real:
+    """Which of the `distinct` rows each row equals, as zeros and ones."""
+    return (rows[:, None] == distinct).all(axis=2).astype(float)
 
 
 def _block(
@@ -217,7 +242,7 @@ def _block(
     sliding_columns = sliding[:, :, None] * by_turn
     angles, count = len(linkage.turns), len(loops) * len(unknown)
 
-    def known_with(rows: Real) -> slice:
+    def rows_of_stage(rows: Real) -> slice:
         last = (stage * (rows != 0)).max(axis=1, initial=0)
         return slice(int((last < number).sum()), int((last <= number).sum()))
 
@@ -226,19 +251,18 @@ def _block(
         unknown,
         np.concatenate((constant, columns.reshape(count, angles))),
         np.concatenate((sliding, sliding_columns.reshape(len(sliding), count, angles)), axis=1),
-        known_with(linkage.turns),
-        known_with(linkage.slides),
+        rows_of_stage(linkage.turns),
+        rows_of_stage(linkage.slides),
         '',
         False,
     )
-    others = np.delete(
-        np.concatenate((linkage.turns[block.turns], linkage.slides[block.slides])), unknown, axis=1
-    )
-    return block._replace(dyad=_dyad(linkage, block), mixed=bool(others.any()))
+    own = np.concatenate((linkage.turns[block.turns], linkage.slides[block.slides]))
+    mixed = bool(np.delete(own, unknown, axis=1).any())
+    return block._replace(dyad=_dyad(linkage, block), mixed=mixed)
 
 
 def _dyad(linkage: Linkage, block: Block) -> str:
-    """Which dyad the block is, see Block."""
+    """The kind of dyad that the block is, see Block."""
     turns, slides = linkage.turns[block.turns], linkage.slides[block.slides]
     by = np.concatenate((turns, slides))[:, list(block.unknown)] != 0
     if len(block.loops) != 1 or by.shape != (2, 2) or by.sum() != 2 or not by.any(axis=0).all():
@@ -248,31 +272,30 @@ def _dyad(linkage: Linkage, block: Block) -> str:
     if not len(turns):
         return ''
     sliding = block.sliding[block.slides.start, 0, : block.turns.stop]
-    others, itself = sliding[:-1].any(), sliding[-1] != 0
-    return {(True, False): 'RRP', (False, True): 'RPR'}.get((bool(others), bool(itself)), '')
+    directions = bool(sliding[:-1].any()), bool(sliding[-1] != 0)
+    return {(True, False): 'RRP', (False, True): 'RPR'}.get(directions, '')
 
 
 def _eliminate(loops: Loops, rows: Real, right: Real) -> list[int]:
     """Bring the equations to reduced row echelon form in place; return the pivots' columns."""
     pivots: list[int] = []
-    row = 0
     for column in range(rows.shape[1]):
+        row = len(pivots)
         if row == len(rows):
             break
         best = row + int(np.abs(rows[row:, column]).argmax())
         if abs(rows[best, column]) < 1e-12:
             continue
-        rows[[row, best]], right[[row, best]] = rows[[best, row]], right[[best, row]]
+        for matrix in (rows, right):
+            matrix[[row, best]] = matrix[[best, row]]
         scale = rows[row, column]
         rows[row], right[row] = rows[row] / scale, right[row] / scale
-        for other in range(len(rows)):
-            if other != row:
-                factor = rows[other, column]
-                rows[other] -= factor * rows[row]
-                right[other] -= factor * right[row]
+        factors = rows[:, column].copy()
+        factors[row] = 0.0
+        rows -= np.outer(factors, rows[row])
+        right -= np.outer(factors, right[row])
         pivots.append(column)
-        row += 1
-    if np.abs(right[row:]).max(initial=0.0) > 1e-9:
+    if np.abs(right[len(pivots) :]).max(initial=0.0) > 1e-9:
         raise LinkageError(
             'drivers and joints contradict each other: two of them fix the same angle or slide; '
             'leave one out' + (', and drive a cam, not what follows it' if loops.laws else '')
@@ -280,61 +303,62 @@ def _eliminate(loops: Loops, rows: Real, right: Real) -> list[int]:
     return pivots
 
 
-def _blocks(
+def _solving_order(
     loops: Real, lengths: Real, angles: Real, names: Sequence[str], inputs: int
-) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]:
-    """Smallest sets of loops that have as many unknowns left as equations, in order."""
+) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Smallest sets of loops with as many unsolved unknowns as equations, and these, in order."""
     touches = (lengths[:, : len(names)] != 0) | (angles[:, : len(names)] != 0)
     uses = (loops != 0).astype(float) @ touches > 0
-    left, solved = list(range(len(loops))), np.zeros(len(names), bool)
+    open_loops, solved = list(range(len(loops))), np.zeros(len(names), bool)
     blocks = []
-    while left:
-        chosen = None
-        for size in range(1, len(left) + 1):
-            for some in combinations(left, size):
-                unknown = np.flatnonzero(uses[list(some)].any(axis=0) & ~solved)
-                if len(unknown) == 2 * size or (size == len(left) and len(unknown) < 2 * size):
-                    chosen = some, tuple(int(k) for k in unknown)
-                    break
-            if chosen:
-                break
-        if chosen is None:
-            more = len(names) - int(solved.sum()) - 2 * len(left)
+
+    def next_block() -> tuple[tuple[int, ...], tuple[int, ...]] | None:
+        for size in range(1, len(open_loops) + 1):
+            for chosen in combinations(open_loops, size):
+                unknown = np.flatnonzero(uses[list(chosen)].any(axis=0) & ~solved)
+                last = size == len(open_loops)
+                if len(unknown) == 2 * size or (last and len(unknown) < 2 * size):
+                    return chosen, tuple(int(k) for k in unknown)
+        return None
+
+    while open_loops:
+        block = next_block()
+        if block is None:
+            missing = len(names) - int(solved.sum()) - 2 * len(open_loops)
             raise LinkageError(
-                f'{inputs} drivers for {inputs + more} degrees of freedom: {more} more of '
+                f'{inputs} drivers for {inputs + missing} degrees of freedom: {missing} more of '
                 f'{", ".join(names)} must be driven or held'
             )
-        blocks.append(chosen)
-        solved[list(chosen[1])] = True
-        left = [k for k in left if k not in chosen[0]]
+        blocks.append(block)
+        solved[list(block[1])] = True
+        open_loops = [k for k in open_loops if k not in block[0]]
     if not solved.all():
         loose = [name for name, done in zip(names, solved, strict=True) if not done]
         raise LinkageError(f'no loop holds {", ".join(loose)}: drive it, or join it to the rest')
-    return tuple(blocks)
+    return blocks
 
 
 def weigh(coefficients: np.ndarray, parts: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
     """
     Coefficients (s, A) @ parts (..., A, T), most coefficients being zero.
 
-    Rows of `out` (..., s, T) without coefficients are left as they are.
-
-    For a single row the BLAS would call its threads, which on busy processors wait for each other
-    much longer than this takes (3900 ns a position against 8).
+    Rows of `out` (..., s, T) without coefficients are left as they are. For a single row the BLAS
+    would call its threads, which on busy processors wait for each other much longer than this takes
+    (3900 ns a position against 8).
     """
-    whole = out is None
+    is_new = out is None
     if out is None:
         shape = (*parts.shape[:-2], len(coefficients), parts.shape[-1])
         out = np.empty(shape, (coefficients if np.iscomplexobj(coefficients) else parts).dtype)
-    given = parts.swapaxes(0, -2)
+    terms = parts.swapaxes(0, -2)
     for row, total in zip(coefficients.tolist(), out.swapaxes(0, -2), strict=True):
-        fresh = True
-        for weight, part in zip(row, given, strict=True):
-            if weight and not fresh:
-                total += part if weight == 1 else weight * part
+        is_first = True
+        for weight, term in zip(row, terms, strict=True):
+            if weight and not is_first:
+                total += term if weight == 1 else weight * term
             elif weight:
-                np.multiply(weight, part, out=total)
-                fresh = False
-        if fresh and whole:
+                np.multiply(weight, term, out=total)
+                is_first = False
+        if is_first and is_new:
             total[...] = 0.0
     return out

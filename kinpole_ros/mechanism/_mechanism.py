@@ -14,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from kinpole_ros.mechanism._assembly import Assembly
+from kinpole_ros.mechanism._assembly import Assembly, body_motion
 from kinpole_ros.mechanism._dead_points import flattest, loop_of, unit_input
 from kinpole_ros.mechanism._guesses import Table, initial_guess, tabulate
 from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce, sums, weigh
-from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.mechanism._path import Path, trace
 from kinpole_ros.mechanism._solution import Solution, solve, sound_orders
 from kinpole_ros.planar._plane import Complex, Real
@@ -239,17 +238,3 @@ class Mechanism:
         """Whether driver `k` drives an 'angle' (rad) or a 'length' (m)."""
         kinds = list(self.assembly.kinds.values())
         return kinds[int(np.flatnonzero(self.drivers[k].row)[0])]
-
-
-def body_motion(assembly: Assembly, values: Real) -> tuple[Complex, Real]:
-    """Origins (orders, B, T), complex, and angles (orders, B, T) from variables (orders, n, T)."""
-    loops = assembly.loops
-    length, angle = loops.lengths @ values, loops.angles @ values
-    length[0] += loops.length0[:, None]
-    angle[0] += loops.angle0[:, None]
-    turn = rotation_derivatives(angle)
-    orders = range(len(values))
-    terms = np.stack(
-        [sum(comb(k, j) * length[j] * turn[k - j] for j in range(k + 1)) for k in orders]
-    )
-    return assembly.places @ terms, assembly.turns @ values

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import GROUND, Assembly, Rolling, Slot, Strut
+from kinpole_ros.mechanism._assembly import Assembly
+from kinpole_ros.mechanism._joints import GROUND, Rolling, Slot, Strut
 from kinpole_ros.mechanism._mechanism import Motion
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.mechanism._scene import Scene

@@ -17,15 +17,14 @@ from kinpole_ros.mechanism._assembly import Assembly
 from kinpole_ros.mechanism._checks import check_mobility, check_range, check_start, check_teeth
 from kinpole_ros.mechanism._drivers import read_drivers
 from kinpole_ros.mechanism._equations import Equations, equations_of_vectors
-from kinpole_ros.mechanism._forces import Mass, Spring, Torsion
-from kinpole_ros.mechanism._joints import Points, mapping, need, read_bodies, refuse_unknown
 from kinpole_ros.mechanism._loads import read_held_by, read_loads, read_masses, read_springs
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._motions import BodyMotion
+from kinpole_ros.mechanism._scene_bodies import Points, mapping, need, read_bodies, refuse_unknown
 from kinpole_ros.mechanism._scene_file import parsed, read_scene, scene_path
 from kinpole_ros.mechanism._start import start_near
-from kinpole_ros.mechanism._statics import Holder, Load
+from kinpole_ros.mechanism._statics import Holder, Load, Mass, Spring, Torsion
 from kinpole_ros.mechanism._units import SceneError, quantity, vector
 from kinpole_ros.mechanism._vectors import read_vectors
 

@@ -1,8 +1,9 @@
 """
-Efforts that balance the loads of a linkage that moves slowly, by virtual work.
+Loads on a linkage, and the efforts of its drivers that balance them, by virtual work.
 
-No power is made or lost: loads and drivers do no net work in any motion the joints allow (seed
-003), which gives the efforts without a word on what the joints bear (`_reactions`).
+Loads and drivers do no net work in any motion that the joints allow (seed 003), which gives the
+efforts without the reactions in the joints (`_reactions`). Springs and the inertia of masses become
+loads like any other (seed 003: "dynamic forces can be inserted into the virtual work equation").
 """
 
 from collections.abc import Sequence
@@ -11,16 +12,18 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from kinpole_ros.mechanism._assembly import GROUND, Assembly
-from kinpole_ros.mechanism._loops import Linkage, LinkageError, with_laws
-from kinpole_ros.mechanism._mechanism import Mechanism
+from kinpole_ros.mechanism._assembly import Assembly, poses_of
+from kinpole_ros.mechanism._joints import GROUND
+from kinpole_ros.mechanism._loops import Linkage, LinkageError, loop_jacobian, loop_rates, with_laws
+from kinpole_ros.mechanism._mechanism import Mechanism, Motion
+from kinpole_ros.planar import body_point_derivative
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
-# Next to a dead point positions are off by rounding over the least singular value, and so is that
-# value: below the root of rounding it may as well be zero.
-LOST = np.sqrt(ROUNDING)
-# What could move by less than this share does not.
-_NO_SHARE = 1e-6
+# Next to a dead point positions, and so singular values, have errors of rounding over the least
+# singular value: below the root of rounding that value counts as zero.
+SINGULAR_VALUE = np.sqrt(ROUNDING)
+# A variable that moves by less than this share with all drivers held counts as at rest.
+_AT_REST = 1e-6
 
 
 class Force(NamedTuple):
@@ -43,8 +46,10 @@ Load = Force | Torque
 
 class Holder(NamedTuple):
     """
-    What holds the loads instead of a driver: a force on `body` at `point` of its frame (m) in the
-    direction `along` (rad) as seen from the body `of`; or, if `point` is None, a torque on `body`.
+    A force or torque that holds the loads instead of a driver.
+
+    The force is on `body` at `point` of its frame (m), in the direction `along` (rad) in the frame
+    of the body `of`. If `point` is None it is a torque on `body`.
     """
 
     body: str
@@ -53,32 +58,55 @@ class Holder(NamedTuple):
     of: str = GROUND
 
 
+class Spring(NamedTuple):
+    """
+    A spring from the point `a` of the body `one` to `b` of `other` (complex, m, in their frames).
+
+    It pulls with `stiffness` (N/m) times its length beyond `free` (m), or pushes if it is shorter.
+    """
+
+    one: str
+    a: complex
+    other: str
+    b: complex
+    stiffness: float
+    free: float
+
+
+class Torsion(NamedTuple):
+    """
+    A spring that turns the body `other` to the angle `free` (rad) relative to `one`.
+
+    Its torque is `stiffness` (N m/rad) times the angle that remains.
+    """
+
+    one: str
+    other: str
+    stiffness: float
+    free: float
+
+
+class Mass(NamedTuple):
+    """A body's `mass` (kg) at `center` (complex, m, in its frame), `moment` (kg m²) about that."""
+
+    body: str
+    mass: float
+    center: complex
+    moment: float
+
+
 class Efforts(NamedTuple):
     """
-    What the drivers exert to balance the loads.
+    The efforts of the drivers that balance the loads.
 
-    `effort` (d, T), N for a slide or length and N m for an angle, positive along the driver's rate;
-    `share` (K, d, T) is that of each load, which add up to it. NaN where not `determined` (d, T).
+    `effort` (d, T), N for a slide or length and N m for an angle, is positive along the rate of the
+    driver. `share` (K, d, T) is the part of each load; they add up to the effort. NaN where not
+    `determined` (d, T).
     """
 
     effort: Real
     share: Real
     determined: np.ndarray
-
-
-def balance(
-    rate: npt.ArrayLike, *loads: tuple[npt.ArrayLike, npt.ArrayLike]
-) -> npt.NDArray[np.float64]:
-    """
-    The effort at a port that moves at `rate` so that all powers add up to zero, seed 003.
-
-    Each of `loads` is (force, velocity), both complex, N and m/s, or (torque, angular velocity),
-    N m and rad/s. The effort is a force along `rate` in m/s, or a torque where it is in rad/s;
-    positive if it acts along the motion. NaN where the port stands still. Shapes (...).
-    """
-    power = sum(np.real(np.multiply(effort, np.conj(along))) for effort, along in loads)
-    moving = np.asarray(rate, float)
-    return np.asarray(-power / np.where(moving == 0, np.nan, moving))
 
 
 def efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Efforts:
@@ -102,7 +130,7 @@ def efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Effort
     Raises
     ------
     LinkageError
-        For a load on a body that is not there.
+        For a load on a body that does not exist.
 
     Notes
     -----
@@ -114,10 +142,11 @@ def efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Effort
     share = np.zeros((len(loads), drivers, count))
     determined = np.zeros((drivers, count), bool)
     for k in range(drivers):
-        moving = let_drive(mechanism, values, k)
-        determined[k] = moving.known
-        for share_of, load in zip(share, loads, strict=True):
-            share_of[k] = np.where(moving.known, -power_of(mechanism, load, moving), np.nan)
+        moving = unit_drive(mechanism, values, k)
+        determined[k] = moving.determined
+        for load_share, load in zip(share, loads, strict=True):
+            power = power_of(mechanism, load, moving)
+            load_share[k] = np.where(moving.determined, -power, np.nan)
     effort = np.where(determined, share.sum(axis=0), np.nan)
     return Efforts(effort, share, determined)
 
@@ -126,7 +155,7 @@ def holding(
     mechanism: Mechanism, values: Real, loads: Sequence[Load], holder: Holder
 ) -> tuple[Real, Load]:
     """
-    What balances loads in place of the one driver, which is free.
+    The force or torque that balances loads in place of the one driver, which is free.
 
     Parameters
     ----------
@@ -150,7 +179,7 @@ def holding(
     Raises
     ------
     LinkageError
-        For another number of drivers, or a body that is not there.
+        For another number of drivers, or a body that does not exist.
 
     Notes
     -----
@@ -164,9 +193,9 @@ def holding(
         )
     unit: Load = Torque(holder.body, 1.0)
     if holder.point is not None:
-        turns = dict(zip(mechanism.bodies, mechanism.assembly.turns @ values, strict=True))
-        way = np.exp(1j * (holder.along + turns.get(holder.of, np.zeros(values.shape[1]))))
-        unit = Force(holder.body, holder.point, way)
+        angles = dict(zip(mechanism.bodies, mechanism.assembly.turns @ values, strict=True))
+        angle = holder.along + angles.get(holder.of, np.zeros(values.shape[1]))
+        unit = Force(holder.body, holder.point, np.exp(1j * angle))
     share = efforts(mechanism, values, [unit, *loads]).share[:, 0]
     with np.errstate(divide='ignore', invalid='ignore'):
         size = -share[1:].sum(axis=0) / share[0]
@@ -176,43 +205,138 @@ def holding(
     return size, unit._replace(torque=size)
 
 
+def load_rates(
+    mechanism: Mechanism, values: Real, loads: Sequence[Load], driver: int = 0
+) -> list[Complex | Real]:
+    """
+    Velocities of the points or bodies of loads at unit rate of a driver, the others held.
+
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n, T), m and rad.
+    loads
+        Forces, N, and torques, N m.
+    driver
+        The number of the driver.
+
+    Returns
+    -------
+    list of ndarray
+        Of each load (T,): the velocity of the force's point, complex, in the ground's axes, or the
+        angular velocity of the torque's body. NaN at dead points.
+
+    Notes
+    -----
+    The rates in the virtual work Σ F·v + Σ T ω = 0 of seed 003.
+
+    """
+    moving = unit_drive(mechanism, values, driver)
+    return [np.where(moving.determined, rate_of(mechanism, load, moving), np.nan) for load in loads]
+
+
+def spring_loads(
+    mechanism: Mechanism, values: Real, springs: Sequence[Spring | Torsion]
+) -> list[Load]:
+    """
+    Forces and torques of springs on the moving bodies, a load for each end that moves.
+
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n, T), m and rad.
+    springs
+        Between points, N/m, or between bodies, N m/rad.
+
+    Returns
+    -------
+    list of Force or Torque
+        N and N m, each of shape (T,). NaN where the ends of one with a free length meet, and it has
+        no direction.
+
+    """
+    poses, loads = poses_of(mechanism.assembly, values), list[Load]()
+    for spring in springs:
+        one, other = poses[spring.one], poses[spring.other]
+        if isinstance(spring, Torsion):
+            torque = spring.stiffness * (spring.free - (other.angle - one.angle))
+            ends: list[Load] = [Torque(spring.other, torque), Torque(spring.one, -torque)]
+        else:
+            between = other.point(spring.b) - one.point(spring.a)
+            with np.errstate(divide='ignore', invalid='ignore'):
+                extension = 1 - spring.free / np.abs(between) if spring.free else 1.0
+                pull = spring.stiffness * extension * between
+            ends = [Force(spring.one, spring.a, pull), Force(spring.other, spring.b, -pull)]
+        loads += [load for load in ends if load.body != GROUND]
+    return loads
+
+
+def inertial_loads(mechanism: Mechanism, motion: Motion, masses: Sequence[Mass]) -> list[Load]:
+    """
+    D'Alembert's forces of masses: -m a at their centers, and torques -I α.
+
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    motion
+        Its motion at T instants, up to accelerations or higher.
+    masses
+        Masses, kg, with centers, m, and moments, kg m^2.
+
+    Returns
+    -------
+    list of Force or Torque
+        N and N m, each of shape (T,).
+
+    """
+    loads: list[Load] = []
+    for mass in masses:
+        b = mechanism.bodies.index(mass.body)
+        position, angle = motion.position[:, b], motion.angle[:, b]
+        center = position[0] + mass.center * np.exp(1j * angle[0])
+        acceleration = body_point_derivative(2, center, position, angle)
+        loads.append(Force(mass.body, mass.center, -mass.mass * acceleration))
+        loads.append(Torque(mass.body, -mass.moment * angle[2]))
+    return loads
+
+
 class Moving(NamedTuple):
     """
-    Bodies (B) at T positions that move at some rates of the drivers.
+    Bodies (B) at T positions that move at given rates of the drivers.
 
-    `angle`, `velocity` and `omega` are (B, T), `rates` (n, T) those of the variables; `known` (T,)
-    is where the loops determine them, and stay closed; `loose` (n, T) are the variables that could
-    move with all drivers held.
+    `angle`, `velocity` and `omega` are (B, T), `rates` (n, T) those of the variables. `determined`
+    (T,) is where the loops determine them and stay closed. `loose` (n, T) are the variables that
+    could move with all drivers held.
     """
 
     angle: Real
     velocity: Complex
     omega: Real
     rates: Real
-    known: np.ndarray
+    determined: np.ndarray
     loose: np.ndarray
 
 
-def let_move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) -> Moving:
+def move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) -> Moving:
     """
     Let the drivers move at `rates` (d, T), at variables (n, T) that close the loops.
 
-    Linear in the rates, so nothing is searched for: dead points stay where they are.
+    It is linear in the rates and needs no iteration, so it works at dead points.
     """
     loops, unknowns = linkage.loops, linkage.free.shape[1]
-    length, turn = vectors_at(assembly, values)
-    arm = 1j * length * turn
-    # The terms' derivatives by what is unknown, and all that does not hold it.
-    by = (loops.lengths @ linkage.free)[:, :, None] * turn[:, None]
-    by = by + (loops.angles @ linkage.free)[:, :, None] * arm[:, None]
-    columns = np.tensordot(loops.loops, by, 1)
-    given = linkage.driven @ with_laws(linkage, np.stack((loops.drives @ values, rates)))[1]
-    driven = (loops.lengths @ given) * turn + (loops.angles @ given) * arm
-    gap = loops.loops @ driven
-    found = np.zeros((unknowns, values.shape[1]))
+    _, slope = loop_jacobian(loops, values)
+    inputs = np.stack((loops.drives @ values, rates))
+    rate = linkage.driven @ with_laws(linkage, inputs)[1]
     loose = np.zeros(values.shape, bool)
-    known = np.isfinite(values).all(axis=0)
+    determined = np.isfinite(values).all(axis=0)
     if unknowns:
+        columns = np.einsum('mnt,nu->mut', slope, linkage.free)
+        gap = np.einsum('mnt,nt->mt', slope, rate)
         matrix = np.concatenate((columns.real, columns.imag))
         size = np.sqrt((matrix**2).sum(axis=0))
         size[~(size > 0)] = 1.0
@@ -220,33 +344,32 @@ def let_move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) ->
         along = u.swapaxes(1, 2) @ np.concatenate((gap.real, gap.imag)).T[..., None]
         most = s.shape[1]
         across = inverse_values(s)[..., None] * along[:, :most]
-        found = -(vt[:, :most].swapaxes(1, 2) @ across)[..., 0].T / size
-        rank = (s > LOST * s[:, :1]).sum(axis=1)
-        known &= rank == unknowns
-        free = np.where(np.arange(unknowns)[:, None] >= rank[:, None, None], vt, 0.0)
-        moves = linkage.free @ (np.moveaxis(free, 0, -1) / size)
-        loose = (np.abs(moves) > _NO_SHARE).any(axis=0)
-    terms = np.einsum('tuT,uT->tT', by, found) + driven
+        rate -= linkage.free @ ((vt[:, :most].swapaxes(1, 2) @ across)[..., 0].T / size)
+        rank = (s > SINGULAR_VALUE * s[:, :1]).sum(axis=1)
+        determined &= rank == unknowns
+        null_space = np.where(np.arange(unknowns)[:, None] >= rank[:, None, None], vt, 0.0)
+        moves = linkage.free @ (np.moveaxis(null_space, 0, -1) / size)
+        loose = (np.abs(moves) > _AT_REST).any(axis=0)
+    terms = loop_rates(loops, values, rate)
     with np.errstate(invalid='ignore'):
-        # As the rates of least squares need not where constraints are too many.
-        left = np.abs(loops.loops @ terms).max(axis=0, initial=0.0)
-        known &= left <= LOST * np.abs(terms).max(axis=0, initial=0.0)
-    rate = linkage.free @ found + given
-    turned, turning = assembly.turns @ values, assembly.turns @ rate
-    return Moving(turned, assembly.places @ terms, turning, rate, known, loose)
+        # With redundant constraints the rates of least squares need not keep all loops closed.
+        gap = np.abs(loops.loops @ terms).max(axis=0, initial=0.0)
+        determined &= gap <= SINGULAR_VALUE * np.abs(terms).max(axis=0, initial=0.0)
+    turns = assembly.turns
+    return Moving(turns @ values, assembly.places @ terms, turns @ rate, rate, determined, loose)
 
 
-def let_drive(mechanism: Mechanism, values: Real, k: int) -> Moving:
+def unit_drive(mechanism: Mechanism, values: Real, k: int) -> Moving:
     """All bodies at unit rate of driver k, the others held."""
     rates = np.zeros((len(mechanism.drivers), values.shape[1]))
     rates[k] = 1.0
-    return let_move(mechanism.linkage, mechanism.assembly, values, rates)
+    return move(mechanism.linkage, mechanism.assembly, values, rates)
 
 
 def at_rest(mechanism: Mechanism, values: Real) -> Moving:
-    """No motion at all, and what could move even so."""
+    """No motion at all, with the variables that could move."""
     rates = np.zeros((len(mechanism.drivers), values.shape[1]))
-    return let_move(mechanism.linkage, mechanism.assembly, values, rates)
+    return move(mechanism.linkage, mechanism.assembly, values, rates)
 
 
 def rate_of(mechanism: Mechanism, load: Load, moving: Moving) -> Complex | Real:
@@ -261,76 +384,32 @@ def rate_of(mechanism: Mechanism, load: Load, moving: Moving) -> Complex | Real:
 
 
 def power_of(mechanism: Mechanism, load: Load, moving: Moving) -> Real:
-    """Power (T,) of a load on bodies that move so."""
+    """Power (T,) of a load on moving bodies."""
     effort = load.torque if isinstance(load, Torque) else load.force
     return np.asarray((np.conj(effort) * rate_of(mechanism, load, moving)).real)
 
 
-def load_rates(
-    mechanism: Mechanism, values: Real, loads: Sequence[Load], driver: int = 0
-) -> list[Complex | Real]:
-    """
-    How fast what loads act on moves per unit rate of a driver, the others held.
-
-    Parameters
-    ----------
-    mechanism
-        The linkage.
-    values
-        Its variables (n, T), m and rad.
-    loads
-        Forces, N, and torques, N m.
-    driver
-        Which driver.
-
-    Returns
-    -------
-    list of ndarray
-        Of each load (T,): the velocity of the force's point, complex, in the ground's axes, or the
-        angular velocity of the torque's body. NaN at dead points.
-
-    Notes
-    -----
-    What the virtual work Σ F·v + Σ T ω = 0 of seed 003 is made of.
-
-    """
-    moving = let_drive(mechanism, values, driver)
-    return [np.where(moving.known, rate_of(mechanism, load, moving), np.nan) for load in loads]
-
-
 def stacked_svd(matrix: Real) -> tuple[Real, Real, Real]:
-    """Singular values of (R, C, T), T first; all zero where a position is none."""
-    none = ~np.isfinite(matrix).all(axis=(0, 1))
-    u, s, vt = np.linalg.svd(np.moveaxis(np.where(none, 0.0, matrix), -1, 0))
+    """Singular value decompositions of (R, C, T), T first; zero where entries are not finite."""
+    invalid = ~np.isfinite(matrix).all(axis=(0, 1))
+    u, s, vt = np.linalg.svd(np.moveaxis(np.where(invalid, 0.0, matrix), -1, 0))
     return u, s, vt
 
 
 def inverse_values(s: Real) -> Real:
     """Inverses of singular values (T, K), zero for those that are zero but for rounding."""
     with np.errstate(divide='ignore'):
-        return np.where(s > LOST * s[:, :1], 1 / s, 0.0)
-
-
-def vectors_at(assembly: Assembly, values: Real) -> tuple[Real, Complex]:
-    """Lengths (terms, T) of the terms and their directions e^{iθ}."""
-    loops = assembly.loops
-    length = loops.lengths @ values + loops.length0[:, None]
-    return length, np.exp(1j * (loops.angles @ values + loops.angle0[:, None]))
-
-
-def largest_length(assembly: Assembly, values: Real) -> float:
-    """The linkage's largest length (m), to hold angles against."""
-    length = np.abs(vectors_at(assembly, values)[0])
-    return float(np.max(length, where=np.isfinite(length), initial=0.0)) or 1.0
+        return np.where(s > SINGULAR_VALUE * s[:, :1], 1 / s, 0.0)
 
 
 def driver_rows(mechanism: Mechanism) -> Real:
-    """The drivers' rows (d, n)."""
+    """The rows (d, n) of the drivers."""
     rows = np.array([driver.row for driver in mechanism.drivers])
     return rows.reshape(-1, len(mechanism.start))
 
 
 def check_loads(mechanism: Mechanism, loads: Sequence[Load]) -> None:
+    """Raise LinkageError for a load on a body that does not exist."""
     for load in loads:
         if load.body not in (*mechanism.bodies, GROUND):
             raise LinkageError(

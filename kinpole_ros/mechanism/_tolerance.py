@@ -12,19 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import (
-    Assembly,
-    Joint,
-    Revolute,
-    Rolling,
-    Slot,
-    assemble,
-)
+from kinpole_ros.mechanism._assembly import Assembly, assemble, body_motion
 from kinpole_ros.mechanism._equations import Path
-from kinpole_ros.mechanism._joints import Points, read_bodies
+from kinpole_ros.mechanism._joints import Joint, Revolute, Rolling, Slot
 from kinpole_ros.mechanism._loops import LinkageError, reduce
-from kinpole_ros.mechanism._mechanism import body_motion
 from kinpole_ros.mechanism._scene import Scene
+from kinpole_ros.mechanism._scene_bodies import Points, read_bodies
 from kinpole_ros.mechanism._scene_file import parsed
 from kinpole_ros.mechanism._solution import solve
 from kinpole_ros.mechanism._statics import driver_rows

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import Belt
+from kinpole_ros.mechanism._assembly import largest_length
+from kinpole_ros.mechanism._joints import Belt
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._solution import SINGULAR, solve
@@ -17,9 +18,8 @@ from kinpole_ros.mechanism._statics import (
     Moving,
     Torque,
     check_loads,
-    largest_length,
-    let_drive,
     power_of,
+    unit_drive,
 )
 from kinpole_ros.planar._plane import ROUNDING, Real
 
@@ -67,7 +67,7 @@ def advantage(mechanism: Mechanism, values: Real, into: Port, out: Port) -> Real
             f'give {names[0]} or another as the input, and a force or torque as the output'
         )
     k = names.index(into) if isinstance(into, str) and into in names else 0
-    moving = let_drive(mechanism, values, k)
+    moving = unit_drive(mechanism, values, k)
     length = largest_length(mechanism.assembly, values)
     fastest = np.maximum(np.abs(moving.velocity), np.abs(moving.omega) * length).max(axis=0)
     rates = []
@@ -88,7 +88,7 @@ def advantage(mechanism: Mechanism, values: Real, into: Port, out: Port) -> Real
     with np.errstate(divide='ignore', invalid='ignore'):
         ratio = rates[0] / rates[1]
     # The sign of an infinite advantage is that of a rounding error: there is none.
-    return np.where(moving.known, np.where(np.isinf(ratio), np.inf, ratio), np.nan)
+    return np.where(moving.determined, np.where(np.isinf(ratio), np.inf, ratio), np.nan)
 
 
 def _rate(
@@ -97,7 +97,7 @@ def _rate(
     """The rate (T,) of a variable, or of a driver, at unit rate of driver `k`."""
     names = [driver.name for driver in mechanism.drivers]
     if port in names:
-        return np.full(len(moving.known), float(names.index(port) == k))
+        return np.full(len(moving.determined), float(names.index(port) == k))
     kinds = mechanism.assembly.kinds
     if port not in kinds:
         raise LinkageError(f'no variable {port}: there are {", ".join(kinds)}')

@@ -1,56 +1,54 @@
-"""ROS messages to arrays and back: nothing behind this package handles a message itself."""
+"""ROS messages to arrays and back: no other package handles the fields of a message."""
 
-from kinpole_ros.messages._cdr import diagnostics_data
-from kinpole_ros.messages._cloud import MessageError
-from kinpole_ros.messages._diagnostics import (
-    RECEIVED,
-    RESTARTS,
+from kinpole_ros.messages._cdr import serialize_message, with_zero_padding
+from kinpole_ros.messages._diagnostics import RECEIVED, RESTARTS, DiagnosticsMaker
+from kinpole_ros.messages._drawing import COLORS, deletion_of_all
+from kinpole_ros.messages._faults import (
     SMOOTHED,
-    DiagnosticsMaker,
+    identity_lines,
+    jitter_fault,
     left_out,
     marker_faults,
     not_there,
-    unseen,
-)
-from kinpole_ros.messages._drawing import COLORS, nothing_drawn
-from kinpole_ros.messages._identities import identity_lines
-from kinpole_ros.messages._markers import (
-    INPUT_TYPE_NAMES,
-    INPUT_TYPES,
-    MARKER_TYPES,
-    ROS_TYPE_NAMES,
-    ns_to_stamp,
-    read_markers,
-    stamp_to_ns,
-    to_message,
-)
-from kinpole_ros.messages._padding import with_zero_padding
-from kinpole_ros.messages._poses import AUTO_TYPES, PoseReader, kind_of, poses_data, reader_of
-from kinpole_ros.messages._reader import MarkerReader
-from kinpole_ros.messages._results import DRAWING, Output, outputs_of, result_outputs, theory_of
-from kinpole_ros.messages._space import (
     plane_words,
     shape_fault,
     tilt_fault,
     unit_fault,
+    unseen,
 )
-from kinpole_ros.messages._stack import TF
-from kinpole_ros.messages._stamps import jitter_fault
+from kinpole_ros.messages._markers import read_markers, to_message
+from kinpole_ros.messages._poses import AUTO_TYPES, PoseReader, kind_of, poses_data, reader_of
+from kinpole_ros.messages._reader import MarkerReader
+from kinpole_ros.messages._results import (
+    DRAWING,
+    TF,
+    Output,
+    live_outputs,
+    outputs_of,
+    result_outputs,
+    theory_of,
+)
 from kinpole_ros.messages._state import STATE, read_state, state_fields
 from kinpole_ros.messages._types import (
+    INPUT_TYPE_NAMES,
+    INPUT_TYPES,
+    MARKER_TYPES,
+    ROS_TYPE_NAMES,
     WITH_ROS,
     WITH_TF,
     DiagnosticArray,
+    MessageError,
     String,
     constants,
     deserialize_message,
     fields,
     message_class,
+    ns_to_stamp,
     octets,
-    serialize_message,
+    stamp_to_ns,
     type_name,
 )
-from kinpole_ros.messages._view import PAGE_TOPICS, VIEW, figures_of, live_outputs, view_of
+from kinpole_ros.messages._view import PAGE_TOPICS, VIEW, figures_of, view_of
 
 __all__ = [
     'AUTO_TYPES',
@@ -77,8 +75,8 @@ __all__ = [
     'PoseReader',
     'String',
     'constants',
+    'deletion_of_all',
     'deserialize_message',
-    'diagnostics_data',
     'fields',
     'figures_of',
     'identity_lines',
@@ -89,7 +87,6 @@ __all__ = [
     'marker_faults',
     'message_class',
     'not_there',
-    'nothing_drawn',
     'ns_to_stamp',
     'octets',
     'outputs_of',

@@ -1,133 +1,287 @@
 """
-Result messages as bytes: what rclpy would send, made without its objects.
+The bytes of messages: plain CDR, the encoding of ROS 2, with zeros in the padding.
 
-All results but drawings and diagnostics are a header and then doubles, so those of many instants
-are rows of one array. The bytes are plain CDR, little endian, padding zero: equal results are
-equal bytes.
+Four bytes name the encoding and byte order. The fields follow, each aligned to its size, counted
+from behind these four bytes. rclpy leaves in the padding, and behind the last field of some
+messages, whatever was in the memory of the process; here it is set to zero, so equal messages are
+equal bytes and a bag holds nothing of that memory.
 """
 
+import re
+import struct
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from kinpole_ros.messages._cdr_writer import HEAD, SECOND, TIME, Writer
-from kinpole_ros.messages._types import DiagnosticArray
+from kinpole_ros.messages import _types
+from kinpole_ros.messages._types import SECOND, WITH_ROS, fields, message_class
+
+HEAD = 4  # bytes before the first field
+LITTLE = b'\x00\x01'  # the first two bytes of a little endian message
+TIME = struct.Struct('<iI')  # a stamp: s and ns
+ALIGNMENT = 8  # bytes: no field is aligned to more
+_LENGTHS = {b'\x00\x00': struct.Struct('>I'), LITTLE: struct.Struct('<I')}  # by byte order
+_ARRAY = re.compile(r'(.+?)\[(<=)?(\d*)\]')
+# Bytes of the number types of .msg files.
+_SIZES = {'bool': 1, 'byte': 1, 'char': 1, 'float32': 4, 'float64': 8} | {
+    f'{sign}int{8 * size}': size for sign in ('', 'u') for size in (1, 2, 4, 8)
+}
+
+
+class Writer:
+    """Writes fields one after the other to `data`, each aligned to its size."""
+
+    def __init__(self) -> None:
+        self.data = bytearray(LITTLE.ljust(HEAD, b'\0'))
+
+    def align(self, size: int) -> None:
+        self.data += bytes((HEAD - len(self.data)) % size)
+
+    def pack(self, form: str, *values: float) -> None:
+        """Fields of 4 bytes or less, as `struct` names them."""
+        self.align(4)
+        self.data += struct.pack(f'<{form}', *values)
+
+    def string(self, text: str) -> None:
+        raw = text.encode() + b'\0'
+        self.pack('I', len(raw))
+        self.data += raw
+
+    def header(self, stamp: int, frame_id: str) -> None:
+        self.align(4)
+        self.data += TIME.pack(*divmod(stamp, SECOND))
+        self.string(frame_id)
+
+    def doubles(self, values: np.ndarray) -> None:
+        if values.size:
+            self.align(8)
+            self.data += values.astype('<f8').tobytes()
 
 
 def stamped_doubles(
     stamps: np.ndarray,
     frame_id: str,
-    figures: np.ndarray,
+    values: np.ndarray,
     child: str | None = None,
-    listed: bool = False,
+    is_list: bool = False,
 ) -> list[bytes]:
     """
-    Messages of a header and doubles, one of each row of `figures` (T, n); `stamps` (T,) in ns.
+    Write messages of a header and doubles, one of each row of `values` (T, n).
 
-    `child` is the second string of those that have one: Odometry's child_frame_id. If `listed`
-    the message is a list, and that is all that is in it, as in TFMessage.
+    `stamps` (T,) are in ns. `child` is the second string of messages that have one, the
+    child_frame_id of Odometry. With `is_list` the message is a list of this one item, as TFMessage.
     """
-    head = _head(frame_id, child, listed)
-    first = HEAD + 4 * listed
-    doubles = figures.astype('<f8', copy=False)
+    head = _unstamped_head(frame_id, child, is_list)
+    first = HEAD + 4 * is_list
+    doubles = values.astype('<f8', copy=False)
     rows = np.empty((len(doubles), len(head) + doubles.strides[0]), np.uint8)
     rows[:, : len(head)] = np.frombuffer(head, np.uint8)
-    rows[:, first : first + TIME.size] = _times(stamps)
+    rows[:, first : first + TIME.size] = stamp_bytes(stamps)
     rows[:, len(head) :] = doubles.view(np.uint8)
     return rows_of_bytes(rows)
 
 
-def joint_data(
-    stamps: np.ndarray, names: Sequence[str], positions: np.ndarray, velocities: np.ndarray
-) -> list[bytes]:
-    """A sensor_msgs/JointState of each of `stamps` (T,), of n joints; figures are (T, n)."""
-    writer, zero, places = Writer(), np.zeros(len(names)), []
-    writer.header(0, '')
-    writer.pack('I', len(names))
-    for name in names:
-        writer.string(name)
-    for _ in (positions, velocities):
-        writer.pack('I', len(names))
-        writer.doubles(zero)
-        places.append(slice(len(writer.data) - zero.nbytes, len(writer.data)))
-    # No efforts, but where they would begin.
-    writer.pack('I', 0)
-    writer.align(8)
-    rows = np.tile(np.frombuffer(bytes(writer.data), np.uint8), (len(stamps), 1))
-    rows[:, HEAD : HEAD + TIME.size] = _times(stamps)
-    for place, figures in zip(places, (positions, velocities), strict=True):
-        rows[:, place] = np.ascontiguousarray(figures, '<f8').view(np.uint8)
-    return rows_of_bytes(rows)
-
-
-def rows_of_bytes(rows: np.ndarray) -> list[bytes]:
-    """Rows (T, n) of bytes or doubles one by one."""
-    data, size = rows.tobytes(), rows.shape[1] * rows.itemsize
-    return [data[first : first + size] for first in range(0, len(data), size)]
-
-
-def path(stamp: int, frame_id: str, stamps: np.ndarray, positions: np.ndarray) -> bytes:
-    """A nav_msgs/Path of poses at `stamps` (n,) and positions (n, 3), not turned."""
-    writer = Writer()
-    writer.header(stamp, frame_id)
-    writer.pack('I', len(stamps))
-    poses = np.zeros((len(stamps), 7))
-    poses[:, :3] = positions
-    poses[:, 6] = 1.0
-    # The first pose may begin amid eight bytes, all others follow on doubles.
-    writer.header(int(stamps[0]), frame_id)
-    writer.doubles(poses[0])
-    head = _head(frame_id, None)[HEAD:]
-    rows = np.empty((len(stamps) - 1, len(head) + 56), np.uint8)
-    rows[:, : len(head)] = np.frombuffer(head, np.uint8)
-    rows[:, : TIME.size] = _times(stamps[1:])
-    rows[:, len(head) :] = poses[1:].astype('<f8').view(np.uint8)
-    return bytes(writer.data + rows.tobytes())
-
-
-def diagnostics_data(array: DiagnosticArray) -> bytes:
-    """What rclpy makes of diagnostics, which leaves the padding to chance."""
-    writer = Writer()
-    stamp = array.header.stamp
-    writer.header(stamp.sec * SECOND + stamp.nanosec, array.header.frame_id)
-    writer.pack('I', len(array.status))
-    for status in array.status:
-        level = status.level
-        writer.data += bytes((level,)) if isinstance(level, int) else level
-        for text in (status.name, status.message, status.hardware_id):
-            writer.string(text)
-        writer.pack('I', len(status.values))
-        for pair in status.values:
-            writer.string(pair.key)
-            writer.string(pair.value)
-    return bytes(writer.data)
-
-
-def _times(stamps: np.ndarray) -> np.ndarray:
-    """The bytes (T, 8) of stamps in ns."""
+def stamp_bytes(stamps: np.ndarray) -> np.ndarray:
+    """The bytes (T, 8) of stamps (T,) in ns."""
     times = np.empty((len(stamps), 2), '<u4')
     times[:, 0], times[:, 1] = np.divmod(stamps, SECOND)
     return times.view(np.uint8)
 
 
-# As many as there are frames of bodies: most topics of an instant share one.
+def rows_of_bytes(rows: np.ndarray) -> list[bytes]:
+    """The bytes of each row of an array (T, n)."""
+    data, size = rows.tobytes(), rows.shape[1] * rows.itemsize
+    return [data[first : first + size] for first in range(0, len(data), size)]
+
+
+# One entry for each frame of a body: most topics of an instant share one.
 @lru_cache(maxsize=128)
-def stamped_head(stamp: int, frame_id: str, child: str | None, listed: bool) -> bytes:
+def stamped_head(stamp: int, frame_id: str, child: str | None, is_list: bool) -> bytes:
     """All before the doubles of a message, as in `stamped_doubles`; `stamp` in ns."""
-    head, first = _head(frame_id, child, listed), HEAD + 4 * listed
+    head, first = _unstamped_head(frame_id, child, is_list), HEAD + 4 * is_list
     return head[:first] + TIME.pack(*divmod(stamp, SECOND)) + head[first + TIME.size :]
 
 
-# As many as there are frames of bodies, and of what moves them.
+# One entry for each frame of a body and each frame of markers.
 @lru_cache(maxsize=256)
-def _head(frame_id: str, child: str | None, listed: bool = False) -> bytes:
+def _unstamped_head(frame_id: str, child: str | None, is_list: bool) -> bytes:
     """All before the doubles, with the stamp 0."""
     writer = Writer()
-    if listed:
+    if is_list:
         writer.pack('I', 1)
     writer.header(0, frame_id)
     if child is not None:
         writer.string(child)
     writer.align(8)
     return bytes(writer.data)
+
+
+def serialize_message(message: Any) -> bytes:
+    """
+    Serialize a message to plain CDR, little endian, with zeros in the padding.
+
+    Parameters
+    ----------
+    message : object
+        A message of a class of `message_class`.
+
+    Returns
+    -------
+    bytes
+        The message. One with a field of type wstring has the padding that rclpy leaves.
+    """
+    data = _types.serialize_message(message)
+    return with_zero_padding(data, type(message)) if WITH_ROS else data
+
+
+def with_zero_padding(data: bytes, cls: Any) -> bytes:
+    """
+    Return a message with zeros in its padding and nothing behind its last field.
+
+    Parameters
+    ----------
+    data : bytes
+        The message, in plain CDR of either byte order.
+    cls : type
+        Its class.
+
+    Returns
+    -------
+    bytes
+        The same message; `data` unchanged where it is not a message of this class, or has a
+        wstring.
+    """
+    try:
+        walk = _PaddingWalk(data)
+        walk.pass_fields(cls)
+    except (LookupError, struct.error):
+        return data
+    return bytes(walk.data[: walk.at])
+
+
+class _Numbers(NamedTuple):
+    """
+    Numbers that follow each other in a message.
+
+    By the position of the first one modulo 8 bytes: the size of all in bytes, and the first and
+    last byte of each gap between them.
+    """
+
+    layouts: list[tuple[int, list[tuple[int, int]]]]
+
+
+class _Items(NamedTuple):
+    """An array of numbers of `item` bytes, of strings or of messages; without length a sequence."""
+
+    item: Any
+    length: int | None
+    width: int = 1  # numbers in an item
+
+
+_Step: TypeAlias = _Numbers | _Items
+_TEXT = _Items(1, None)
+
+
+class _PaddingWalk:
+    """Goes through the fields of one message and sets the padding to zero."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.at, self._end = bytearray(data), HEAD, len(data)
+        self._length = _LENGTHS[data[:2]].unpack_from
+
+    def pass_fields(self, cls: Any) -> None:
+        for step in _steps(cls):
+            if isinstance(step, _Numbers):
+                size, gaps = step.layouts[(self.at - HEAD) % ALIGNMENT]
+                for first, last in gaps:
+                    self.data[self.at + first : self.at + last] = bytes(last - first)
+                self.at += size
+            else:
+                self._pass_items(step)
+            if self.at > self._end:
+                raise struct.error('the message is cut off')
+
+    def _pass_items(self, step: _Items) -> None:
+        item, count, width = step
+        if count is None:
+            self._align(4)
+            (count,) = self._length(self.data, self.at)
+            self.at += 4
+        if isinstance(item, int):
+            if count:
+                self._align(item)
+                self.at += item * width * count
+        elif item == 'string':
+            for _ in range(count):
+                self._pass_items(_TEXT)
+        else:
+            for _ in range(count):
+                self.pass_fields(item)
+
+    def _align(self, size: int) -> None:
+        gap = (HEAD - self.at) % size
+        if gap:
+            self.data[self.at : self.at + gap] = bytes(gap)
+            self.at += gap
+
+
+@cache
+def _steps(cls: Any) -> list[_Step]:
+    """The fields of a message class in order, numbers that follow each other as one."""
+    steps: list[_Step] = []
+    sizes: list[int] = []
+    for kind in [*_flat_kinds(cls), '']:
+        if kind in _SIZES:
+            sizes.append(_SIZES[kind])
+            continue
+        if sizes:
+            steps.append(_numbers(sizes))
+            sizes = []
+        if array := _ARRAY.fullmatch(kind):
+            item, bound, size = array.groups()
+            steps.append(_items(item, None if bound or not size else int(size)))
+        elif kind.startswith('string'):
+            steps.append(_TEXT)
+        elif kind:
+            raise LookupError(kind)
+    return steps
+
+
+def _flat_kinds(cls: Any) -> list[str]:
+    """Types of all fields; a single message is replaced by its fields."""
+    kinds: list[str] = []
+    for kind in fields(cls).values():
+        if '/' in kind and not kind.endswith(']'):
+            kinds += _flat_kinds(message_class(kind))
+        else:
+            kinds.append(kind)
+    # A type without fields has one byte.
+    return kinds or ['uint8']
+
+
+def _numbers(sizes: Sequence[int]) -> _Numbers:
+    layouts = []
+    for start in range(ALIGNMENT):
+        at, gaps = start, []
+        for size in sizes:
+            if gap := -at % size:
+                gaps.append((at - start, at - start + gap))
+            at += gap + size
+        layouts.append((at - start, gaps))
+    return _Numbers(layouts)
+
+
+def _items(item: str, count: int | None) -> _Items:
+    if item.startswith('string'):
+        return _Items('string', count)
+    cls = message_class(item) if '/' in item else None
+    kinds = [item] if cls is None else _flat_kinds(cls)
+    sizes = {_SIZES.get(kind, 0) for kind in kinds}
+    if len(sizes) == 1 and 0 not in sizes:
+        # Numbers of one size have no padding between them.
+        return _Items(sizes.pop(), count, len(kinds))
+    if cls is None:
+        raise LookupError(item)
+    return _Items(cls, count)

@@ -1,7 +1,8 @@
-"""PointCloud2 describes its own bytes: read any layout it allows, and none that leads astray.
+"""
+The points of a PointCloud2, whose fields describe the layout of its own data.
 
-A message comes from anywhere, so every size and offset is checked against the data that is there
-before an array is made.
+A message may come from anywhere, so every size and offset is checked against the data before an
+array is made.
 """
 
 from itertools import pairwise
@@ -9,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.messages._types import Header, PointCloud2, PointField, octets
+from kinpole_ros.messages._types import Header, MessageError, PointCloud2, PointField, octets
 
 _FLOATS = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
 _INTEGERS = {
@@ -22,17 +23,13 @@ _INTEGERS = {
 }
 
 
-class MessageError(ValueError):
-    """A message that cannot be read; the text names the field and says how to fix it."""
-
-
-class CloudPlaces(NamedTuple):
+class CloudLayout(NamedTuple):
     """
-    Where x, y and z are in the data of clouds of one layout.
+    The layout of x, y and z in the data of clouds.
 
     `shape` is height and width, `strides` the bytes from row to row and point to point; `axes` the
     type and offset of each coordinate, None for no z; `spacing` the bytes from one coordinate to
-    the next where they follow one another, else 0.
+    the next where all distances are equal, else 0.
     """
 
     shape: tuple[int, int]
@@ -42,9 +39,9 @@ class CloudPlaces(NamedTuple):
 
     def points(self, data: Any, first: int = 0, count: int = 1, stride: int = 0) -> np.ndarray:
         """
-        Positions (count, n, 3) in `count` clouds, row after row, as a new array.
+        Copy the points (count, n, 3) of `count` clouds, row after row.
 
-        The clouds follow every `stride` bytes in the buffer `data`, from `first` on.
+        In the buffer `data` the first cloud begins at `first`, the next one `stride` bytes later.
         """
         shape, strides = (count, *self.shape), (stride, *self.strides)
         if not self.shape[0]:
@@ -56,25 +53,26 @@ class CloudPlaces(NamedTuple):
             view = np.ndarray((*shape, 3), code, data, first + offset, steps)
             if code.endswith('8'):
                 return view.astype(np.float64).reshape(count, -1, 3)
-            # A signaling NaN in the data is a marker not seen, not worth a warning.
+            # A signaling NaN in the data is an unseen marker, not worth a warning.
             with np.errstate(invalid='ignore'):
                 return view.astype(np.float64).reshape(count, -1, 3)
-        found = np.zeros((*shape, 3))
+        points = np.zeros((*shape, 3))
         with np.errstate(invalid='ignore'):
-            for axis, place in enumerate(self.axes):
-                if place is not None:
-                    code, offset = place
-                    found[..., axis] = np.ndarray(shape, code, data, first + offset, strides)
-        return found.reshape(count, -1, 3)
+            for axis, field in enumerate(self.axes):
+                if field is not None:
+                    code, offset = field
+                    points[..., axis] = np.ndarray(shape, code, data, first + offset, strides)
+        return points.reshape(count, -1, 3)
 
 
-def cloud_places(cloud: PointCloud2) -> CloudPlaces:
-    """Where the coordinates of a cloud are; a cloud without z has 0 there.
-
-    `is_dense` is not looked at, since some drivers set it wrongly. Raises MessageError when x or y
-    is missing, when a field or size contradicts another, or when the data is too short.
+def cloud_layout(cloud: PointCloud2) -> CloudLayout:
     """
-    x, y, z = (_place(cloud, name, _FLOATS) for name in 'xyz')
+    Return the layout of the points of a cloud; z may be missing and is 0 then.
+
+    `is_dense` is ignored, since some drivers set it wrongly. Raises MessageError when x or y is
+    missing, when a field or size contradicts another, or when the data is too short.
+    """
+    x, y, z = (_type_and_offset(cloud, name, _FLOATS) for name in 'xyz')
     if x is None or y is None:
         missing = 'x' if x is None else 'y'
         raise MessageError(f"PointCloud2 has no field '{missing}': publish x and y (and z)")
@@ -82,22 +80,23 @@ def cloud_places(cloud: PointCloud2) -> CloudPlaces:
     spacing = y[1] - x[1]
     if spacing <= 0 or y != (x[0], x[1] + spacing) or z != (x[0], y[1] + spacing):
         spacing = 0
-    return CloudPlaces(_shape(cloud), (cloud.row_step, cloud.point_step), (x, y, z), spacing)
+    return CloudLayout(_shape(cloud), (cloud.row_step, cloud.point_step), (x, y, z), spacing)
 
 
 def id_column(cloud: PointCloud2, data: Any, first: int = 0) -> np.ndarray:
     """
-    View (height, width) of the integer field `id` in the data of a cloud of this layout.
+    Return a view (height, width) of the integer field `id` in the data of a cloud like this one.
 
-    They begin at `first` in the buffer `data`. Raises MessageError when there is no such field.
+    The data begins at `first` in the buffer `data`. Raises MessageError when there is no field
+    `id`.
     """
-    place = _place(cloud, 'id', _INTEGERS)
-    if place is None:
+    field = _type_and_offset(cloud, 'id', _INTEGERS)
+    if field is None:
         raise MessageError(
             "PointCloud2 has no field 'id', so no identities but the index: "
             'set marker_identity to auto or index'
         )
-    code, offset = place
+    code, offset = field
     shape = _shape(cloud)
     if not shape[0]:
         return np.empty(shape, code)
@@ -105,12 +104,12 @@ def id_column(cloud: PointCloud2, data: Any, first: int = 0) -> np.ndarray:
 
 
 def cloud_ids(cloud: PointCloud2) -> tuple[str, ...]:
-    """Integers of the field `id`, row after row, as strings. Raises MessageError without it."""
+    """The integers of the field `id`, row after row, as strings; MessageError without one."""
     return tuple(map(str, id_column(cloud, cloud.data).ravel().tolist()))
 
 
 def make_cloud(header: Header, points: np.ndarray) -> PointCloud2:
-    """One row of float64 x, y, z from points (n, 3), `is_dense` true when all are finite."""
+    """Make a cloud of one row of float64 x, y, z from points (n, 3)."""
     n = len(points)
     cloud = PointCloud2(header=header, height=1, width=n, point_step=24, row_step=24 * n)
     cloud.fields = [
@@ -122,7 +121,9 @@ def make_cloud(header: Header, points: np.ndarray) -> PointCloud2:
     return cloud
 
 
-def _place(cloud: PointCloud2, name: str, datatypes: dict[int, str]) -> tuple[str, int] | None:
+def _type_and_offset(
+    cloud: PointCloud2, name: str, datatypes: dict[int, str]
+) -> tuple[str, int] | None:
     """Type and offset of one field, or None when the cloud has no such field."""
     fields = [field for field in cloud.fields if field.name == name]
     if not fields:
@@ -147,15 +148,14 @@ def _place(cloud: PointCloud2, name: str, datatypes: dict[int, str]) -> tuple[st
     return ('>' if cloud.is_bigendian else '<') + code, offset
 
 
-def _refuse_overlap(places: dict[str, tuple[str, int] | None]) -> None:
-    """Raise MessageError where two of the fields have bytes in common."""
-    known = [(place[1], int(place[0][2]), name) for name, place in places.items() if place]
-    known.sort()
-    for (first, size, name), (second, _, other) in pairwise(known):
+def _refuse_overlap(axes: dict[str, tuple[str, int] | None]) -> None:
+    """Raise MessageError where two of the fields share bytes."""
+    fields = sorted((field[1], int(field[0][2]), name) for name, field in axes.items() if field)
+    for (first, size, name), (second, _, next_name) in pairwise(fields):
         if second < first + size:
             raise MessageError(
-                f"PointCloud2 fields '{name}' at offset {first} and '{other}' at {second} overlap: "
-                'correct their offsets'
+                f"PointCloud2 fields '{name}' at offset {first} and '{next_name}' at {second} "
+                'overlap: correct their offsets'
             )
 
 

@@ -1,36 +1,41 @@
-"""How the tracking is going, in the words of diagnostic_msgs, for people who watch a rig."""
+"""How the tracking is going, as diagnostic_msgs, for people who watch a rig."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
-from kinpole_ros.messages._identities import identity_lines
-from kinpole_ros.messages._markers import ns_to_stamp
-from kinpole_ros.messages._space import (
+from kinpole_ros.messages._faults import (
     PLANE_UNKNOWN,
+    SHOWN_CHARACTERS,
+    SMOOTHED,
+    identity_lines,
+    jitter_fault,
+    left_out,
+    marker_faults,
+    not_there,
     shape_fault,
-    space_values,
+    stamp_faults,
     tilt_fault,
     unit_fault,
+    unseen,
 )
-from kinpole_ros.messages._stamps import jitter_fault, stamp_faults, stamp_values
-from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyValue
+from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyValue, ns_to_stamp
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.outages import Outage
+from kinpole_ros.tracking.plane import as_parameter
 from kinpole_ros.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
     from kinpole_ros.linkage.positions import LivePositions
     from kinpole_ros.linkage.theory import Theory
 
-# Of the names of markers in a message, which may be anything.
-_MOST_NAMES, _MOST_SHOWN = 12, 80
-# What tells whether a node started anew: these go up, or frames begin again from none.
+# Keys of the diagnostics of the input, by the names of the tracker's counts. Where RECEIVED begins
+# again from 0, or RESTARTS goes up, a node was started again.
 RECEIVED, RESTARTS = 'frames received', 'starts anew'
-_WORDS = {
+_COUNT_KEYS = {
     'frames': RECEIVED,
     'repeated': 'frames with the stamp of the one before, left out',
     'late': 'frames that came late, after newer ones, left out',
@@ -54,20 +59,15 @@ _WORDS = {
     'untold': 'results left out, since the node could not keep up',
     'failures': 'failures of the node itself',
 }
-
-
-# Markers are warned of that err so many times as much as the others of their body.
-_ERRS = 3.0
-# Troubles despite which figures still come.
-_MILD = ('clock', 'other types', 'sources', 'rivals')
+_MILD_TROUBLES = ('clock', 'other types', 'sources', 'rivals')  # figures still come
+_Fault: TypeAlias = tuple[bytes, str]  # level and text
 
 
 class DiagnosticsMaker:
     """
-    Makes the diagnostics of a tracker; remembers the last ones to tell rates by.
+    Makes the diagnostics of a tracker, with rates and counts since the last ones.
 
-    With a `theory` they also tell how far the bodies are from it. `topic` is where markers are
-    awaited, and is named when none come.
+    With a `theory` they also say how far the bodies are from it. `topic` is that of the markers.
     """
 
     def __init__(self, name: str, theory: 'Theory | None' = None, topic: str = '') -> None:
@@ -80,7 +80,8 @@ class DiagnosticsMaker:
             from kinpole_ros.linkage import positions
 
             self._positions = positions.LivePositions(theory.scene, theory.lies)
-        self._before: Counter[str] = Counter()
+        # At the last diagnostics: counts, outages by body, and frames with a wrong pose (B,).
+        self._counts: Counter[str] = Counter()
         self._outages: dict[str, int] = {}
         self._wrong: np.ndarray | None = None
 
@@ -94,10 +95,27 @@ class DiagnosticsMaker:
         stamps: Sequence[int] = (),
     ) -> DiagnosticArray:
         """
-        Diagnostics stamped `stamp` (ns), of the `seconds` since the last ones.
+        Make diagnostics of the time since the last ones.
 
-        `latest` holds the newest estimates since, if any, of which the last counts; `trouble` names
-        what else is wrong, by topic; `stamps` are those of the frames since.
+        Parameters
+        ----------
+        stamp : int
+            Their stamp, ns.
+        tracker : Tracker
+            The tracker.
+        latest : Estimate or None
+            The newest estimates of this time, of which the last is described.
+        seconds : float
+            Length of this time, s.
+        trouble : mapping of str to str
+            Other faults, by topic.
+        stamps : sequence of int
+            Stamps of the frames of this time, ns.
+
+        Returns
+        -------
+        DiagnosticArray
+            The message.
         """
         now = None if latest is None else latest[-1]
         return self.begin(stamp, tracker, seconds, trouble, stamps)(now)
@@ -110,94 +128,44 @@ class DiagnosticsMaker:
         trouble: Mapping[str, str],
         stamps: Sequence[int] = (),
     ) -> Callable[[Estimate | None], DiagnosticArray]:
-        """The same of the tracker as it is, to be finished with the one estimate of this time."""
-        counts = tracker.counts
-        since = {key: counts[key] - self._before[key] for key in counts}
-        self._before = counts.copy()
-        array = DiagnosticArray()
-        array.header.stamp = ns_to_stamp(stamp)
-        faults = _faults(tracker, since, trouble, self._nothing)
-        state = tracker.stamp_state()
-        regularized = state is not None and state.regularized
-        faults += [
-            (level, text)
-            for level, text in stamp_faults(stamps, seconds, tracker.settings.window)
-            # Bunches are no fault of figures that are at the ticks of a clock.
-            if level == DiagnosticStatus.ERROR or not regularized
-        ]
-        late = '' if state is None else jitter_fault(state, tracker.settings.stamps)
-        if late and since.get('frames'):
-            faults.append((DiagnosticStatus.WARN, late))
-        space = tracker.space()
-        if since.get('frames'):
-            unknown = PLANE_UNKNOWN if tracker.plane is None else ''
-            if plane := unknown or tilt_fault(space, tracker.settings.plane):
-                faults.append((DiagnosticStatus.WARN, plane))
+        """Return a function that completes `make` with an estimate, by the tracker as it is now."""
+        since = {key: count - self._counts[key] for key, count in tracker.counts.items()}
+        self._counts = tracker.counts.copy()
         outages = self._new_outages(tracker)
+        faults = _input_faults(tracker, since, trouble, self._nothing)
+        faults += _stamp_faults(tracker, since, stamps, seconds)
         if '' in outages:
             faults.append((DiagnosticStatus.WARN, unseen('', outages[''].latest)))
-        array.status = [self._input(tracker, since, seconds, faults, space_values(space))]
-        noise, underestimated = tracker.noise(), tracker.noise_underestimated()
-        noises = _noises(tracker)
-        loose = [
-            shape_fault(b, off, cause, space)
-            for b, (off, cause) in enumerate(
-                zip(tracker.rigidity_residual().tolist(), tracker.causes(), strict=True)
-            )
-        ]
-        units = [unit_fault(size, tracker.settings.scale) for size in space.size.tolist()]
-        erring, wrong = tracker.erring(), tracker.wrong()
-        before = np.zeros_like(wrong) if self._wrong is None else self._wrong
-        self._wrong = wrong
-        receiving = bool(since.get('frames'))
-        # With so many frames there are figures, if anybody wants them.
-        idle = tracker.samples >= FEWEST_SAMPLES
-        lacking = {
-            body: not_there(body, names, tracker.identities)
-            for body, names in tracker.lacking().items()
-        }
+        input_status = _input_status(f'{self._name}: markers', tracker, since, seconds, faults)
+        bodies = _bodies(self._name, tracker, self._wrong, outages)
+        self._wrong = tracker.wrong()
+        is_receiving = bool(since.get('frames'))
+        # With so many frames there are estimates, if a topic has a subscriber.
+        is_idle = tracker.samples >= FEWEST_SAMPLES
 
-        def finish(now: Estimate | None) -> DiagnosticArray:
-            for b, body in enumerate(tracker.bodies):
-                if receiving and body in lacking:
-                    name = f'{self._name}: {body}'
-                    array.status.append(_status(name, DiagnosticStatus.WARN, lacking[body], {}))
-                    continue
-                warnings = marker_faults(erring[body], float(noise[b]))
-                if wrong[b] > before[b]:
-                    warnings.append(left_out(int(wrong[b] - before[b])))
-                if body in outages:
-                    warnings.append(unseen(body, outages[body].latest))
-                fault = '; '.join(filter(None, (units[b], loose[b])))
-                known = noises[b], fault, bool(underestimated[b])
-                status = self._body(b, body, now, *known, receiving, idle)
-                for marker, deviation in erring[body].items():
-                    key = f'noise of marker {marker[:_MOST_SHOWN]!r}, which counts for less (m)'
-                    status.values.append(_pair(key, deviation))
-                if wrong[b]:
-                    key = 'frames in which its pose was wrong, left out'
-                    status.values.append(_pair(key, int(wrong[b])))
-                if warnings and status.level != DiagnosticStatus.STALE:
-                    status.level = DiagnosticStatus.WARN
-                    status.message = '; '.join((status.message, *warnings))
-                array.status.append(status)
-            if now is not None and (len(tracker.bodies) > 1 or self._theory is not None):
+        def complete(now: Estimate | None) -> DiagnosticArray:
+            array = DiagnosticArray()
+            array.header.stamp = ns_to_stamp(stamp)
+            statuses = [body.status(now, is_receiving, is_idle) for body in bodies]
+            array.status = [input_status, *statuses]
+            if now is not None and (len(bodies) > 1 or self._theory is not None):
                 array.status.append(self._linkage(now))
             for status in array.status:
                 status.hardware_id = self._topic
             return array
 
-        return finish
+        return complete
 
     def _new_outages(self, tracker: Tracker) -> dict[str, Outage]:
-        """Those that ended since the last diagnostics."""
-        every = tracker.outages()
-        new = {name: o for name, o in every.items() if o.times > self._outages.get(name, 0)}
-        self._outages = {name: outage.times for name, outage in every.items()}
+        """Return the outages that ended since the last diagnostics."""
+        outages = tracker.outages()
+        new = {name: o for name, o in outages.items() if o.times > self._outages.get(name, 0)}
+        self._outages = {name: outage.times for name, outage in outages.items()}
         return new
 
     def _linkage(self, now: Estimate) -> DiagnosticStatus:
-        """What the bodies say of each other: Kennedy's theorem, and the scene if one is given."""
+        """Compare the bodies with Kennedy's theorem, and with the scene."""
+        name = f'{self._name}: linkage'
         values: dict[str, object] = {}
         for k, (j, i) in enumerate(zip(*now.pairs, strict=True)):
             distance, deviations = (part[k] for part in now.kennedy)
@@ -206,81 +174,120 @@ class DiagnosticsMaker:
                 values[f'{pair}: center off the line of the pins (m)'] = float(distance)
                 values[f'{pair}: the same in deviations'] = float(deviations)
         if self._theory is None:
-            return _status(f'{self._name}: linkage', DiagnosticStatus.OK, 'no scene given', values)
+            return _status(name, DiagnosticStatus.OK, 'no scene given', values)
         from kinpole_ros.linkage.theory import joint_offsets, rate_differences
 
-        message = f'compared with the scene {self._theory.scene.name}'
-        level = DiagnosticStatus.OK
+        scene = self._theory.scene.name
+        level, message = DiagnosticStatus.OK, f'compared with the scene {scene}'
         for off in (*rate_differences(self._theory, now), *joint_offsets(self._theory, now)):
             values[f'{off.subject}: {off.what} ({off.unit})'] = off.value
             values[f'{off.subject}: deviation of that ({off.unit})'] = off.deviation
-        found = self._positions.add(now) if self._positions else None
-        if found is None and not values:
-            message = f'too little is known yet to compare the scene {self._theory.scene.name}'
-        if found is not None:
-            for joint in found.joints:
+        positions = self._positions.add(now) if self._positions else None
+        if positions is None and not values:
+            message = f'too little is known yet to compare the scene {scene}'
+        if positions is not None:
+            for joint in positions.joints:
                 values[f'joint {joint.joint}: off (m)'] = joint.rms
                 values[f'joint {joint.joint}: the same in deviations'] = joint.deviations
-            values['residuals of the joints over their noise, rms'] = float(np.sqrt(found.ratio))
-            if found.words:
+            values['residuals of the joints over their noise, rms'] = float(
+                np.sqrt(positions.ratio)
+            )
+            if positions.words:
                 level = DiagnosticStatus.WARN
-                message = f'off the scene {self._theory.scene.name}: ' + '; '.join(found.words)
-        return _status(f'{self._name}: linkage', level, message, values)
+                message = f'off the scene {scene}: ' + '; '.join(positions.words)
+        return _status(name, level, message, values)
 
-    def _input(
-        self,
-        tracker: Tracker,
-        since: Mapping[str, int],
-        seconds: float,
-        faults: list[tuple[bytes, str]],
-        more: Mapping[str, object],
-    ) -> DiagnosticStatus:
-        # The worst first, and each with its words.
-        faults = sorted(faults, key=lambda fault: fault[0], reverse=True)
-        level = faults[0][0] if faults else DiagnosticStatus.OK
-        message = '; '.join(text for _, text in faults) or 'receiving markers'
-        values: dict[str, object] = {
-            'rate (Hz)': since.get('frames', 0) / seconds if seconds > 0 else 0.0,
-            'frames in the window': tracker.samples,
-        }
-        if np.isfinite(tracker.interval):
-            values['mean interval (s)'] = tracker.interval
-        values.update(more)
-        state = tracker.stamp_state()
-        if state is not None:
-            values.update(stamp_values(state))
-        values.update({_WORDS[key]: tracker.counts[key] for key in _WORDS})
-        return _status(f'{self._name}: markers', level, message, values)
 
-    def _body(
-        self,
-        b: int,
-        body: str,
-        now: Estimate | None,
-        noise: Mapping[str, float],
-        wrong: str,
-        underestimated: bool,
-        receiving: bool,
-        idle: bool,
-    ) -> DiagnosticStatus:
-        name = f'{self._name}: {body}'
-        values: dict[str, object] = {k: v for k, v in noise.items() if np.isfinite(v)}
-        if not receiving:
-            return _status(name, DiagnosticStatus.STALE, 'no markers received', values)
-        if now is None and idle:
-            reason = 'ready: nobody subscribes to a result, so none is computed'
-            return _status(name, DiagnosticStatus.OK, reason, values)
-        if now is None:
-            reason = 'nothing known: too few frames yet'
-            return _status(name, DiagnosticStatus.STALE, reason, values)
+def _bodies(
+    name: str,
+    tracker: Tracker,
+    wrong_before: np.ndarray | None,
+    outages: Mapping[str, Outage],
+) -> list['_Body']:
+    """Describe the bodies as the tracker has them, `wrong_before` at the last diagnostics."""
+    space, absent = tracker.space(), tracker.absent_markers()
+    noise, angle_noise = tracker.noise().tolist(), tracker.angle_noise()
+    residuals, causes = tracker.rigidity_residual().tolist(), tracker.causes()
+    erring, wrong, smoothed = tracker.erring(), tracker.wrong(), tracker.noise_underestimated()
+    new_wrong = wrong if wrong_before is None else wrong - wrong_before
+    bodies = []
+    for b, body in enumerate(tracker.bodies):
+        noises = {'noise of a marker per axis (m)': noise[b]}
+        if angle_noise is not None:
+            noises = {
+                'noise of its position per axis (m)': noise[b],
+                'noise of its angle (rad)': float(angle_noise[b]),
+            }
+        unit = unit_fault(float(space.size[b]), tracker.settings.scale)
+        shape = shape_fault(b, residuals[b], causes[b], space)
+        warnings = marker_faults(erring[body], noise[b])
+        if new_wrong[b] > 0:
+            warnings.append(left_out(int(new_wrong[b])))
+        if body in outages:
+            warnings.append(unseen(body, outages[body].latest))
+        bodies.append(
+            _Body(
+                number=b,
+                name=f'{name}: {body}',
+                absent=not_there(body, absent[body], tracker.identities) if body in absent else '',
+                noises={key: value for key, value in noises.items() if np.isfinite(value)},
+                fault='; '.join(filter(None, (unit, shape))),
+                is_smoothed=bool(smoothed[b]),
+                erring=erring[body],
+                wrong=int(wrong[b]),
+                warnings=warnings,
+            )
+        )
+    return bodies
+
+
+class _Body(NamedTuple):
+    """A body at the time of diagnostics: its noise in words, and its faults."""
+
+    number: int
+    name: str
+    absent: str
+    noises: dict[str, float]
+    fault: str
+    is_smoothed: bool
+    erring: Mapping[str, float]
+    wrong: int
+    warnings: list[str]
+
+    def status(self, now: Estimate | None, is_receiving: bool, is_idle: bool) -> DiagnosticStatus:
+        """Return the status of the body, with its estimate `now`, if any."""
+        if is_receiving and self.absent:
+            return _status(self.name, DiagnosticStatus.WARN, self.absent, {})
+        values: dict[str, object] = {**self.noises}
+        if not is_receiving:
+            level, message = DiagnosticStatus.STALE, 'no markers received'
+        elif now is not None:
+            level, message = self._describe(now, values)
+        elif is_idle:
+            level = DiagnosticStatus.OK
+            message = 'ready: nobody subscribes to a result, so none is computed'
+        else:
+            level, message = DiagnosticStatus.STALE, 'nothing known: too few frames yet'
+        for marker, deviation in self.erring.items():
+            key = f'noise of marker {marker[:SHOWN_CHARACTERS]!r}, which counts for less (m)'
+            values[key] = deviation
+        if self.wrong:
+            values['frames in which its pose was wrong, left out'] = self.wrong
+        if self.warnings and level != DiagnosticStatus.STALE:
+            level, message = DiagnosticStatus.WARN, '; '.join((message, *self.warnings))
+        return _status(self.name, level, message, values)
+
+    def _describe(self, now: Estimate, values: dict[str, object]) -> _Fault:
+        """Add the values of an estimate; return level and message."""
+        b = self.number
         values['size (m)'] = float(now.size[b])
         if np.isfinite(now.degree[b]):
             values['time used for the angular velocity (s)'] = float(now.span[b])
             values['degree used for the angular velocity'] = float(now.degree[b])
         reasons = now.reasons(b)
         if 'all' in reasons:
-            message = '; '.join(filter(None, (reasons['all'], wrong)))
-            return _status(name, DiagnosticStatus.WARN, message, values)
+            message = '; '.join(filter(None, (reasons['all'], self.fault)))
+            return DiagnosticStatus.WARN, message
         motion = now.motion(b)
         values['motion'] = motion
         if motion == 'pinned':
@@ -288,140 +295,129 @@ class DiagnosticsMaker:
         for quantity, reason in reasons.items():
             values[f'{quantity} undetermined'] = reason
         level, message = DiagnosticStatus.OK, 'tracking'
-        if wrong:
-            level, message = DiagnosticStatus.WARN, wrong
-        elif underestimated:
-            level, message = DiagnosticStatus.WARN, SMOOTHED
+        if self.fault or self.is_smoothed:
+            level, message = DiagnosticStatus.WARN, self.fault or SMOOTHED
         if reasons:
             message += '; undetermined: ' + ', '.join(reasons)
-        return _status(name, level, message, values)
+        return level, message
 
 
-def _noises(tracker: Tracker) -> list[dict[str, float]]:
-    """What the noise of each body is, in words."""
-    noise, of_angle = tracker.noise().tolist(), tracker.angle_noise()
-    if of_angle is None:
-        return [{'noise of a marker per axis (m)': each} for each in noise]
-    return [
-        {'noise of its position per axis (m)': each, 'noise of its angle (rad)': angle}
-        for each, angle in zip(noise, of_angle.tolist(), strict=True)
+def _input_status(
+    name: str,
+    tracker: Tracker,
+    since: Mapping[str, int],
+    seconds: float,
+    faults: list[_Fault],
+) -> DiagnosticStatus:
+    """Return the status of the markers, the worst fault first."""
+    faults = sorted(faults, key=lambda fault: fault[0], reverse=True)
+    level = faults[0][0] if faults else DiagnosticStatus.OK
+    message = '; '.join(text for _, text in faults) or 'receiving markers'
+    values: dict[str, object] = {
+        'rate (Hz)': since.get('frames', 0) / seconds if seconds > 0 else 0.0,
+        'frames in the window': tracker.samples,
+    }
+    if np.isfinite(tracker.interval):
+        values['mean interval (s)'] = tracker.interval
+    space = tracker.space()
+    if space.plane is not None:
+        names = ('plane: x along', 'plane: y along', 'plane: normal')
+        values |= zip(names, map(as_parameter, space.plane.basis), strict=True)
+    if np.isfinite(space.tilt):
+        values['tilt of the motion against the plane (deg)'] = float(np.degrees(space.tilt))
+    state = tracker.stamp_state()
+    if state is not None:
+        values |= {
+            'interval of the clock of the stamps (s)': state.interval,
+            'jitter of the stamps, rms (s)': state.jitter,
+            'jitter of the stamps, largest (s)': state.largest,
+            'frames taken to be at': (
+                'ticks of that clock' if state.regularized else 'their stamps'
+            ),
+        }
+    values |= {key: tracker.counts[name] for name, key in _COUNT_KEYS.items()}
+    return _status(name, level, message, values)
+
+
+def _stamp_faults(
+    tracker: Tracker, since: Mapping[str, int], stamps: Sequence[int], seconds: float
+) -> list[_Fault]:
+    """Return the faults of stamps, and of the plane."""
+    state = tracker.stamp_state()
+    is_regularized = state is not None and state.regularized
+    faults = [
+        (level, text)
+        for level, text in stamp_faults(stamps, seconds, tracker.settings.window)
+        # Frames in bunches do no harm where they are placed at the ticks of a clock.
+        if level == DiagnosticStatus.ERROR or not is_regularized
     ]
-
-
-# What is to be said of a body whose markers have more noise than can be measured.
-SMOOTHED = (
-    'its tracker has time-correlated noise, as after smoothing, that is more than is measured, so '
-    'figures are overconfident; fix: have it send them unsmoothed, or set noise or a longer window'
-)
-
-
-def marker_faults(erring: Mapping[str, float], noise: float) -> list[str]:
-    """What is to be said of markers that err, by name, so much (m) where others have this noise."""
-    return [
-        f'marker {marker[:_MOST_SHOWN]!r} errs by {deviation:.2g} m, {deviation / noise:.2g} times '
-        'as much as the others, and counts for less: see to its fixing and to what reflects near '
-        'it, or leave it out'
-        for marker, deviation in erring.items()
-        if deviation > _ERRS * noise
-    ]
-
-
-def left_out(frames: int) -> str:
-    """What is to be said of a body that was wrong as a whole in so many frames."""
-    return (
-        f'left out of {frames} frames in which its pose was far off and then back: see that the '
-        'tracker takes no other markers for it'
-    )
-
-
-def unseen(body: str, outage: tuple[int, int]) -> str:
-    """What is to be said where a body, or '' for all markers, was not seen since then, so long."""
-    since, lasted = outage
-    what = 'it was not seen' if body else 'no frames came'
-    return (
-        f'{what} for {lasted / 1e9:.3g} s from {since / 1e9:.3f} s on, a window or more: see '
-        + ('to the view of its markers' if body else 'to the tracker and the network')
-    )
-
-
-def not_there(body: str, names: Sequence[str], identities: Sequence[str]) -> str:
-    """What is to be said of markers of a body that messages with these identities lack."""
-    return (
-        f'messages lack {_listed(names)} of {body}; the last one has {_listed(identities)}; '
-        f'correct the parameter {body}.markers, or marker_identity'
-    )
-
-
-def _listed(names: Sequence[str]) -> str:
-    shown = [repr(name)[:_MOST_SHOWN] for name in names[:_MOST_NAMES]]
-    return ', '.join(shown + ['...'] * (len(names) > _MOST_NAMES)) or 'none'
-
-
-def _faults(
-    tracker: Tracker, since: Mapping[str, int], trouble: Mapping[str, str], nothing: str
-) -> list[tuple[bytes, str]]:
-    """
-    Levels and words of what is wrong with the input.
-
-    As REP-107 has them: with WARN figures still come and may suffer, with ERROR they cannot be
-    relied upon. STALE is when nothing came, and `nothing` says so.
-    """
-    mild = {*_MILD}
     if since.get('frames'):
+        jitter = '' if state is None else jitter_fault(state, tracker.settings.stamps)
+        unknown = PLANE_UNKNOWN if tracker.plane is None else ''
+        tilt = unknown or tilt_fault(tracker.space(), tracker.settings.plane)
+        faults += [(DiagnosticStatus.WARN, text) for text in (jitter, tilt) if text]
+    return faults
+
+
+def _input_faults(
+    tracker: Tracker, since: Mapping[str, int], trouble: Mapping[str, str], nothing: str
+) -> list[_Fault]:
+    """
+    Return levels and texts of the faults of the input, by the counts `since` the last ones.
+
+    As in REP-107, with WARN results still come and may suffer, with ERROR they cannot be relied
+    upon. STALE, with the text `nothing`, is when nothing came.
+    """
+    frames = since.get('frames', 0)
+    mild = {*_MILD_TROUBLES}
+    if frames:
         mild.add('qos')
-    if since.get('frames', 0) > since.get('unreadable', 0):
+    if frames > since.get('unreadable', 0):
         mild.add('message')
     faults = [
         (DiagnosticStatus.WARN if topic in mild else DiagnosticStatus.ERROR, text)
         for topic, text in trouble.items()
     ]
-    if not since.get('frames') and mild.issuperset(trouble):
+    if not frames and mild.issuperset(trouble):
         return [(DiagnosticStatus.STALE, nothing), *faults]
+    texts = []
     if dropped := since.get('dropped'):
-        text = (
+        texts.append(
             f'{dropped} messages dropped: the node or the network cannot keep up; send fewer '
             'frames, or read fewer results'
         )
-        faults.append((DiagnosticStatus.WARN, text))
-    if untold := since.get('untold'):
-        text = f'{untold} results left out: the node cannot keep up; read fewer results'
-        faults.append((DiagnosticStatus.WARN, text))
-    faults += [(DiagnosticStatus.WARN, text) for text in identity_lines(tracker, since)]
+    if unpublished := since.get('untold'):
+        texts.append(f'{unpublished} results left out: the node cannot keep up; read fewer results')
+    texts += identity_lines(tracker, since)
     if since.get('restarts'):
-        text = 'another publisher sends the markers: the window starts anew'
-        faults.append((DiagnosticStatus.WARN, text))
+        texts.append('another publisher sends the markers: the window starts anew')
     if since.get('frame_changes'):
-        text = 'the markers have another frame_id: the window starts anew'
-        faults.append((DiagnosticStatus.WARN, text))
+        texts.append('the markers have another frame_id: the window starts anew')
     if late := since.get('late'):
-        text = f'{late} frames came late, after newer ones, and are left out'
-        faults.append((DiagnosticStatus.WARN, text))
+        texts.append(f'{late} frames came late, after newer ones, and are left out')
     if resets := since.get('resets'):
         text = 'stamps jumped: the window starts anew'
-        if resets >= since.get('frames', 0):
+        if resets >= frames:
             text += (
                 '; they do at every frame: if frames come so seldom, raise the parameter window, '
                 f'{tracker.settings.window:g} s, to hold {FEWEST_SAMPLES} of them or more'
             )
-        faults.append((DiagnosticStatus.WARN, text))
+        texts.append(text)
     elif since.get('repeated'):
-        text = 'stamps repeat: see that the driver sets header.stamp to the time of capture'
-        faults.append((DiagnosticStatus.WARN, text))
-    elif since.get('frames') and tracker.samples < FEWEST_SAMPLES:
-        text = (
+        texts.append('stamps repeat: see that the driver sets header.stamp to the time of capture')
+    elif frames and tracker.samples < FEWEST_SAMPLES:
+        texts.append(
             f'the window holds {tracker.samples} frames and needs {FEWEST_SAMPLES}; wait, or '
             'raise the parameter window'
         )
-        faults.append((DiagnosticStatus.WARN, text))
-    return faults
-
-
-def _pair(key: str, value: object) -> KeyValue:
-    return KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float) else str(value))
+    return faults + [(DiagnosticStatus.WARN, text) for text in texts]
 
 
 def _status(
     name: str, level: bytes, message: str, values: Mapping[str, object]
 ) -> DiagnosticStatus:
-    pairs = [_pair(key, value) for key, value in values.items()]
+    pairs = [
+        KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float) else str(value))
+        for key, value in values.items()
+    ]
     return DiagnosticStatus(name=name, level=level, message=message, hardware_id='', values=pairs)

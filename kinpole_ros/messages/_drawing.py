@@ -1,8 +1,8 @@
 """
 The markers for RViz and Foxglove: bodies, poles with their ellipses, centrodes, relative centers.
 
-Names stay the same from drawing to drawing, and what is not there is deleted by name: viewers drop
-a marker with a NaN in it, and keep what nobody deletes.
+Viewers drop a marker with a NaN in it, and keep a marker until it is deleted. So the names of the
+markers are the same in every message, and one that is not drawn is deleted by name.
 """
 
 import struct
@@ -11,85 +11,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.messages._cdr import Writer
-from kinpole_ros.messages._loci import Build, Built, DrawingSchedule, Trail
+from kinpole_ros.messages._cdr import HEAD, TIME, Writer, stamp_bytes
+from kinpole_ros.messages._quantities import Build, Built
 from kinpole_ros.messages._types import Marker
 from kinpole_ros.tracking.estimate import POLE_NAMES, Estimate, Vectors, measured_pairs
 from kinpole_ros.tracking.plane import Plane
 
 COLORS = ((0.12, 0.47, 0.71), (1.0, 0.5, 0.05), (0.17, 0.63, 0.17), (0.84, 0.15, 0.16))
 _GRAY = (0.4, 0.4, 0.4)
-# A drawing nobody renews goes by itself (s).
-_LASTS = 2
-# Ellipses are of so many deviations.
-_DEVIATIONS = 2.0
-# How opaque poles are, from ICR to ISP.
-_OPAQUE = (1.0, 0.5, 0.35, 0.25)
-
-
-class _Drawn(NamedTuple):
-    """
-    A marker at `places` (n, 3), m.
-
-    A sphere or text is at the first of them, turned by the quaternion `turn`.
-    """
-
-    kind: int
-    places: np.ndarray
-    scale: tuple[float, float, float]
-    color: tuple[float, float, float, float]
-    turn: Sequence[float] = (0.0, 0.0, 0.0, 1.0)
-    text: str = ''
-
-
-def scene(bodies: tuple[str, ...], given: Plane, trails: list[Trail], highest: int) -> Build:
-    """
-    All that is drawn of these bodies and of pairs of them, ten times a second of stamps.
-
-    Poles up to that of the `highest` derivative.
-    """
-    schedule = DrawingSchedule()
-    pairs = [f'{bodies[j]}/wrt/{bodies[i]}/icr' for i, j in measured_pairs(len(bodies))]
-    names = [f'{body}/{name}' for body in bodies for name in _OF_BODY] + pairs
-
-    def build(estimate: Estimate) -> Built:
-        for b in range(len(bodies)):
-            trails[b].follow(estimate, b)
-        if schedule.rests(estimate):
-            return [], []
-        due = schedule.due(estimate.stamp, np.arange(len(estimate.stamp)))
-        parts = [trail.until(estimate.stamp[due]) for trail in trails]
-        found = []
-        for k, t in enumerate(due):
-            plane = estimate.plane or given
-            drawn: dict[str, _Drawn] = {}
-            for b, body in enumerate(bodies):
-                if not estimate.missing[t, b]:
-                    shown = _of_body(estimate, t, b, plane, trails[b], parts[b][k], highest)
-                    drawn |= {f'{body}/{name}': one for name, one in shown.items()}
-            if pairs:
-                drawn |= _of_pairs(estimate, t, plane, pairs)
-            writer = Writer()
-            writer.pack('I', len(names))
-            for name in names:
-                header = int(estimate.stamp[t]), (estimate.frame_id, name)
-                _write_marker(writer, *header, drawn.get(name))
-            found.append(bytes(writer.data))
-        return due, found
-
-    return build
-
-
-def nothing_drawn(stamp: int, frame_id: str) -> bytes:
-    """A MarkerArray that takes away all that was drawn; `stamp` in ns."""
-    writer = Writer()
-    writer.pack('I', 1)
-    _write_marker(writer, stamp, (frame_id, ''), None, Marker.DELETEALL)
-    return bytes(writer.data)
-
-
-# What is drawn of a body, in this order.
-_OF_BODY = (
+_DRAWING_INTERVAL = 100_000_000  # ns of the stamps
+_LIFETIME = 2  # s: viewers remove a marker that is not drawn again
+_TRAIL_POINTS = 200  # the poles of a centrode that are drawn
+_TRAIL_STEP = 10_000_000  # ns between these
+_ELLIPSE_SIGMAS = 2.0
+_POLE_ALPHAS = (1.0, 0.5, 0.35, 0.25)  # from ICR to ISP
+_VELOCITY_SCALE = 0.1  # s: an arrow is as long as the ICR moves in this time
+_BODY_MARKERS = (
     'outline',
     'name',
     *POLE_NAMES,
@@ -98,102 +35,298 @@ _OF_BODY = (
     'centrode_fixed',
     'centrode_moving',
 )
+_Color = tuple[float, float, float, float]
 
 
-def _of_body(
-    estimate: Estimate,
-    t: int,
-    b: int,
-    plane: Plane,
-    trail: Trail,
-    part: slice,
-    highest: int,
+class Trail:
+    """The last poles of a body, in the frame of the ground and in that of the body."""
+
+    def __init__(self) -> None:
+        self._last_estimate: Estimate | None = None
+        self._run = 0
+        self._clear()
+
+    def _clear(self) -> None:
+        self.stamps = np.empty(0, np.int64)
+        self.fixed = self.moving = np.empty(0, complex)
+        self.heights = np.empty(0)
+
+    def append(self, estimate: Estimate, b: int) -> None:
+        """Append the poles of an estimate, one every 10 ms, unless they were appended before."""
+        if estimate is self._last_estimate:
+            return
+        self._last_estimate = estimate
+        if estimate.run != self._run:
+            self._run = estimate.run
+            self._clear()
+        pole = estimate.pole(1)
+        rows = pole.determined[:, b].nonzero()[0]
+        if len(self.stamps):
+            rows = rows[estimate.stamp[rows] >= self.stamps[-1] + _TRAIL_STEP]
+        if not len(rows):
+            return
+        rows = rows[_spaced(estimate.stamp[rows], _TRAIL_STEP)]
+        fixed = pole.value[rows, b]
+        moving = (fixed - estimate.origin(0)[rows, b]) * np.exp(-1j * estimate.angle[0, rows, b])
+        # Drawings of the instants of this estimate still need the points before them.
+        old = slice(-_TRAIL_POINTS, None)
+        self.stamps = np.concatenate((self.stamps[old], estimate.stamp[rows]))
+        self.fixed = np.concatenate((self.fixed[old], fixed))
+        self.moving = np.concatenate((self.moving[old], moving))
+        self.heights = np.concatenate((self.heights[old], estimate.height[rows, b]))
+
+    def until(self, stamps: np.ndarray) -> list[slice]:
+        """Return the slice of the points that are drawn at each of the stamps."""
+        ends = self.stamps.searchsorted(stamps, side='right').tolist()
+        return [slice(max(0, end - _TRAIL_POINTS), end) for end in ends]
+
+
+def _spaced(stamps: np.ndarray, step: int) -> list[int]:
+    """Return the indices of the first stamp, and of each that is `step` after the last chosen."""
+    if len(stamps) == 1:
+        return [0]
+    following = stamps.searchsorted(stamps + step).tolist()
+    chosen, k = [], 0
+    while k < len(following):
+        chosen.append(k)
+        k = following[k]
+    return chosen
+
+
+class _Schedule:
+    """Decides which instants of a run are drawn: at most one in a tenth of a second of stamps."""
+
+    def __init__(self) -> None:
+        self._run = 0
+        self._last: int | None = None
+
+    def is_idle(self, estimate: Estimate) -> bool:
+        """Whether none of the instants can be due."""
+        if estimate.run != self._run:
+            self._run, self._last = estimate.run, None
+        return self._last is not None and int(estimate.stamp[-1]) < self._last + _DRAWING_INTERVAL
+
+    def due(self, stamps: np.ndarray, instants: np.ndarray) -> list[int]:
+        """Return those of the `instants`, indices of `stamps` in order, that are due."""
+        if self._last is not None:
+            instants = instants[stamps[instants] >= self._last + _DRAWING_INTERVAL]
+        if not len(instants):
+            return []
+        due: list[int] = instants[_spaced(stamps[instants], _DRAWING_INTERVAL)].tolist()
+        self._last = int(stamps[due[-1]])
+        return due
+
+
+def centrode(b: int, given: Plane, trail: Trail, frame: str | None) -> Build:
+    """Return a function that makes paths of a centrode: on the ground, or on the body's `frame`."""
+    schedule = _Schedule()
+
+    def build(estimate: Estimate) -> Built:
+        trail.append(estimate, b)
+        if schedule.is_idle(estimate) or not len(trail.stamps):
+            return [], []
+        is_drawn = (estimate.missing[:, b] == '') & (estimate.stamp >= trail.stamps[0])
+        due = schedule.due(estimate.stamp, is_drawn.nonzero()[0])
+        if not due:
+            return [], []
+        frame_id = estimate.frame_id if frame is None else frame
+        values, heights = (trail.moving, 0.0) if frame else (trail.fixed, trail.heights)
+        points = (estimate.plane or given).in_space(values, heights)
+        slices = zip(due, trail.until(estimate.stamp[due]), strict=True)
+        return due, [
+            _path(int(estimate.stamp[t]), frame_id, trail.stamps[drawn], points[drawn])
+            for t, drawn in slices
+        ]
+
+    return build
+
+
+def _path(stamp: int, frame_id: str, stamps: np.ndarray, positions: np.ndarray) -> bytes:
+    """Write a nav_msgs/Path of poses at `stamps` (n,) and positions (n, 3), not turned."""
+    writer = Writer()
+    writer.header(stamp, frame_id)
+    writer.pack('I', len(stamps))
+    poses = np.zeros((len(stamps), 7))
+    poses[:, :3] = positions
+    poses[:, 6] = 1.0
+    # The header of the first pose may begin between multiples of 8 bytes, all others at one.
+    writer.header(int(stamps[0]), frame_id)
+    writer.doubles(poses[0])
+    following = Writer()
+    following.header(0, frame_id)
+    following.align(8)
+    head = bytes(following.data[HEAD:])
+    rows = np.empty((len(stamps) - 1, len(head) + 56), np.uint8)
+    rows[:, : len(head)] = np.frombuffer(head, np.uint8)
+    rows[:, : TIME.size] = stamp_bytes(stamps[1:])
+    rows[:, len(head) :] = poses[1:].astype('<f8').view(np.uint8)
+    return bytes(writer.data + rows.tobytes())
+
+
+class _Drawn(NamedTuple):
+    """
+    A marker at `points` (n, 3), m.
+
+    A sphere or text is at the first of them, turned by the `quaternion` x, y, z, w.
+    """
+
+    kind: int
+    points: np.ndarray
+    scale: tuple[float, float, float]
+    color: _Color
+    quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0)
+    text: str = ''
+
+
+def drawing(bodies: tuple[str, ...], given: Plane, trails: list[Trail], highest: int) -> Build:
+    """
+    Return a function that draws these bodies and their pairs, ten times a second of stamps.
+
+    Poles are drawn up to that of the `highest` derivative.
+    """
+    schedule = _Schedule()
+    pairs = [f'{bodies[j]}/wrt/{bodies[i]}/icr' for i, j in measured_pairs(len(bodies))]
+    names = [f'{body}/{name}' for body in bodies for name in _BODY_MARKERS] + pairs
+
+    def build(estimate: Estimate) -> Built:
+        for b in range(len(bodies)):
+            trails[b].append(estimate, b)
+        if schedule.is_idle(estimate):
+            return [], []
+        due = schedule.due(estimate.stamp, np.arange(len(estimate.stamp)))
+        slices = [trail.until(estimate.stamp[due]) for trail in trails]
+        messages = []
+        for k, t in enumerate(due):
+            plane = estimate.plane or given
+            drawn: dict[str, _Drawn] = {}
+            for b, body in enumerate(bodies):
+                if not estimate.missing[t, b]:
+                    markers = _draw_body(estimate, (t, b), plane, highest)
+                    markers |= _draw_trail(estimate, (t, b), plane, trails[b], slices[b][k])
+                    drawn |= {f'{body}/{name}': one for name, one in markers.items()}
+            if pairs:
+                drawn |= _draw_pairs(estimate, t, plane, pairs)
+            writer = Writer()
+            writer.pack('I', len(names))
+            for name in names:
+                header = int(estimate.stamp[t]), (estimate.frame_id, name)
+                _write_marker(writer, *header, drawn.get(name))
+            messages.append(bytes(writer.data))
+        return due, messages
+
+    return build
+
+
+def deletion_of_all(stamp: int, frame_id: str) -> bytes:
+    """Write a MarkerArray that deletes all markers that were drawn; `stamp` in ns."""
+    writer = Writer()
+    writer.pack('I', 1)
+    _write_marker(writer, stamp, (frame_id, ''), None, Marker.DELETEALL)
+    return bytes(writer.data)
+
+
+def _draw_body(
+    estimate: Estimate, index: tuple[int, int], plane: Plane, highest: int
 ) -> dict[str, _Drawn]:
-    """All that can be drawn of body `b`, which is known, at instant `t`."""
-    size = float(estimate.size[t, b]) if estimate.size[t, b] > 0 else 1.0
-    height, origin = estimate.height[t, b], estimate.origin(0)[t, b]
-    turn, color = np.exp(1j * estimate.angle[0, t, b]), COLORS[b % len(COLORS)]
-
-    def line(points: np.ndarray, width: float, alpha: float) -> _Drawn:
-        places = plane.in_space(points, height)
-        return _Drawn(Marker.LINE_STRIP, places, (width, 0.0, 0.0), (*color, alpha))
-
-    found = {}
-    shape = estimate.shape[t, b]
+    """Draw the outline, name and poles of a body at an instant, `index` (t, b)."""
+    size, height = _size(estimate, index), estimate.height[index]
+    color = COLORS[index[1] % len(COLORS)]
+    markers = {}
+    shape = estimate.shape[index]
     shape = shape[np.isfinite(shape)]
     if len(shape) > 1:
         around = shape[np.argsort(np.angle(shape - shape.mean()))]
-        outline = origin + turn * np.append(around, around[:1])
-        found['outline'] = line(outline, size / 60, 0.8)
+        turn = np.exp(1j * estimate.angle[0][index])
+        outline = estimate.origin(0)[index] + turn * np.append(around, around[:1])
+        points = plane.in_space(outline, height)
+        markers['outline'] = _line(points, size / 60, (*color, 0.8))
         middle = plane.in_space(outline[:-1].mean()[None], height)
-        label = (0.0, 0.0, size / 6)
-        found['name'] = _Drawn(
-            Marker.TEXT_VIEW_FACING, middle, label, (*color, 1.0), text=estimate.bodies[b]
-        )
+        scale, text = (0.0, 0.0, size / 6), estimate.bodies[index[1]]
+        markers['name'] = _Drawn(Marker.TEXT_VIEW_FACING, middle, scale, (*color, 1.0), text=text)
     for order, name in enumerate(POLE_NAMES[:highest], 1):
         pole = estimate.pole(order)
-        if pole.determined[t, b]:
-            tint = (*color, _OPAQUE[order - 1])
-            place = plane.in_space(pole.value[t, b : b + 1], height)
-            found[name] = _Drawn(Marker.SPHERE, place, (size / 20,) * 3, tint)
-            found[f'{name}/deviation'] = _ellipse(pole, (t, b), plane, place, size / 200, tint)
-    if highest > 1 and estimate.pole(1).determined[t, b] and estimate.icr_moves[t, b]:
-        tail = estimate.pole(1).value[t, b]
-        # Drawn as far as the ICR goes in a tenth of a second.
-        points = np.array([tail, tail + 0.1 * estimate.icr_velocity.value[t, b]])
-        found['icr_velocity'] = _Drawn(
-            Marker.ARROW,
-            plane.in_space(points, height),
-            (size / 50, size / 25, 0.0),
-            (*color, 1.0),
-        )
-    if part.stop - part.start > 1:
-        found['centrode_fixed'] = line(trail.fixed[part], size / 100, 1.0)
-        found['centrode_moving'] = line(origin + turn * trail.moving[part], size / 100, 0.5)
-    return found
+        if pole.determined[index]:
+            tint = (*color, _POLE_ALPHAS[order - 1])
+            point = plane.in_space(pole.value[index][None], height)
+            markers[name] = _Drawn(Marker.SPHERE, point, (size / 20,) * 3, tint)
+            markers[f'{name}/deviation'] = _ellipse(pole, index, plane, point, size / 200, tint)
+    if highest > 1 and estimate.pole(1).determined[index] and estimate.icr_moves[index]:
+        tail = estimate.pole(1).value[index]
+        head = tail + _VELOCITY_SCALE * estimate.icr_velocity.value[index]
+        points = plane.in_space(np.array([tail, head]), height)
+        scale = (size / 50, size / 25, 0.0)
+        markers['icr_velocity'] = _Drawn(Marker.ARROW, points, scale, (*color, 1.0))
+    return markers
 
 
-def _of_pairs(estimate: Estimate, t: int, plane: Plane, names: list[str]) -> dict[str, _Drawn]:
-    """Relative instant centers of pairs, at the height of the first body."""
+def _draw_trail(
+    estimate: Estimate, index: tuple[int, int], plane: Plane, trail: Trail, drawn: slice
+) -> dict[str, _Drawn]:
+    """Draw both centrodes of a body."""
+    if drawn.stop - drawn.start <= 1:
+        return {}
+    width, color = _size(estimate, index) / 100, COLORS[index[1] % len(COLORS)]
+    turn = np.exp(1j * estimate.angle[0][index])
+    moving = estimate.origin(0)[index] + turn * trail.moving[drawn]
+    fixed, moving = (
+        plane.in_space(points, estimate.height[index]) for points in (trail.fixed[drawn], moving)
+    )
+    return {
+        'centrode_fixed': _line(fixed, width, (*color, 1.0)),
+        'centrode_moving': _line(moving, width, (*color, 0.5)),
+    }
+
+
+def _size(estimate: Estimate, index: tuple[int, int]) -> float:
+    """The size of a body, m, which scales its markers."""
+    return float(estimate.size[index]) if estimate.size[index] > 0 else 1.0
+
+
+def _line(points: np.ndarray, width: float, color: _Color) -> _Drawn:
+    return _Drawn(Marker.LINE_STRIP, points, (width, 0.0, 0.0), color)
+
+
+def _draw_pairs(estimate: Estimate, t: int, plane: Plane, names: list[str]) -> dict[str, _Drawn]:
+    """Draw the relative instant centers of pairs, at the height of the first body."""
     center, (_, first) = estimate.relative_icr, estimate.pairs
-    found = {}
+    markers = {}
     for k in center.determined[t].nonzero()[0].tolist():
         i = first[k]
-        place = plane.in_space(center.value[t, k : k + 1], estimate.height[t, i])
+        point = plane.in_space(center.value[t, k : k + 1], estimate.height[t, i])
         scale = (max(float(estimate.size[t, i]), 1e-3) / 25,) * 3
-        found[names[k]] = _Drawn(Marker.SPHERE, place, scale, (*_GRAY, 1.0))
-    return found
+        markers[names[k]] = _Drawn(Marker.SPHERE, point, scale, (*_GRAY, 1.0))
+    return markers
 
 
 def _ellipse(
     pole: Vectors,
-    at: tuple[int, int],
+    index: tuple[int, int],
     plane: Plane,
-    place: np.ndarray,
-    thick: float,
-    tint: tuple[float, float, float, float],
+    point: np.ndarray,
+    thickness: float,
+    color: _Color,
 ) -> _Drawn:
-    """A flat ball about a pole, of its standard deviations."""
-    variances, axes = np.linalg.eigh(pole.covariance[at])
-    first, second = _DEVIATIONS * 2 * np.sqrt(np.maximum(variances, 0.0)) + 1e-12
-    # Columns are the axes of the ball in space, right-handed.
+    """Draw the ellipse of two standard deviations about a pole, as a flat sphere."""
+    variances, axes = np.linalg.eigh(pole.covariance[index])
+    first, second = _ELLIPSE_SIGMAS * 2 * np.sqrt(np.maximum(variances, 0.0)) + 1e-12
+    # The columns are the axes of the sphere in space, right-handed.
     across = plane.basis[:2].T @ axes
-    turn = _quaternion(np.column_stack((across, np.cross(*across.T))))
-    color = (*tint[:3], tint[3] / 3)
-    return _Drawn(Marker.SPHERE, place, (float(first), float(second), thick), color, turn)
+    quaternion = _quaternion(np.column_stack((across, np.cross(*across.T))))
+    scale = (float(first), float(second), thickness)
+    return _Drawn(Marker.SPHERE, point, scale, (*color[:3], color[3] / 3), quaternion)
 
 
-def _quaternion(turn: np.ndarray) -> list[float]:
-    """x, y, z and w of a rotation (3, 3): the eigenvector that it leaves (Bar-Itzhack 2000)."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = turn.tolist()
+def _quaternion(rotation: np.ndarray) -> list[float]:
+    """The quaternion x, y, z, w of a rotation matrix, as an eigenvector (Bar-Itzhack 2000)."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation.tolist()
     matrix = [
         [xx - yy - zz, yx + xy, zx + xz, zy - yz],
         [yx + xy, yy - xx - zz, zy + yz, xz - zx],
         [zx + xz, zy + yz, zz - xx - yy, yx - xy],
         [zy - yz, xz - zx, yx - xy, xx + yy + zz],
     ]
-    found: list[float] = np.linalg.eigh(np.array(matrix) / 3)[1][:, -1].tolist()
-    return found
+    quaternion: list[float] = np.linalg.eigh(np.array(matrix) / 3)[1][:, -1].tolist()
+    return quaternion
 
 
 def _write_marker(
@@ -201,37 +334,34 @@ def _write_marker(
     stamp: int,
     names: tuple[str, str],
     drawn: _Drawn | None,
-    gone: int = Marker.DELETE,
+    action: int = Marker.DELETE,
 ) -> None:
-    """Field after field, as visualization_msgs/msg/Marker has them."""
+    """Write the fields of a visualization_msgs/msg/Marker; without `drawn`, a deletion."""
     frame_id, ns = names
     writer.header(stamp, frame_id)
     writer.string(ns)
     pose, points = np.zeros(10), np.empty((0, 3))
     pose[6] = 1.0
-    kind, action, color, text = Marker.ARROW, gone, (0.0, 0.0, 0.0, 0.0), ''
+    kind, color, text = Marker.ARROW, (0.0, 0.0, 0.0, 0.0), ''
     if drawn is not None:
         kind, action, color, text = drawn.kind, Marker.ADD, drawn.color, drawn.text
         pose[7:] = drawn.scale
         if kind in (Marker.SPHERE, Marker.TEXT_VIEW_FACING):
-            pose[:3], pose[3:7] = drawn.places[0], drawn.turn
+            pose[:3], pose[3:7] = drawn.points[0], drawn.quaternion
         else:
-            points = drawn.places
+            points = drawn.points
     writer.pack('3i', 0, kind, action)
     writer.doubles(pose)
-    writer.pack('4f2i?', *color, _LASTS, 0, False)
+    writer.pack('4f2i?', *color, _LIFETIME, 0, False)
     writer.pack('I', len(points))
     writer.doubles(points)
-    # No colors of points, no texture.
+    # No colors of points, no texture, no texture coordinates.
     writer.align(4)
-    writer.data += bytes(4) + _EMPTY + bytes(8) + _EMPTY + _EMPTY + bytes(4)
-    # No coordinates of a texture.
-    writer.data += bytes(4)
+    writer.data += bytes(4) + _EMPTY + bytes(8) + _EMPTY + _EMPTY + bytes(4) + bytes(4)
     writer.string(text)
     # No mesh.
     writer.align(4)
     writer.data += _EMPTY + _EMPTY + bytes(4) + bytes(1)
 
 
-# A string without letters, and what is after it before the next field.
-_EMPTY = struct.pack('<I4x', 1)
+_EMPTY = struct.pack('<I4x', 1)  # an empty string with its padding

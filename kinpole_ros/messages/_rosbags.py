@@ -1,8 +1,8 @@
 """
-Message classes without ROS: those of rosbags, to be made and read as rclpy's are.
+Message classes without ROS: those of rosbags, made and read as the classes of rclpy are.
 
-Like rclpy's they take fields by name and have defaults for the others. Sequences of numbers are
-numpy arrays here, and a byte is an int.
+Their constructors take fields by name and have defaults for all. Sequences of numbers are numpy
+arrays, and a byte is an int.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 _STORE: Any = get_typestore(Stores.ROS2_JAZZY)
-# All that a .msg file of ours sets to something else than zero; rosbags does not keep it.
+# The only default in the .msg files in use that is not zero; rosbags does not read defaults.
 _DEFAULTS = {('geometry_msgs/msg/Quaternion', 'w'): 1.0}
 _DTYPES = {'byte': 'u1', 'char': 'u1', 'octet': 'u1'}
 
@@ -29,7 +29,7 @@ def message_class(name: str) -> Any:
         (own, Any, field(default_factory=_default(kind, _DEFAULTS.get((name, own)))))
         for own, kind in _STORE.fielddefs[name][1]
     ]
-    # In the store too: what it reads is made of these.
+    # The store makes what it reads of these classes too.
     _STORE.types[name] = make_dataclass(short, fields, bases=(_STORE.types[name],))
     return _STORE.types[name]
 
@@ -46,11 +46,11 @@ def serialize_message(message: Any) -> bytes:
 
 def deserialize_message(data: bytes, cls: Any) -> Any:
     """
-    The message of this class that is in CDR data; raises what rosbags makes of bad data.
+    Read a message of this class from CDR data; bad data raises various errors of rosbags.
 
-    As with rclpy more may follow. Stricter than rclpy: text must be UTF-8.
+    Bytes after the message are ignored, as rclpy does. Unlike in rclpy, text must be UTF-8.
     """
-    # Not the store's own, which refuses what follows.
+    # The method of the store refuses bytes after the message.
     kind = _STORE.get_msgdef(cls.__msgtype__)
     read = kind.deserialize_cdr_le if data[1] else kind.deserialize_cdr_be
     return read(data[4:], 0, kind.cls, _STORE)[0]
@@ -70,15 +70,15 @@ def constants(cls: Any) -> dict[str, Any]:
 
 
 def octets(data: bytes) -> Any:
-    """What a field uint8[] takes."""
+    """The value of a field of type uint8[]."""
     return np.frombuffer(data, np.uint8)
 
 
 def _default(kind: Any, default: Any) -> Callable[[], Any]:
-    """Makes the value of a field nobody set."""
-    node, what = kind
+    """Return a function that makes the default of a field."""
     if default is not None:
         return lambda: default
+    node, what = kind
     if node == Nodetype.NAME:
         return message_class(what)
     if node == Nodetype.BASE:
@@ -102,7 +102,7 @@ def _msg_type(kind: Any) -> str:
     return f'{_msg_type(what[0])}[{bound}]'
 
 
-# Those in use, by name. The live node never sees them.
+# The classes in use.
 Time = message_class('builtin_interfaces/msg/Time')
 DiagnosticArray = message_class('diagnostic_msgs/msg/DiagnosticArray')
 DiagnosticStatus = message_class('diagnostic_msgs/msg/DiagnosticStatus')

@@ -1,4 +1,4 @@
-"""Message classes of a ROS: found by name, and what they say of themselves."""
+"""Message classes of an installed ROS by name, and their fields."""
 
 import re
 from array import array
@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-# rosidl names basic types as IDL does; .msg files use their own names for these.
+# Basic types that rosidl names as IDL does, by their names in .msg files.
 _BASIC = {'boolean': 'bool', 'octet': 'byte', 'float': 'float32', 'double': 'float64'}
 
 
@@ -25,10 +25,10 @@ def message_class(name: str) -> Any:
 
 @cache
 def _has_messages(package: str) -> bool:
-    """Whether it is a package of messages: names in bags must not have anything else imported."""
-    found = find_spec(package) if package.isidentifier() else None
-    places = found.submodule_search_locations if found is not None else None
-    return any((Path(place) / 'msg').is_dir() for place in places or ())
+    """Whether it is a package of messages: a name in a bag must not import any other package."""
+    spec = find_spec(package) if package.isidentifier() else None
+    folders = spec.submodule_search_locations if spec is not None else None
+    return any((Path(folder) / 'msg').is_dir() for folder in folders or ())
 
 
 def type_name(cls: Any) -> str:
@@ -44,24 +44,24 @@ def fields(cls: Any) -> dict[str, str]:
 
 def constants(cls: Any) -> dict[str, Any]:
     """Constants of a message type."""
-    # Where a class lists them for its metaclass; the same dict has defaults of fields.
-    listed = type(cls).__prepare__(cls.__name__, ())
-    return {k: v for k, v in listed.items() if not k.endswith('__DEFAULT')}
+    # The namespace that a class prepares for its metaclass has constants and defaults of fields.
+    namespace = type(cls).__prepare__(cls.__name__, ())
+    return {k: v for k, v in namespace.items() if not k.endswith('__DEFAULT')}
 
 
 def octets(data: bytes) -> Any:
-    """What a field uint8[] takes."""
+    """The value of a field of type uint8[]."""
     return array('B', data)
 
 
 def _msg_type(idl: str) -> str:
     """'sequence<double, 3>' becomes 'float64[<=3]', and so on."""
-    if found := re.fullmatch(r'sequence<(.+?)(?:, (\d+))?>', idl):
-        return _msg_type(found[1]) + (f'[<={found[2]}]' if found[2] else '[]')
-    if found := re.fullmatch(r'(.+)(\[\d+\])', idl):
-        return _msg_type(found[1]) + found[2]
-    if found := re.fullmatch(r'(w?string)<(\d+)>', idl):
-        return f'{found[1]}<={found[2]}'
+    if match := re.fullmatch(r'sequence<(.+?)(?:, (\d+))?>', idl):
+        return _msg_type(match[1]) + (f'[<={match[2]}]' if match[2] else '[]')
+    if match := re.fullmatch(r'(.+)(\[\d+\])', idl):
+        return _msg_type(match[1]) + match[2]
+    if match := re.fullmatch(r'(w?string)<(\d+)>', idl):
+        return f'{match[1]}<={match[2]}'
     return _BASIC.get(idl, idl)
 
 
@@ -70,7 +70,7 @@ class _TFMessage:
 
     @staticmethod
     def get_fields_and_field_types() -> dict[str, str]:
-        """As the class has it."""
+        """Types of the fields by name, as rosidl has them."""
         return {'transforms': 'sequence<geometry_msgs/TransformStamped>'}
 
 

@@ -1,9 +1,9 @@
 """
-All quantities of all bodies at an instant in one message: the topic `state`.
+The topic `state`: all quantities of all bodies at an instant in one message.
 
-A sensor_msgs/PointCloud2 has one point for each body and one field for each number, so it needs no
-message type of our own. The numbers are those of the separate topics. One message costs far less
-to make, send and read than dozens.
+A sensor_msgs/PointCloud2 with one point for each body and one field for each number needs no
+message type of its own. It costs far less to make, send and read than the separate topics, which
+have the same numbers.
 """
 
 from functools import lru_cache
@@ -11,17 +11,22 @@ from itertools import chain
 
 import numpy as np
 
-from kinpole_ros.messages._cdr_writer import HEAD, SECOND, TIME, Writer
-from kinpole_ros.messages._loci import Build, Built
-from kinpole_ros.messages._markers import stamp_to_ns
-from kinpole_ros.messages._types import PointCloud2, PointField, deserialize_message
+from kinpole_ros.messages._cdr import HEAD, TIME, Writer
+from kinpole_ros.messages._quantities import Build, Built
+from kinpole_ros.messages._types import (
+    SECOND,
+    PointCloud2,
+    PointField,
+    deserialize_message,
+    stamp_to_ns,
+)
 from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
 from kinpole_ros.tracking.plane import Plane
 
-# The topic.
 STATE = 'state'
-# The first fields, of 4 bytes each; all others are float64. Viewers of clouds look for x, y and z,
-# RViz for float32.
+"""The topic."""
+# The first fields, of 4 bytes; all others are float64. Viewers of clouds expect x, y and z, RViz as
+# float32.
 _FIRST_FIELDS = {
     'x': PointField.FLOAT32,
     'y': PointField.FLOAT32,
@@ -35,10 +40,10 @@ _LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 
 def state_fields(order: int) -> dict[str, list[str]]:
     """
-    Name the float64 fields of each quantity, up to the derivative of `order`.
+    Return the names of the float64 fields of each quantity, up to the derivative of `order`.
 
-    Bit k of the field `determined` is that of the k-th quantity. `pose` is the place, angle and
-    velocity of the body's frame. A number has its standard deviation behind it, a vector its
+    Bit k of the field `determined` is that of the k-th quantity. `pose` is the position, angle and
+    velocity of the body's frame. A number is followed by its standard deviation, a vector by its
     covariance.
     """
     pose = [*_fields_of('position', True), *_fields_of('angle'), *_fields_of('velocity', True)]
@@ -60,9 +65,9 @@ def _fields_of(name: str, is_vector: bool = False) -> list[str]:
 
 def state(given: Plane, order: int) -> Build:
     """
-    Build the messages of all instants, with derivatives up to `order`.
+    Return a function that makes the messages of all instants, with derivatives up to `order`.
 
-    `given` is the plane of estimates that do not say where they lie.
+    `given` is the plane of estimates that have none.
     """
     sizes = [len(names) for names in state_fields(order).values()]
     quantity_of_field = np.repeat(np.arange(len(sizes)), sizes)
@@ -71,14 +76,14 @@ def state(given: Plane, order: int) -> Build:
     def build(estimate: Estimate) -> Built:
         count, bodies = estimate.missing.shape
         numbers = np.empty((count, bodies, len(quantity_of_field)))
-        known = np.empty((count, bodies, len(sizes)), bool)
-        _fill(numbers, known, estimate, order)
+        determined = np.empty((count, bodies, len(sizes)), bool)
+        _fill(numbers, determined, estimate, order)
         points = np.zeros((count, bodies, _FIRST_DOUBLES + numbers.shape[-1]), '<f8')
-        np.copyto(points[..., _FIRST_DOUBLES:], numbers, where=known[..., quantity_of_field])
-        place = (estimate.plane or given).in_space(estimate.origin(0), estimate.height)
-        place = np.where(known[..., :1], place, 0.0).clip(-_LARGEST_FLOAT32, _LARGEST_FLOAT32)
-        points.view('<f4')[..., :3] = place
-        points.view('<u4')[..., 3] = known @ bits
+        np.copyto(points[..., _FIRST_DOUBLES:], numbers, where=determined[..., quantity_of_field])
+        origin = (estimate.plane or given).in_space(estimate.origin(0), estimate.height)
+        origin = np.where(determined[..., :1], origin, 0.0)
+        points.view('<f4')[..., :3] = origin.clip(-_LARGEST_FLOAT32, _LARGEST_FLOAT32)
+        points.view('<u4')[..., 3] = determined @ bits
         start, head, tail = _constant_parts(estimate.frame_id, bodies, order)
         times = [TIME.pack(*divmod(stamp, SECOND)) for stamp in estimate.stamp.tolist()]
         return list(range(count)), [
@@ -89,50 +94,57 @@ def state(given: Plane, order: int) -> Build:
     return build
 
 
-def _fill(numbers: np.ndarray, known: np.ndarray, estimate: Estimate, order: int) -> None:
+def _fill(numbers: np.ndarray, determined: np.ndarray, estimate: Estimate, order: int) -> None:
     """Write all numbers (T, B, fields), and where each quantity (T, B, bits) is determined."""
-    known[..., 0] = estimate.missing == ''
+    determined[..., 0] = estimate.missing == ''
     _fill_pose(numbers, estimate)
-    quantities: list[Numbers | Vectors] = [estimate.rate(k) for k in range(1, order + 1)]
-    quantities += [estimate.pole(k) for k in range(1, order + 1)]
-    if order >= 2:
-        quantities.append(estimate.icr_velocity)
-    if order >= 3:
-        quantities.append(estimate.centrode_curvature)
     k = _POSE_FIELDS
-    for bit, found in enumerate(quantities, 1):
-        known[..., bit] = found.determined
-        if isinstance(found, Numbers):
-            numbers[..., k] = found.value
-            np.sqrt(found.variance, out=numbers[..., k + 1], where=found.determined)
+    for bit, quantity in enumerate(quantities_of(estimate, order).values(), 1):
+        determined[..., bit] = quantity.determined
+        if isinstance(quantity, Numbers):
+            numbers[..., k] = quantity.value
+            np.sqrt(quantity.variance, out=numbers[..., k + 1], where=quantity.determined)
             k += 2
         else:
-            numbers[..., k], numbers[..., k + 1] = found.value.real, found.value.imag
-            numbers[..., k + 2] = found.covariance[..., 0, 0]
-            numbers[..., k + 3] = found.covariance[..., 0, 1]
-            numbers[..., k + 4] = found.covariance[..., 1, 1]
+            numbers[..., k], numbers[..., k + 1] = quantity.value.real, quantity.value.imag
+            numbers[..., k + 2] = quantity.covariance[..., 0, 0]
+            numbers[..., k + 3] = quantity.covariance[..., 0, 1]
+            numbers[..., k + 4] = quantity.covariance[..., 1, 1]
             k += 5
+
+
+def quantities_of(estimate: Estimate, order: int) -> dict[str, Numbers | Vectors]:
+    """Return rates, poles and their motion by name, up to the derivative of `order`."""
+    quantities: dict[str, Numbers | Vectors] = {
+        name: estimate.rate(k) for k, name in enumerate(RATE_NAMES[:order], 1)
+    }
+    quantities |= {name: estimate.pole(k) for k, name in enumerate(POLE_NAMES[:order], 1)}
+    if order >= 2:
+        quantities['icr_velocity'] = estimate.icr_velocity
+    if order >= 3:
+        quantities['centrode_curvature'] = estimate.centrode_curvature
+    return quantities
 
 
 def _fill_pose(numbers: np.ndarray, estimate: Estimate) -> None:
     """
-    Write place, angle and velocity of the bodies' frames, with their covariances.
+    Write position, angle and velocity of the bodies' frames, with their covariances.
 
     The origin lies at -r from the reference point, whose errors are independent of those of the
-    angle. So an error d of the angle moves the origin by -i d r, and its velocity by d w r; an
-    error e of the rate w changes the velocity by -i e r.
+    angle. So an error d of the angle moves the origin by -i d r, and changes its velocity by d w r;
+    an error e of the rate w changes the velocity by -i e r.
     """
-    place, velocity = estimate.origin(0), estimate.origin(1)
+    position, velocity = estimate.origin(0), estimate.origin(1)
     angle, rate = estimate.angle[:2]
     variance, of_velocity = estimate.position_covariance[0, 0], estimate.position_covariance[1, 1]
     r = estimate.reference * np.exp(1j * angle)
     xx, xy, yy = r.real * r.real, r.real * r.imag, r.imag * r.imag
-    of_angle = estimate.angle_covariance[0, 0]
-    by_angle, of_rate = of_angle * rate * rate, estimate.angle_covariance[1, 1]
+    of_angle, of_rate = estimate.angle_covariance[0, 0], estimate.angle_covariance[1, 1]
+    by_angle = of_angle * rate * rate
     by_both = estimate.angle_covariance[0, 1] * rate
     columns = (
-        place.real,
-        place.imag,
+        position.real,
+        position.imag,
         variance + of_angle * yy,
         -of_angle * xy,
         variance + of_angle * xx,
@@ -150,7 +162,7 @@ def _fill_pose(numbers: np.ndarray, estimate: Estimate) -> None:
 
 @lru_cache(maxsize=8)
 def _constant_parts(frame_id: str, bodies: int, order: int) -> tuple[bytes, bytes, bytes]:
-    """Return what is before the stamp, between the stamp and the data, and behind the data."""
+    """Return the bytes before the stamp, between the stamp and the data, and behind the data."""
     names = chain(*state_fields(order).values())
     kinds = [*_FIRST_FIELDS.items(), *((name, PointField.FLOAT64) for name in names)]
     writer = Writer()
@@ -168,16 +180,33 @@ def _constant_parts(frame_id: str, bodies: int, order: int) -> tuple[bytes, byte
     writer.pack('II', offset, offset * bodies)
     writer.pack('I', offset * bodies)
     data = bytes(writer.data)
-    # Nothing in it is NaN.
-    return data[:HEAD], data[HEAD + TIME.size :], b'\1'
+    is_dense = b'\1'  # no number is NaN
+    return data[:HEAD], data[HEAD + TIME.size :], is_dense
 
 
 def read_state(data: bytes) -> tuple[int, dict[str, Numbers | Vectors]]:
     """
-    Read a message of the topic: its stamp, ns, and its quantities (B,) by name.
+    Read a message of the topic `state`.
 
-    The quantities are those of `state_fields`, with `position`, `angle` and `velocity` in place of
-    `pose`. Raises ValueError for another cloud, as RuntimeError where rclpy cannot read it.
+    Parameters
+    ----------
+    data : bytes
+        The serialized message.
+
+    Returns
+    -------
+    stamp : int
+        Its stamp, ns.
+    quantities : dict
+        The quantities of `state_fields` by name, of all bodies (B,), with `position`, `angle` and
+        `velocity` in place of `pose`.
+
+    Raises
+    ------
+    ValueError
+        For a cloud of another topic.
+    RuntimeError
+        Where rclpy cannot read the message.
     """
     cloud = deserialize_message(data, PointCloud2)
     names = [field.name for field in cloud.fields]
@@ -197,15 +226,15 @@ def read_state(data: bytes) -> tuple[int, dict[str, Numbers | Vectors]]:
         raise ValueError('not all of its numbers are finite')
     bits = points.view('<u4')[:, len(_FIRST_FIELDS) - 1]
     column = dict(zip(expected[len(_FIRST_FIELDS) :], points[:, _FIRST_DOUBLES:].T, strict=True))
-    found: dict[str, Numbers | Vectors] = {}
-    for bit, (quantity, _) in enumerate(fields.items()):
-        known = bits >> bit & 1 == 1
-        parts = ('position', 'angle', 'velocity') if quantity == 'pose' else (quantity,)
-        for name in parts:
+    quantities: dict[str, Numbers | Vectors] = {}
+    for bit, quantity in enumerate(fields):
+        determined = bits >> bit & 1 == 1
+        for name in ('position', 'angle', 'velocity') if quantity == 'pose' else (quantity,):
             if name in column:
-                found[name] = Numbers(column[name], column[f'{name}_deviation'] ** 2, known)
+                variance = column[f'{name}_deviation'] ** 2
+                quantities[name] = Numbers(column[name], variance, determined)
                 continue
             x, y, xx, xy, yy = (column[field] for field in _fields_of(name, True))
             covariance = np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1)
-            found[name] = Vectors(x + 1j * y, covariance, known)
-    return stamp_to_ns(cloud.header.stamp), found
+            quantities[name] = Vectors(x + 1j * y, covariance, determined)
+    return stamp_to_ns(cloud.header.stamp), quantities

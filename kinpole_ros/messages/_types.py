@@ -1,19 +1,18 @@
 """
-Message classes and their bytes, with ROS or without: rclpy's where it is there, else rosbags'.
+Message classes, their types by name, and stamps, with ROS or without.
 
-All outside of ros/ takes them from here, so nothing but the live node needs ROS.
+Where rclpy is installed the classes are its own, else those of rosbags. All outside of `ros/` takes
+them from here, so only the live node needs ROS.
 """
 
+# ruff: noqa: F401, F403
 from typing import TYPE_CHECKING
 
 try:
-    from rclpy.serialization import deserialize_message
+    from rclpy.serialization import deserialize_message, serialize_message
 
     WITH_ROS = True
-# A ROS of another Python is none either.
-except ImportError:
-    from kinpole_ros.messages._rosbags import deserialize_message
-
+except ImportError:  # also for the rclpy of another Python version
     WITH_ROS = False
 
 if WITH_ROS or TYPE_CHECKING:
@@ -44,74 +43,40 @@ if WITH_ROS or TYPE_CHECKING:
         octets,
         type_name,
     )
-    from kinpole_ros.messages._serialize import serialize_message
 else:
-    from kinpole_ros.messages._rosbags import (
-        WITH_TF,
-        ColorRGBA,
-        DiagnosticArray,
-        DiagnosticStatus,
-        Header,
-        JointState,
-        KeyValue,
-        Marker,
-        MarkerArray,
-        Odometry,
-        Path,
-        Point,
-        PointCloud2,
-        PointField,
-        PointStamped,
-        Pose,
-        PoseArray,
-        PoseStamped,
-        PoseWithCovarianceStamped,
-        String,
-        TFMessage,
-        Time,
-        Vector3,
-        Vector3Stamped,
-        WrenchStamped,
-        constants,
-        fields,
-        message_class,
-        octets,
-        serialize_message,
-        type_name,
-    )
+    from kinpole_ros.messages._rosbags import *
 
-__all__ = [
-    'WITH_ROS',
-    'WITH_TF',
-    'ColorRGBA',
-    'DiagnosticArray',
-    'DiagnosticStatus',
-    'Header',
-    'JointState',
-    'KeyValue',
-    'Marker',
-    'MarkerArray',
-    'Odometry',
-    'Path',
-    'Point',
-    'PointCloud2',
-    'PointField',
-    'PointStamped',
-    'Pose',
-    'PoseArray',
-    'PoseStamped',
-    'PoseWithCovarianceStamped',
-    'String',
-    'TFMessage',
-    'Time',
-    'Vector3',
-    'Vector3Stamped',
-    'WrenchStamped',
-    'constants',
-    'deserialize_message',
-    'fields',
-    'message_class',
-    'octets',
-    'serialize_message',
-    'type_name',
-]
+MARKER_TYPES: dict[str, type] = {
+    'marker_array': MarkerArray,
+    'marker': Marker,
+    'pose_array': PoseArray,
+    'point_cloud2': PointCloud2,
+}
+# The input types: messages of markers, and of poses of bodies.
+INPUT_TYPES: dict[str, type] = {
+    **MARKER_TYPES,
+    'pose_stamped': PoseStamped,
+    'body_poses': PoseArray,
+    'tf': TFMessage,
+}
+INPUT_TYPE_NAMES = {kind: type_name(cls) for kind, cls in INPUT_TYPES.items()}
+ROS_TYPE_NAMES = {kind: INPUT_TYPE_NAMES[kind] for kind in MARKER_TYPES}
+SECOND = 1_000_000_000  # ns
+END_OF_TIME = 2**31 * SECOND  # ns: the first stamp that a ROS time cannot hold
+
+
+class MessageError(ValueError):
+    """A message that cannot be read; the text names the field and says how to fix it."""
+
+
+def stamp_to_ns(stamp: 'Time') -> int:
+    """Return a builtin_interfaces Time as an exact count of ns."""
+    return int(stamp.sec) * SECOND + int(stamp.nanosec)
+
+
+def ns_to_stamp(ns: int) -> 'Time':
+    """Make a builtin_interfaces Time of ns; ValueError outside what it holds (years 1970-2038)."""
+    sec, nanosec = divmod(int(ns), SECOND)
+    if not 0 <= ns < END_OF_TIME:
+        raise ValueError(f'stamp {ns} ns is out of range: a ROS time holds 0 to 2^31 s')
+    return Time(sec=sec, nanosec=nanosec)

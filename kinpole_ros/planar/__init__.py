@@ -1,9 +1,11 @@
 """
 Rigid-body kinematics in the plane, as pure functions of arrays.
 
-Knows no time series, files or ROS: derivatives come in, rates, poles and centrodes go out. Inside,
-a vector (x, y) is the complex number x + iy, so that the seeds' matrix R (a turn by +90 degrees) is
-a product with i and each of their 2 x 2 matrices B, H and G is one complex number.
+Derivatives of poses or landmarks come in; rates, poles, centrodes and their first-order covariances
+go out. Public functions say whether a vector is an array (..., 2) or a complex number x + iy.
+Written as complex numbers, the matrix R of the seeds (rotation by +90 degrees) is the factor i, and
+their 2 x 2 matrices B, H and G are single complex numbers. The seeds are the course notes listed in
+docs/course_notes.md. Functions raise ValueError for arrays whose shapes do not fit.
 """
 
 from kinpole_ros.planar._balance import Port, measured_balance
@@ -17,14 +19,12 @@ from kinpole_ros.planar._centrode import (
     moving_centrode_curvature,
     velocity_terms,
 )
-from kinpole_ros.planar._figures import curvature_figures, pole_figures, velocity_figures
 from kinpole_ros.planar._landmarks import (
     LandmarkKinematics,
     im2kin2d,
     landmark_kinematics,
     point_derivatives,
 )
-from kinpole_ros.planar._linear import Linear, covariance, mean_square, variance
 from kinpole_ros.planar._plane import to_complex, to_plane
 from kinpole_ros.planar._poisson import (
     centrode_velocities,
@@ -37,43 +37,45 @@ from kinpole_ros.planar._poisson import (
 )
 from kinpole_ros.planar._poles import (
     body_point_derivative,
+    center_offset,
+    kennedy_residual,
     point_motion,
     pole,
+    relative_center,
+    relative_pole,
     rotation,
     rotation_coefficient,
 )
 from kinpole_ros.planar._procrustes import (
     Fit,
-    Grip,
-    fit_by_grip,
+    ProcrustesFactors,
     fit_pose,
-    grip_of,
+    fit_pose_with_factors,
+    procrustes_factors,
 )
-from kinpole_ros.planar._relative import (
-    center_offset,
-    kennedy_residual,
-    relative_center,
-    relative_pole,
+from kinpole_ros.planar._uncertainty import (
+    Linear,
+    covariance,
+    mean_square,
+    variance,
 )
 
 __all__ = [
     'Fit',
-    'Grip',
     'LandmarkKinematics',
     'Linear',
     'Port',
+    'ProcrustesFactors',
     'acceleration_terms',
     'body_point_derivative',
     'center_offset',
     'centrode_curvature',
     'centrode_velocities',
     'covariance',
-    'curvature_figures',
     'curvature_terms',
-    'fit_by_grip',
     'fit_pose',
+    'fit_pose_with_factors',
     'fixed_centrode_from_reference',
-    'grip_of',
     'icr_acceleration',
     'icr_velocity',
     'im2kin2d',
@@ -87,8 +89,8 @@ __all__ = [
     'point_derivatives',
     'point_motion',
     'pole',
-    'pole_figures',
     'pole_from_reference',
+    'procrustes_factors',
     'relative_acceleration',
     'relative_center',
     'relative_pole',
@@ -99,6 +101,5 @@ __all__ = [
     'to_plane',
     'transport',
     'variance',
-    'velocity_figures',
     'velocity_terms',
 ]

@@ -1,8 +1,8 @@
 """
-The effort that balances a load on a machine in motion, from its velocities as measured (seed 003).
+The force or torque that balances loads on a moving machine, by virtual work (seed 003, section 4).
 
-What goes in at one port comes out at another, whatever is between them: neither the joints nor
-bodies that carry no markers need be known. Friction and inertia are left out.
+The sum of the powers of all forces and torques is zero, whatever mechanism is between them, so
+neither the joints nor the bodies without loads need be known. Friction and inertia are neglected.
 """
 
 from collections.abc import Sequence
@@ -10,17 +10,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.planar._linear import Linear, variance
 from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.planar._uncertainty import Linear, variance
 
 
 class Port(NamedTuple):
     """
-    Where power goes in or out of a body, the index `body`.
+    A force or torque on a body.
 
-    With a `point` (complex, m, of the body's frame, one or (...)) `effort` is a force there, N,
-    complex in the ground's axes, one or (...); without, a torque, N m. Of an input only its
-    direction counts, or its sign.
+    Attributes
+    ----------
+    body
+        Index of the body.
+    effort
+        With a `point` a force, N, complex in the ground's axes; without one a torque, N m. One
+        number or (...). Of the balancing input only its direction or sign counts.
+    point
+        Where the force acts, complex, m, in the body's frame, one number or (...); None for a
+        torque.
+
     """
 
     body: int
@@ -31,12 +39,7 @@ class Port(NamedTuple):
 def port_power(
     effort: complex | Complex, point: complex | Complex | None, position: Complex, angle: Real
 ) -> Linear:
-    """
-    Power (W) of a force at a point of a body, or of a torque where `point` is None, as in Port.
-
-    `position` (K, ...) complex and `angle` (K, ...) hold the body's frame with its derivatives,
-    K > 1. With an effort of 1 it is the velocity along it, m/s or rad/s.
-    """
+    """Power (...), W, of an effort as in Port; with an effort of size 1 the velocity along it."""
     orders = slice(1, 2), slice(0, 2)
     by_position = np.zeros((1, *np.shape(angle[1])), complex)
     if point is None:
@@ -55,27 +58,27 @@ def balancing_effort(
     through: tuple[int, Linear], loads: Sequence[tuple[int, Linear]]
 ) -> dict[int, Linear]:
     """
-    The effort E that balances loads: the sum of their powers and of E times the input's rate is 0.
+    The effort E = -sum(P) / v that balances loads of power P at an input of rate v, by body.
 
-    `through` is the body and the rate of the input, `loads` those of each load with its power, as
-    `port_power` gives them. Returns E once for each body, as it depends on that body; bodies are
-    measured separately, so their variances add. Not finite where the input stands still.
+    Each has the partial derivatives by the pose of its body, dE = -(dP + E dv) / v. Bodies are
+    measured independently, so their variances add. Not finite where v = 0.
     """
     _, rate = through
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
         inverse = -1 / np.asarray(rate.value)
         effort = sum(power.value for _, power in loads) * inverse
-        # dE = -(dP + E dv) / v; the loads' bodies have the first, the input's the second.
-        parts = [(body, power, inverse) for body, power in loads]
-        parts.append((through[0], rate, effort * inverse))
-        found: dict[int, Linear] = {}
-        for body, linear, factor in parts:
+        terms = [(body, power, inverse) for body, power in loads]
+        terms.append((through[0], rate, effort * inverse))
+        by_body: dict[int, Linear] = {}
+        for body, linear, factor in terms:
             by_position, by_angle = linear.by_position * factor, linear.by_angle * factor
-            if body in found:
-                by_position = by_position + found[body].by_position
-                by_angle = by_angle + found[body].by_angle
-            found[body] = linear._replace(value=effort, by_position=by_position, by_angle=by_angle)
-    return found
+            if body in by_body:
+                by_position = by_position + by_body[body].by_position
+                by_angle = by_angle + by_body[body].by_angle
+            by_body[body] = linear._replace(
+                value=effort, by_position=by_position, by_angle=by_angle
+            )
+    return by_body
 
 
 def measured_balance(
@@ -88,31 +91,30 @@ def measured_balance(
     significant: float = 3.0,
 ) -> tuple[Real, Real, np.ndarray]:
     """
-    The effort that balances loads on a machine, from its velocities as measured.
+    The effort that balances loads on a machine, from its measured velocities.
 
     Parameters
     ----------
     through
-        Where the effort acts; only its direction counts.
+        Where the balancing effort acts. Only its direction counts.
     loads
-        What it balances.
+        Forces and torques to be balanced.
     position, angle
-        All bodies' frames with their derivatives, (K, B, ...), complex, m, and (K, B, ...), rad,
+        Frames of all bodies with their derivatives, (K, B, ...), complex, m, and (K, B, ...), rad;
         K > 1.
     position_covariance, angle_covariance
-        Between orders (K, K, B, ...), as in `covariance`.
+        Between the orders (K, K, B, ...), as in `covariance`.
     significant
-        It is determined where the input's velocity is more than so many standard deviations from
-        zero.
+        Standard deviations that the input's velocity must be away from zero.
 
     Returns
     -------
     effort : ndarray
-        Of shape (...), N or N m, positive along that of `through`.
+        Of shape (...), N or N m, positive in the direction of `through`.
     variance : ndarray
         Of shape (...), to first order.
     determined : ndarray
-        Where it is, (...).
+        Where the input's velocity is significant and the results are finite (...), bool.
 
     Raises
     ------
@@ -121,14 +123,14 @@ def measured_balance(
 
     Notes
     -----
-    Virtual work, seed 003; friction and inertia are left out.
+    Virtual work, sum(F . v) + sum(T w) = 0: seed 003, section 4.
 
     """
     size = abs(through.effort) if through.point is not None else abs(np.real(through.effort))
     if not np.all((size > 0) & (size < np.inf)):
         raise ValueError('the input of a balance needs a direction: a force or torque not zero')
 
-    def spread(body: int, linear: Linear) -> Real:
+    def variance_of(body: int, linear: Linear) -> Real:
         return variance(linear, position_covariance[:, :, body], angle_covariance[:, :, body])
 
     unit = through._replace(effort=through.effort / size)
@@ -142,6 +144,6 @@ def measured_balance(
     )
     value = by_body[through.body].value.real
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        noise = np.asarray(sum(spread(body, linear) for body, linear in by_body.items()))
-        moving = np.abs(rate.value) > significant * np.sqrt(spread(through.body, rate))
-    return value, noise, moving & np.isfinite(value) & np.isfinite(noise)
+        total = np.asarray(sum(variance_of(body, linear) for body, linear in by_body.items()))
+        is_moving = np.abs(rate.value) > significant * np.sqrt(variance_of(through.body, rate))
+    return value, total, is_moving & np.isfinite(value) & np.isfinite(total)

@@ -1,4 +1,11 @@
-"""The ICR as it wanders: its velocity along the centrodes and the centrodes' curvature."""
+"""
+Motion of the ICR along the centrodes, and the curvature of the centrodes.
+
+The fixed centrode is the path of the ICR in the ground's frame, the moving centrode its path in the
+body's frame; the moving one rolls on the fixed one (seed 000, page 3; seed 001, section 2).
+Symbols: v, acc and jerk are the derivatives of the reference point, w, a and j those of the angle,
+u is the velocity of the ICR and du its rate of change.
+"""
 
 from collections.abc import Sequence
 from typing import Any, TypeAlias
@@ -6,7 +13,6 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinpole_ros.planar._linear import Linear
 from kinpole_ros.planar._plane import (
     Complex,
     Real,
@@ -15,9 +21,11 @@ from kinpole_ros.planar._plane import (
     to_complex,
     to_plane,
 )
+from kinpole_ros.planar._uncertainty import Linear
 
-# Numbers or arrays: a frame that comes alone is computed in numbers.
+# Complex numbers, or arrays of one shape.
 Number: TypeAlias = Any
+# A value with its partial derivatives by position and by angle, from order 1 on.
 Terms: TypeAlias = tuple[Number, tuple[Number, ...], tuple[Number, ...]]
 
 
@@ -35,12 +43,11 @@ def icr_velocity(position: Complex, angle: Real) -> Linear:
     Returns
     -------
     Linear
-        In m/s, complex (...), in the frame of `position`; not finite where the body does not turn.
+        Of shape (...), complex, m/s, in the frame of `position`. Not finite where w = 0.
 
     Notes
     -----
-    (w R acc - B v) / w^2, with v and acc those of the reference point: seed 000, 'centrode
-    velocity', and seed 001, eq. 15.
+    (w R acc - B v) / w^2, seed 000, page 3. It is the same along both centrodes (seed 001, eq. 15).
 
     """
     return _linear(velocity_terms(position[1:3], complex_of(0.0, angle[1:3])), 3)
@@ -48,21 +55,24 @@ def icr_velocity(position: Complex, angle: Real) -> Linear:
 
 def velocity_terms(position: Sequence[Number], turn: Sequence[Number]) -> Terms:
     """
-    The velocity of the ICR, and its derivatives by those of the reference point and the angle.
+    Velocity u of the ICR with its partial derivatives.
 
     Parameters
     ----------
     position
-        v and acc of the reference point, complex: numbers, or arrays of one shape.
+        v and acc, complex, of one shape.
     turn
-        i w and i a, of the same shape. They are complex since a product with a real array takes
-        three times as long, and the signs are the same.
+        i w and i a, complex, of the same shape: a product with a real array takes three times as
+        long.
 
     Returns
     -------
     value, by_position, by_angle
-        u = v + q (acc + n v), m/s, complex, with q = -1 / i w and n = q i a, and its derivatives by
-        v and acc and by w and a.
+        u, complex, m/s, and its partial derivatives by (v, acc) and by (w, a).
+
+    Notes
+    -----
+    u = v + q (acc + n v) with q = -1 / (i w) and n = i a q.
 
     """
     (v, acc), (t1, t2) = position, turn
@@ -84,16 +94,16 @@ def icr_acceleration(position: Complex, angle: Real, u: Linear | None = None) ->
         Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives;
         K > 3.
     u
-        What `icr_velocity` gives, if it was asked before.
+        The result of `icr_velocity`, if it has been computed already.
 
     Returns
     -------
     Linear
-        In m/s^2, complex (...); not finite where the body does not turn.
+        Of shape (...), complex, m/s^2, in the frame of `position`. Not finite where w = 0.
 
     Notes
     -----
-    (-(w j - 2 a^2) R v + (w^3 - 2 w a R) acc + w^2 R jerk) / w^3, seed 000.
+    (-(w j - 2 a^2) R v + (w^3 - 2 w a R) acc + w^2 R jerk) / w^3, seed 000, page 9.
 
     """
     u = icr_velocity(position, angle) if u is None else u
@@ -108,34 +118,38 @@ def acceleration_terms(
     u_by_angle: Sequence[Number],
 ) -> Terms:
     """
-    The acceleration of the ICR, and its derivatives by those of the reference point and the angle.
+    Second time derivative of the ICR with its partial derivatives.
 
     Parameters
     ----------
     position
-        v, acc and jerk of the reference point, complex: numbers, or arrays of one shape.
+        v, acc and jerk, complex, of one shape.
     turn
-        i a and i j, of the same shape.
+        i a and i j, complex, of the same shape.
     u_by_position, u_by_angle
-        Derivatives of the velocity of the ICR, as `velocity_terms` gives them.
+        Partial derivatives of u, from `velocity_terms`.
 
     Returns
     -------
     value, by_position, by_angle
-        In m/s^2, complex, and its derivatives by v, acc and jerk and by w, a and j.
+        du, complex, m/s^2, and its partial derivatives by (v, acc, jerk) and by (w, a, j).
+
+    Notes
+    -----
+    du is the time derivative of u. Its partial derivative by z(k) is therefore the time derivative
+    of that of u by z(k), plus that of u by z(k-1); the same holds for the angle. The time
+    derivatives of q and n of `velocity_terms` are n q and c = i j q + n^2.
 
     """
     (v, acc, jerk), (t2, t3) = position, turn
-    # du is the rate of u; so its derivative by one of the pose's derivatives is the rate of that of
-    # u by the same, and that of u by the one before. The rate of q is n q, that of n is c.
     by_v, q = u_by_position
     by_w, by_a = u_by_angle
     n, m = t2 * q, t3 * q
     iqq, nn, twice = 1j * q * q, n * n, n + n
     c = m + nn
-    rate = twice * by_w + iqq * (jerk + twice * acc + (c + c) * v)
+    du_by_w = twice * by_w + iqq * (jerk + twice * acc + (c + c) * v)
     by_v, by_acc = (c + nn) * q, by_v + n * q
-    return by_v * v + by_acc * acc + q * jerk, (by_v, by_acc, q), (rate, by_w + by_w, by_a)
+    return by_v * v + by_acc * acc + q * jerk, (by_v, by_acc, q), (du_by_w, by_w + by_w, by_a)
 
 
 @np.errstate(divide='ignore', invalid='ignore', over='ignore')
@@ -149,16 +163,17 @@ def centrode_curvature(position: Complex, angle: Real, u: Linear | None = None) 
         Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives;
         K > 3.
     u
-        What `icr_velocity` gives, if it was asked before.
+        The result of `icr_velocity`, if it has been computed already.
 
     Returns
     -------
     Linear
-        In 1/m, (...); not finite where the ICR stands still.
+        Of shape (...), 1/m. Not finite where u = 0.
 
     Notes
     -----
-    Seed 000. In a mechanism of one degree of freedom it does not depend on the speed.
+    (u x du) / |u|^3, seed 000, page 3. In a mechanism of one degree of freedom it does not depend
+    on the speed.
 
     """
     u = icr_velocity(position, angle) if u is None else u
@@ -168,29 +183,31 @@ def centrode_curvature(position: Complex, angle: Real, u: Linear | None = None) 
 
 def curvature_terms(velocity: Terms, acceleration: Terms) -> Terms:
     """
-    Curvature of the fixed centrode, and its derivatives by those of reference point and angle.
+    Curvature of the fixed centrode with its partial derivatives.
 
     Parameters
     ----------
     velocity, acceleration
-        What `velocity_terms` and `acceleration_terms` give: of numbers, or arrays of one shape.
+        From `velocity_terms` and `acceleration_terms`.
 
     Returns
     -------
     value, by_position, by_angle
-        Im(conj(u) du) / abs(u)^3, 1/m, and its derivatives by v, acc and jerk and by w, a and j;
-        the change is the real part of their sum.
+        Curvature, 1/m, and its partial derivatives by (v, acc, jerk) and by (w, a, j), complex. Its
+        change is the real part of their sum.
+
+    Notes
+    -----
+    Im(g) / |u| with g = du / u. A change of u and du changes g by (d(du) - g d(u)) / u, and |u| by
+    |u| Re(d(u) / u).
 
     """
     u, *u_by = velocity
     du, *du_by = acceleration
-    # Written as Im(g) / |u| with g = du / u. A change of u and du changes g by
-    # (change of du - g * change of u) / u, and |u| by |u| Re(change of u / u).
     inverse = 1 / u
     slowness = abs(inverse)
     g = du * inverse
     by_du = inverse * slowness * -1j
-    # g.real + 2 i g.imag
     by_u = by_du * (0.5 * g.conjugate() - 1.5 * g)
     by_position, by_angle = (
         (by_du * d0 + by_u * u0, by_du * d1 + by_u * u1, by_du * d2)
@@ -199,10 +216,10 @@ def curvature_terms(velocity: Terms, acceleration: Terms) -> Terms:
     return g.imag * slowness, by_position, by_angle
 
 
-def _linear(terms: Terms, end: int) -> Linear:
-    """Terms by the orders 1 to `end`, in arrays."""
+def _linear(terms: Terms, stop: int) -> Linear:
+    """Make a Linear of terms by the orders 1 to stop - 1."""
     value, by_position, by_angle = terms
-    return Linear(value, np.array(by_position), np.array(by_angle), slice(1, end), slice(1, end))
+    return Linear(value, np.array(by_position), np.array(by_angle), slice(1, stop), slice(1, stop))
 
 
 def moving_centrode_curvature(fixed: Real, omega: Real, speed: Real) -> Real:
@@ -225,8 +242,8 @@ def moving_centrode_curvature(fixed: Real, omega: Real, speed: Real) -> Real:
 
     Notes
     -----
-    The two differ by omega / speed, since in the body's frame the tangent turns by omega less (seed
-    001, eq. 15 and 16).
+    fixed - omega / speed: seen from the body, the tangent rotates by omega less (seed 001, eq. 15
+    and 16).
 
     """
     return np.asarray(fixed - omega / speed)
@@ -234,7 +251,7 @@ def moving_centrode_curvature(fixed: Real, omega: Real, speed: Real) -> Real:
 
 def moving_centrode(icr: ArrayLike, reference: ArrayLike, angle: ArrayLike) -> Real:
     """
-    The ICR as seen from the body: where it is on the moving centrode.
+    Position of the ICR in the body's frame: the point of the moving centrode.
 
     Parameters
     ----------
@@ -246,11 +263,11 @@ def moving_centrode(icr: ArrayLike, reference: ArrayLike, angle: ArrayLike) -> R
     Returns
     -------
     ndarray
-        Of shape (..., 2), m, from the reference point, in the body's axes.
+        From the reference point, in the body's axes (..., 2), m.
 
     Notes
     -----
-    Seed 000, 'moving centrode'.
+    (ICR - z) exp(-i angle); seed 000, page 3, and seed 001, eq. 22.
 
     """
     arm = to_complex(check_vectors(icr, 'icr')) - to_complex(check_vectors(reference, 'reference'))

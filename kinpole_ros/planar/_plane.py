@@ -1,4 +1,4 @@
-"""The two ways to write a vector of the plane, (x, y) and x + iy, and the checks at the door."""
+"""Vectors of the plane, written as (x, y) or as the complex number x + iy."""
 
 from typing import TypeAlias
 
@@ -7,13 +7,12 @@ from numpy.typing import ArrayLike, NDArray
 
 Real: TypeAlias = NDArray[np.float64]
 Complex: TypeAlias = NDArray[np.complex128]
-# A sum of n products is off by a few units in the last place; what should stand out from it
-# counts as zero below this many of them.
+# A result smaller than this share of the terms that it is computed from is rounding error.
 ROUNDING = 64 * np.finfo(float).eps
 
 
 def complex_of(real: Real | float, imag: Real) -> Complex:
-    """Numbers x + iy (...), without the conversions that take most of the time of that sum."""
+    """Complex numbers (...) from their parts, faster than real + 1j * imag."""
     result = np.empty(imag.shape, complex)
     result.real, result.imag = real, imag
     return result
@@ -31,11 +30,11 @@ def to_complex(vectors: ArrayLike) -> Complex:
     Returns
     -------
     ndarray
-        Of shape (...), complex.
+        x + iy, of shape (...), complex.
 
     """
     array = check_vectors(vectors, 'vectors')
-    # Not x + 1j * y: an infinite y would make x NaN.
+    # x + 1j * y would turn x into NaN where y is infinite.
     return complex_of(array[..., 0], array[..., 1])
 
 
@@ -51,7 +50,7 @@ def to_plane(numbers: ArrayLike) -> Real:
     Returns
     -------
     ndarray
-        Of shape (..., 2).
+        (x, y), of shape (..., 2).
 
     """
     array = np.asarray(numbers, complex)

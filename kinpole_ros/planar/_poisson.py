@@ -1,8 +1,8 @@
 """
-Poisson's decomposition: translation with a reference point A plus rotation about it (seed 001).
+Poisson's decomposition: translation with a point A of the body plus rotation about A (seed 001).
 
-All vectors have shape (..., 2), all rates shape (...); w x r is the vector r turned by +90 degrees
-times w. A is any point of the body.
+Vectors have shape (..., 2) and are in the ground's axes; rates have shape (...). w x r is the
+vector r rotated by +90 degrees, times w.
 """
 
 import numpy as np
@@ -13,19 +13,19 @@ from kinpole_ros.planar._plane import Real, check_vectors
 
 def relative_velocity(omega: ArrayLike, r_ba: ArrayLike) -> Real:
     """
-    Velocity of a point B of a body relative to its point A, w x r_BA.
+    Velocity of a point B of a body relative to its point A.
 
     Parameters
     ----------
     omega
         Angular velocity (...), rad/s.
     r_ba
-        From A to B (..., 2), m, in the ground's axes.
+        From A to B (..., 2), m.
 
     Returns
     -------
     ndarray
-        Of shape (..., 2), m/s, in the ground's axes; added to v_A it is v_B.
+        w x r_BA, of shape (..., 2), m/s. The velocity of B is that of A plus this.
 
     Notes
     -----
@@ -37,19 +37,19 @@ def relative_velocity(omega: ArrayLike, r_ba: ArrayLike) -> Real:
 
 def relative_acceleration(omega: ArrayLike, alpha: ArrayLike, r_ba: ArrayLike) -> Real:
     """
-    Acceleration of a point B of a body relative to its point A, a x r_BA + w x (w x r_BA).
+    Acceleration of a point B of a body relative to its point A.
 
     Parameters
     ----------
     omega, alpha
         Angular velocity and acceleration (...), rad/s and rad/s^2.
     r_ba
-        From A to B (..., 2), m, in the ground's axes.
+        From A to B (..., 2), m.
 
     Returns
     -------
     ndarray
-        Of shape (..., 2), m/s^2, in the ground's axes.
+        a x r_BA + w x (w x r_BA), of shape (..., 2), m/s^2.
 
     Notes
     -----
@@ -62,7 +62,7 @@ def relative_acceleration(omega: ArrayLike, alpha: ArrayLike, r_ba: ArrayLike) -
 
 def transport(derivative_a: ArrayLike, omega_ab: ArrayLike, vector: ArrayLike) -> Real:
     """
-    The derivative of a vector as seen from space b, from that as seen from space a.
+    Time derivative of a vector as seen from space b, from that as seen from space a.
 
     Parameters
     ----------
@@ -71,12 +71,12 @@ def transport(derivative_a: ArrayLike, omega_ab: ArrayLike, vector: ArrayLike) -
     omega_ab
         Angular velocity of a with respect to b (...), rad/s.
     vector
-        The vector (..., 2), in the same axes as its derivatives.
+        The vector (..., 2), in the axes of its derivatives.
 
     Returns
     -------
     ndarray
-        Derivative as seen from b (..., 2), per s, in the same axes.
+        derivative_a + omega_ab x vector, of shape (..., 2), per s, in the same axes.
 
     Notes
     -----
@@ -90,38 +90,36 @@ def transport(derivative_a: ArrayLike, omega_ab: ArrayLike, vector: ArrayLike) -
 
 def pole_from_reference(v_a: ArrayLike, omega: ArrayLike) -> Real:
     """
-    The pole of a body as seen from its point A, w x v_A / w^2.
+    Vector from a point A of the body to its pole (ICR).
 
     Parameters
     ----------
     v_a
-        Velocity of A (..., 2), m/s, in the ground's axes.
+        Velocity of A (..., 2), m/s.
     omega
         Angular velocity (...), rad/s.
 
     Returns
     -------
     ndarray
-        From A to the pole (..., 2), m, in the ground's axes; NaN where the body does not turn.
+        w x v_A / w^2, of shape (..., 2), m. NaN where omega is 0.
 
     Notes
     -----
     Seed 001, eq. 21.
 
     """
-    w = np.asarray(omega, float)
-    turning = np.where(w == 0, np.nan, w)
-    return _cross(1 / turning, check_vectors(v_a, 'v_a'))
+    return _cross(1 / _nonzero(omega), check_vectors(v_a, 'v_a'))
 
 
 def moving_centrode_from_reference(v_a: ArrayLike, omega: ArrayLike, angle: ArrayLike) -> Real:
     """
-    The pole from A in the body's axes: its locus is the moving centrode.
+    Vector from A to the pole in the body's axes. Its path is the moving centrode.
 
     Parameters
     ----------
     v_a
-        Velocity of A (..., 2), m/s, in the ground's axes.
+        Velocity of A (..., 2), m/s.
     omega
         Angular velocity (...), rad/s.
     angle
@@ -130,7 +128,7 @@ def moving_centrode_from_reference(v_a: ArrayLike, omega: ArrayLike, angle: Arra
     Returns
     -------
     ndarray
-        Of shape (..., 2), m; NaN where the body does not turn.
+        Of shape (..., 2), m. NaN where omega is 0.
 
     Notes
     -----
@@ -145,19 +143,19 @@ def moving_centrode_from_reference(v_a: ArrayLike, omega: ArrayLike, angle: Arra
 
 def fixed_centrode_from_reference(r_a: ArrayLike, v_a: ArrayLike, omega: ArrayLike) -> Real:
     """
-    The pole in the ground's axes: its locus is the fixed centrode.
+    Position of the pole in the ground's frame. Its path is the fixed centrode.
 
     Parameters
     ----------
     r_a, v_a
-        Place and velocity of A (..., 2), m and m/s, in the ground's axes.
+        Position and velocity of A (..., 2), m and m/s.
     omega
         Angular velocity (...), rad/s.
 
     Returns
     -------
     ndarray
-        Of shape (..., 2), m; NaN where the body does not turn.
+        Of shape (..., 2), m. NaN where omega is 0.
 
     Notes
     -----
@@ -171,35 +169,38 @@ def centrode_velocities(
     v_a: ArrayLike, a_a: ArrayLike, omega: ArrayLike, alpha: ArrayLike
 ) -> tuple[Real, Real]:
     """
-    Velocity of the pole along the fixed and along the moving centrode.
+    Velocities of the pole along the fixed and along the moving centrode.
 
     Parameters
     ----------
     v_a, a_a
-        Velocity and acceleration of A (..., 2), m/s and m/s^2, in the ground's axes.
+        Velocity and acceleration of A (..., 2), m/s and m/s^2.
     omega, alpha
         Angular velocity and acceleration (...), rad/s and rad/s^2.
 
     Returns
     -------
     fixed, moving : ndarray
-        Of shape (..., 2), m/s, in the ground's axes; NaN where the body does not turn.
+        Of shape (..., 2), m/s. NaN where omega is 0.
 
     Notes
     -----
-    Each is computed by itself, from eq. 23 and from eq. 22 with eq. 16 of seed 001; that they are
-    equal is eq. 15.
+    Seed 001: the first is the derivative of eq. 23, the second that of eq. 22 by eq. 16. They are
+    computed independently, and are equal by eq. 15.
 
     """
-    w = np.asarray(omega, float)
-    turning = np.where(w == 0, np.nan, w)
-    arm = pole_from_reference(v_a, w)
-    # d/dt of eq. 21 in ground axes.
+    w = _nonzero(omega)
+    arm = pole_from_reference(v_a, omega)
+    # Derivative of eq. 21, in the ground's axes.
     arm_rate = (
-        _cross(1 / turning, check_vectors(a_a, 'a_a'))
-        - arm * (np.asarray(alpha, float) / turning)[..., None]
+        _cross(1 / w, check_vectors(a_a, 'a_a')) - arm * (np.asarray(alpha, float) / w)[..., None]
     )
     return check_vectors(v_a, 'v_a') + arm_rate, transport(arm_rate, -w, arm)
+
+
+def _nonzero(omega: ArrayLike) -> Real:
+    w = np.asarray(omega, float)
+    return np.where(w == 0, np.nan, w)
 
 
 def _cross(omega: ArrayLike, vector: Real) -> Real:

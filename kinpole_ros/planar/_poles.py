@@ -1,45 +1,59 @@
 """
-Poles of any order, and the motion of any point of a body.
+Poles of a body, relative poles of two bodies, and the motion of points fixed to a body.
 
-A body is given by its reference point z and its angle with their derivatives. A point P fixed to
-the body has the n-th derivative z(n) + a_n (P - z), where a_n is the n-th derivative of
-exp(i angle) over exp(i angle): the seeds' wR, B, H and G (seed 000). The pole of order n is where
-that vanishes.
+A body is given by a reference point z and an angle, with their time derivatives. The n-th
+derivative of a point P fixed to the body is
+
+    P(n) = z(n) + a_n (P - z),    a_n = exp(-i angle) d^n/dt^n exp(i angle),
+
+where the rotation coefficients a_1 to a_4 are the matrices w R, B, H and G of seed 000, written as
+complex numbers. The pole of order n is the point of the body where P(n) = 0.
 """
 
 from math import comb
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from kinpole_ros.planar._linear import Linear
-from kinpole_ros.planar._plane import Complex, Real, complex_of
+from kinpole_ros.planar._plane import ROUNDING, Complex, Real, check_vectors, complex_of
+from kinpole_ros.planar._uncertainty import Linear
 
 
 def rotation_coefficient(order: int, angle: Real) -> Complex:
     """
-    The n-th derivative of the points of a turning body, per m from the pole of that order.
+    Rotation coefficient a_n: the n-th derivative of a point per m from the pole of that order.
 
     Parameters
     ----------
     order
         1 to 4.
     angle
-        Angle with its derivatives (K, ...), rad, K > order.
+        Angle with its derivatives (K, ...), rad; K > order.
 
     Returns
     -------
     ndarray
-        a_n (...), complex, 1/s^order.
+        Of shape (...), complex, 1/s^order.
+
+    Raises
+    ------
+    ValueError
+        For another order.
 
     Notes
     -----
-    Seed 000: w R, B = a R - w^2, H and G.
+    Seed 000, pages 1 and 2, with R = i and angular velocity w, acceleration a, jerk j and snap s:
+
+    - a_1 = i w
+    - a_2 = -w^2 + i a (matrix B)
+    - a_3 = -3 w a + i (j - w^3) (matrix H)
+    - a_4 = w^4 - 4 w j - 3 a^2 + i (s - 6 w^2 a) (matrix G)
 
     """
     w = np.asarray(angle[1])
     if order == 1:
         return complex_of(0.0, w)
-    # Not w**3 nor w**4, which take the time of a logarithm.
+    # Products, since numpy computes w**3 and w**4 through logarithms.
     ww, a = w * w, angle[2]
     if order == 2:
         return complex_of(-ww, a)
@@ -53,22 +67,25 @@ def rotation_coefficient(order: int, angle: Real) -> Complex:
 
 def rotation(order: int, angle: Real) -> tuple[Complex, Complex]:
     """
-    `rotation_coefficient`, and its partial derivatives by those of the angle.
+    Rotation coefficient a_n with its partial derivatives by those of the angle.
 
     Parameters
     ----------
     order
         1 to 4.
     angle
-        Angle with its derivatives (K, ...), rad, K > order.
+        Angle with its derivatives (K, ...), rad; K > order.
 
     Returns
     -------
     value : ndarray
-        Of shape (...), complex, 1/s^order.
+        `rotation_coefficient`, of shape (...), complex, 1/s^order.
     partials : ndarray
-        By the 1st to n-th derivative of the angle (order, ...): by the k-th it is i times n choose
-        k times the coefficient of order n - k, of which a_0 is 1.
+        By the 1st to n-th derivative of the angle, of shape (order, ...), complex.
+
+    Notes
+    -----
+    The partial derivative by the k-th derivative of the angle is i binom(n, k) a_(n-k), a_0 = 1.
 
     """
     a = rotation_coefficient(order, angle)
@@ -89,21 +106,21 @@ def pole(
     Parameters
     ----------
     order
-        1 to 4 for ICR to ISP.
+        1 to 4 for ICR, IAP, IJP and ISP.
     position, angle
-        Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives,
+        Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives;
         K > order.
     turn
-        What `rotation` gives, if it was asked before.
+        The result of `rotation`, if it has been computed already.
 
     Returns
     -------
     Linear
-        In m, complex (...), in the frame of `position`; not finite where the body does not turn.
+        Of shape (...), complex, m, in the frame of `position`. Not finite where a_n = 0.
 
     Notes
     -----
-    r - (wR)^-1 v and its like, seed 000.
+    z - z(n) / a_n. Seed 000, pages 1 and 2: ICR = r - (w R)^-1 v, IAP = r - B^-1 acc, and so on.
 
     """
     a, by_turn = rotation(order, angle) if turn is None else turn
@@ -118,22 +135,26 @@ def pole(
 
 def point_motion(order: int, arm: Complex, position: Complex, angle: Real) -> Linear:
     """
-    Where a point fixed to a body is, or a derivative of it, with its dependence on the pose.
+    Position of a point fixed to a body, or its n-th derivative, with partial derivatives.
 
     Parameters
     ----------
     order
-        0 for the place, or which derivative, 1 to 4.
+        0 for the position, 1 to 4 for its derivatives.
     arm
-        From the reference point (...), complex, m, in the body's frame.
+        From the reference point to the point (...), complex, m, in the body's frame.
     position, angle
-        Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives,
+        Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives;
         K > order.
 
     Returns
     -------
     Linear
-        In m/s^order, complex (...), in the frame of `position`.
+        Of shape (...), complex, m/s^order, in the frame of `position`.
+
+    Notes
+    -----
+    z(n) + a_n exp(i angle) arm.
 
     """
     turned = arm * np.exp(1j * angle[0])
@@ -151,16 +172,16 @@ def point_motion(order: int, arm: Complex, position: Complex, angle: Real) -> Li
 
 def body_point_derivative(order: int, point: Complex, position: Complex, angle: Real) -> Complex:
     """
-    A derivative of the body's point that is now at `point`.
+    The n-th derivative of the body's point that coincides with `point`.
 
     Parameters
     ----------
     order
-        Which derivative, 1 to 4.
+        1 to 4.
     point
-        Where the point is (...), complex, m.
+        Of shape (...), complex, m, in the frame of `position`.
     position, angle
-        Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives,
+        Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives;
         K > order.
 
     Returns
@@ -168,8 +189,160 @@ def body_point_derivative(order: int, point: Complex, position: Complex, angle: 
     ndarray
         Of shape (...), complex, m/s^order, in the frame of `position`.
 
-    Notes ----- Written with the reference point, so that it holds for a body that does not turn as
-    well; where it turns this is a_n (P - pole of order n), the form of seed 000.
+    Notes
+    -----
+    z(n) + a_n (P - z). Seed 000 writes a_n (P - pole), which fails where the body does not rotate.
 
     """
     return np.asarray(position[order] + rotation_coefficient(order, angle) * (point - position[0]))
+
+
+def relative_center(
+    omega_j: ArrayLike, icr_j: ArrayLike, omega_i: ArrayLike, icr_i: ArrayLike
+) -> Real:
+    """
+    Relative instant center of body j with respect to body i, from both ICRs.
+
+    Parameters
+    ----------
+    omega_j, omega_i
+        Angular velocities (...), rad/s.
+    icr_j, icr_i
+        Instant centers of rotation (..., 2), m, in the ground's frame.
+
+    Returns
+    -------
+    ndarray
+        Of shape (..., 2), m, in the ground's frame. NaN where both angular velocities are equal
+        within rounding, or where an ICR is NaN.
+
+    Notes
+    -----
+    (w_j ICR_j - w_i ICR_i) / (w_j - w_i), seed 000, page 3, 'Relative velocity'.
+
+    """
+    w_j, w_i = np.asarray(omega_j, float), np.asarray(omega_i, float)
+    p_j, p_i = check_vectors(icr_j, 'icr_j'), check_vectors(icr_i, 'icr_i')
+    difference = w_j - w_i
+    rounding = 8 * np.finfo(float).eps * np.maximum(np.abs(w_j), np.abs(w_i))
+    relative_rate = np.where(np.abs(difference) > rounding, difference, np.nan)
+    # Relative to ICR_i, so that an origin far away costs no digits.
+    return np.asarray(p_i + (w_j / relative_rate)[..., None] * (p_j - p_i))
+
+
+def relative_pole(
+    position_j: Complex, angle_j: Real, position_i: Complex, angle_i: Real
+) -> tuple[Linear, Linear]:
+    """
+    Relative instant center of body j with respect to body i, from both bodies' poses.
+
+    Parameters
+    ----------
+    position_j, position_i
+        Reference points with their derivatives (K, ...), complex, m; K > 1.
+    angle_j, angle_i
+        Angles with their derivatives (K, ...), rad; K > 1.
+
+    Returns
+    -------
+    by_j, by_i : Linear
+        The center (...), complex, m, twice: with its partial derivatives by the pose of body j and
+        by the pose of body i. The sum of both covariances is that of the center. Not finite where
+        the angular velocities are equal.
+
+    Notes
+    -----
+    (q_j - q_i) / (i (w_j - w_i)) with q = i w z - v of each body. Unlike `relative_center` it does
+    not need the ICRs, so it holds where one of the bodies does not rotate.
+
+    """
+    w_j, w_i = angle_j[1], angle_i[1]
+    between = position_j[0] - position_i[0]
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+        # 1j / (w_j - w_i) would raise ZeroDivisionError for scalars.
+        q = 1 / (w_j - w_i)
+        arm = (w_j * between + 1j * (position_j[1] - position_i[1])) * q
+        by_j, by_i = np.array((w_j * q, 1j * q)), np.array((-w_i * q, -1j * q))
+        turn_j, turn_i = np.array((between - arm, arm)) * q
+    center, orders = position_i[0] + arm, (slice(0, 2), slice(1, 2))
+    return (
+        Linear(center, by_j, turn_j[None], *orders),
+        Linear(center, by_i, turn_i[None], *orders),
+    )
+
+
+def kennedy_residual(centers: Complex, covariance: Real) -> tuple[Real, Real]:
+    """
+    Signed distance of the third of three centers from the line through the first two.
+
+    Parameters
+    ----------
+    centers
+        Relative centers of the bodies ik, kj and ij (3, ...), complex, m. With the ground as k:
+        the pins of i and of j, and their relative center.
+    covariance
+        Of each center (3, ..., 2, 2), m^2.
+
+    Returns
+    -------
+    distance : ndarray
+        Of shape (...), m, positive to the left of the line from the first center to the second.
+        NaN where these two coincide within rounding.
+    deviations : ndarray
+        The distance over its standard deviation (...), to first order.
+
+    Notes
+    -----
+    The distance is zero by Kennedy's theorem (seed 003). Three centers computed from one set of
+    velocities lie on a line by algebra, so the centers must be measured independently: for
+    instance pins from poses, and the relative center from velocities. The residual then shows pins
+    with play, bodies that are not rigid, and velocities that lag. It does not show a joint that is
+    elsewhere on the line; `center_offset` does.
+
+    """
+    first, second, third = np.asarray(centers, complex)
+    line = second - first
+    length = np.abs(line)
+    rounding = ROUNDING * np.maximum(np.abs(first), np.abs(second))
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+        unit = np.where(length > rounding, line, np.nan) / length
+        # Coordinates of the third center along the line and to the left of it.
+        local = (third - first) * unit.conj()
+        fraction = local.real / length
+        weights = np.stack((1 - fraction, fraction, np.ones(np.shape(fraction)))) ** 2
+        normal, matrix = 1j * unit, np.asarray(covariance, float)
+        across = (
+            normal.real**2 * matrix[..., 0, 0]
+            + 2 * normal.real * normal.imag * matrix[..., 0, 1]
+            + normal.imag**2 * matrix[..., 1, 1]
+        )
+        return local.imag, local.imag / np.sqrt((weights * across).sum(axis=0))
+
+
+def center_offset(center: Complex, joint: Complex, covariance: Real) -> tuple[Real, Real]:
+    """
+    Distance of a measured relative center from the joint where it should be.
+
+    Parameters
+    ----------
+    center
+        Measured relative center (...), complex, m.
+    joint
+        Position of the pin that is predicted by a linkage, or known on a body (...), complex, m.
+    covariance
+        The sum of the covariances of both (..., 2, 2), m^2.
+
+    Returns
+    -------
+    distance : ndarray
+        Of shape (...), m.
+    deviations : ndarray
+        Mahalanobis distance (...). Its mean square is 2 where the joint is right.
+
+    """
+    off = np.asarray(center, complex) - joint
+    matrix = np.asarray(covariance, float)
+    xx, xy, yy = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 1]
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+        square = yy * off.real**2 - 2 * xy * off.real * off.imag + xx * off.imag**2
+        return np.abs(off), np.sqrt(square / (xx * yy - xy**2))

@@ -1,4 +1,4 @@
-"""The pose of a body of known shape that fits its markers best, frame by frame."""
+"""Weighted orthogonal Procrustes in the plane: the pose of a body of known shape."""
 
 from typing import NamedTuple
 
@@ -11,15 +11,26 @@ _TINY = np.finfo(float).tiny
 
 class Fit(NamedTuple):
     """
-    Poses of shape (...) fitted to markers, and how well they are held.
+    Poses (...) fitted to markers (..., n), with their residuals and precision.
 
-    `position` is where the origin of the body's frame is (complex, m), `angle` its turn (rad, in
-    (-pi, pi]); `residual` (..., n) is marker minus fitted marker in the body's axes, NaN for none;
-    `freedom` (..., n) is the expected square of each residual over the variance of one coordinate:
-    2 less what the fit takes up, so that it adds up to 2n - 3 degrees of freedom. `spread` (the
-    weighted sum of squares of the seen markers about their mean, m^2) and `weight` are the inverse
-    variances of the angle and of the position, along the coordinate that is known least, over that
-    of a coordinate of a marker.
+    Attributes
+    ----------
+    position
+        Origin of the body's frame (...), complex, m.
+    angle
+        Rotation of the body's frame (...), rad, in (-pi, pi].
+    residual
+        Marker minus fitted marker, in the body's axes (..., n), complex, m; NaN without weight.
+    freedom
+        Expected square of each residual over the variance of one coordinate (..., n): 2 less what
+        the fit absorbs. The sum is 2n - 3.
+    spread
+        Weighted sum of squares of the markers about their mean (...), m^2: the variance of one
+        coordinate of a marker over the variance of the angle.
+    weight
+        The variance of one coordinate of a marker over that of the position, along its least
+        certain axis (...).
+
     """
 
     position: Complex
@@ -30,18 +41,31 @@ class Fit(NamedTuple):
     weight: Real
 
 
-class Grip(NamedTuple):
+class ProcrustesFactors(NamedTuple):
     """
-    What a fit takes of shape and weights alone, (..., n) or (...): see `grip_of`.
+    What a fit needs of the shape and the weights alone.
 
-    `arms` lead from the weighted `mean` of the markers to each of them, NaN for those without
-    weight; `share` and `pull` are their factors in the mean of the points and in their turn.
+    Attributes
+    ----------
+    seen
+        Markers with weight (..., n), bool.
+    arms
+        From the weighted mean of the shape to each marker (..., n), complex, m; NaN without weight.
+    mean_factor, turn_factor
+        Factors of each point (..., n) in the weighted mean of the points and in their rotation.
+    mean
+        Weighted mean of the shape (...), complex, m.
+    distinct
+        Whether the markers with weight do not all coincide (...), bool.
+    freedom, spread, weight
+        As in `Fit`.
+
     """
 
     seen: np.ndarray
     arms: Complex
-    share: Real
-    pull: Complex
+    mean_factor: Real
+    turn_factor: Complex
     mean: Complex
     distinct: np.ndarray
     freedom: Real
@@ -49,106 +73,107 @@ class Grip(NamedTuple):
     weight: Real
 
 
-def grip_of(shape: Complex, weights: Real) -> Grip:
+def fit_pose(points: Complex, shape: Complex, weights: Real) -> Fit:
     """
-    What `fit_pose` takes of shape and weights alone, to be used for many points.
+    Fit the pose of a body to its markers by weighted least squares.
+
+    Parameters
+    ----------
+    points
+        Markers in the ground's frame (..., n), complex, m.
+    shape
+        The same markers in the body's frame (..., n), complex, m.
+    weights
+        Inverse variances of the markers up to a factor (..., n), >= 0. A marker of weight 0 is
+        ignored and may be NaN.
+
+    Returns
+    -------
+    Fit
+        Poses (...). NaN where fewer than two markers have weight, or where these coincide.
+
+    Notes
+    -----
+    With points p and shape s about their weighted means, the rotation is c / |c| with
+    c = sum(weights conj(s) p). Schoenemann 1966; complex form, Kendall 1984.
+
+    """
+    return fit_pose_with_factors(points, procrustes_factors(shape, weights))
+
+
+def procrustes_factors(shape: Complex, weights: Real) -> ProcrustesFactors:
+    """
+    Compute what `fit_pose` needs of the shape and the weights alone.
 
     Parameters
     ----------
     shape
         Markers in the body's frame (..., n), complex, m.
     weights
-        How far each counts (..., n), >= 0.
+        As in `fit_pose` (..., n).
 
     Returns
     -------
-    Grip
-        What `fit_by_grip` takes.
+    ProcrustesFactors
+        For `fit_pose_with_factors`.
 
     """
     seen = weights > 0
     total = weights.sum(axis=-1)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        share = weights / total[..., None]
-        mean = (share * np.where(seen, shape, 0)).sum(axis=-1)
+        mean_factor = weights / total[..., None]
+        mean = (mean_factor * np.where(seen, shape, 0)).sum(axis=-1)
         arms = np.where(seen, shape - mean[..., None], np.nan)
         square = np.where(seen, weights * (arms.real**2 + arms.imag**2), 0)
         spread = square.sum(axis=-1)
-        taken = 2 * share + square / spread[..., None]
+        absorbed = 2 * mean_factor + square / spread[..., None]
         weight = 1 / (1 / total + (mean.real**2 + mean.imag**2) / spread)
-    return Grip(
+    return ProcrustesFactors(
         seen,
         arms,
-        share,
-        np.where(seen, weights * arms.conj(), 0),
-        mean,
-        _distinct(arms, mean, seen),
-        np.where(seen, np.maximum(2 - taken, 0), 0),
-        spread,
-        weight,
+        mean_factor,
+        turn_factor=np.where(seen, weights * arms.conj(), 0),
+        mean=mean,
+        distinct=_are_distinct(arms, mean, seen),
+        freedom=np.where(seen, np.maximum(2 - absorbed, 0), 0),
+        spread=spread,
+        weight=weight,
     )
 
 
-def fit_pose(points: Complex, shape: Complex, weights: Real) -> Fit:
+def fit_pose_with_factors(points: Complex, factors: ProcrustesFactors) -> Fit:
     """
-    Weighted orthogonal Procrustes in the plane: the pose of a body that fits its markers best.
+    Fit poses as `fit_pose` does, for many points of one shape.
 
     Parameters
     ----------
     points
-        Markers (..., n), complex, m, in the ground's frame.
-    shape
-        The same in the body's frame (..., n), complex, m.
-    weights
-        How far each counts (..., n), >= 0. A marker of weight 0 may hold anything, NaN included.
+        Markers in the ground's frame (..., n), complex, m.
+    factors
+        From `procrustes_factors`. Its axes before n may have length 1.
 
     Returns
     -------
     Fit
-        Poses of shape (...); NaN where fewer than two markers have weight or all of them coincide.
-
-    Notes
-    -----
-    Schoenemann 1966; complex form, Kendall 1984.
+        Poses (...).
 
     """
-    return fit_by_grip(points, grip_of(shape, weights))
-
-
-def fit_by_grip(points: Complex, grip: Grip) -> Fit:
-    """
-    `fit_pose` by what is known of shape and weights, for many points.
-
-    Parameters
-    ----------
-    points
-        Of shape (..., n), complex, m, in the ground's frame.
-    grip
-        What `grip_of` gives, whose axes before n may be 1.
-
-    Returns
-    -------
-    Fit
-        Poses of shape (...).
-
-    """
-    points = np.where(grip.seen, points, 0)
+    points = np.where(factors.seen, points, 0)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        mean = np.add.reduce(grip.share * points, -1)
+        mean = np.add.reduce(factors.mean_factor * points, -1)
         arms = points - mean[..., None]
-        cross = np.add.reduce(grip.pull * arms, -1)
+        cross = np.add.reduce(factors.turn_factor * arms, -1)
         length = np.abs(cross)
-        fitted = grip.distinct & _distinct(arms, mean, grip.seen) & (length > _TINY)
-        turn = np.where(fitted, cross / length, np.nan)
-        position = mean - turn * grip.mean
-    residual = arms * turn.conj()[..., None] - grip.arms
-    # For all points, where they are the same for all.
+        is_fitted = factors.distinct & _are_distinct(arms, mean, factors.seen) & (length > _TINY)
+        turn = np.where(is_fitted, cross / length, np.nan)
+        position = mean - turn * factors.mean
+    residual = arms * turn.conj()[..., None] - factors.arms
     freedom, spread, weight = np.empty(points.shape), np.empty(mean.shape), np.empty(mean.shape)
-    freedom[...], spread[...], weight[...] = grip.freedom, grip.spread, grip.weight
+    freedom[...], spread[...], weight[...] = factors.freedom, factors.spread, factors.weight
     return Fit(position, np.arctan2(turn.imag, turn.real), residual, freedom, spread, weight)
 
 
-def _distinct(arms: Complex, mean: Complex, seen: np.ndarray) -> np.ndarray:
-    """Where points that are seen are farther from their mean than rounding."""
+def _are_distinct(arms: Complex, mean: Complex, seen: np.ndarray) -> np.ndarray:
+    """Whether some point that is seen is farther from the mean than rounding."""
     farthest = np.maximum.reduce(np.abs(arms), -1, where=seen, initial=0.0)
     return np.asarray(farthest > ROUNDING * np.abs(mean))

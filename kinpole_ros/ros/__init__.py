@@ -1,1 +1,1 @@
-"""The live side: all that needs rclpy, and nothing that computes."""
+"""The live side: everything that needs rclpy."""

@@ -1,27 +1,75 @@
-"""How a node waits: for its messages alone, and now and then for everything else."""
+"""
+ROS in this process: start and stop requests, and an executor that waits for messages alone.
 
+The signal handlers of rclpy shut ROS down in the middle of any call, which then may raise anything,
+and a thread of theirs wakes executors that may be gone, which crashes. Here a signal is only noted.
+The loop that spins asks for it after each callback, and needs a timer, since nothing else ends a
+wait.
+"""
+
+import atexit
+import os
+import re
+import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
-from kinpole_ros.ros.private import PreparedWait, call
+from kinpole_ros.ros.private import PreparedWait, RCLError, call
 
-# s. Timers, services and other subscriptions are looked at after the first message that comes when
-# this has passed, as then there is most time until the next one; without a message when it passes.
-_OTHERS_EVERY = 0.05
-# s. Everything else of a node has a turn as often: clients, guard conditions, events.
-_TURN_EVERY = 0.5
-# Callbacks of services and other subscriptions in a row, with no message between them.
-_MOST_IN_A_ROW = 10
+_MAX_DOMAIN = 232  # beyond, DDS has no ports
+# s. Timers, services and other subscriptions are served after the first message that comes when
+# this has passed, since then most time is left before the next one; without a message, at once.
+_OTHERS_INTERVAL = 0.05
+_FULL_TURN_INTERVAL = 0.5  # s: clients, guard conditions and events are served as often
+_MAX_CALLBACKS = 10  # of services and other subscriptions before the next message
+
+
+def start_ros(words: Sequence[str]) -> Callable[[], bool]:
+    """
+    Start rclpy with these words; return a function that says whether SIGINT or SIGTERM has come.
+
+    Raises RCLError where ROS cannot start.
+    """
+    check_domain()
+    rclpy.init(args=list(words), signal_handler_options=SignalHandlerOptions.NO)
+    received: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: received.append(number))
+    atexit.register(_ignore_signals)
+    return lambda: bool(received)
+
+
+def _ignore_signals() -> None:
+    """Ignore signals while the interpreter ends: they would kill it and change the exit status."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+
+
+def check_domain() -> None:
+    """Raise RCLError for a domain beyond the last, for which Fast DDS ends the process."""
+    domain = os.environ.get('ROS_DOMAIN_ID', '')
+    if domain.isdecimal() and int(domain) > _MAX_DOMAIN:
+        raise RCLError(f'ROS_DOMAIN_ID is {domain}; it must be a number from 0 to {_MAX_DOMAIN}')
+
+
+def reason_of(error: Exception) -> str:
+    """Return the text of an error of rcl without source lines, with the fix where one is known."""
+    reason = re.sub(r', at \S+:\d+', '', str(error))
+    if 'log directory' in reason or 'logging directory' in reason:
+        reason += '; set ROS_LOG_DIR to a folder that can be written'
+    return reason
 
 
 class SubscriptionGroup(MutuallyExclusiveCallbackGroup):
-    """Callbacks of subscriptions; rclpy leaves their messages where `is_polled` is set."""
+    """Callbacks of subscriptions; where `is_polled`, rclpy does not take their messages."""
 
     is_polled = False
 
@@ -32,28 +80,27 @@ class SubscriptionGroup(MutuallyExclusiveCallbackGroup):
 
 
 class MessageSource(Protocol):
-    """Subscriptions of one group, and what takes their messages."""
+    """Subscriptions of one group, and a function that takes their messages."""
 
     group: SubscriptionGroup
 
     @property
     def subscriptions(self) -> Sequence[Subscription]:
-        """The subscriptions as they are now, none while there are none yet."""
+        """The present subscriptions."""
 
     def take_messages(self) -> object:
-        """Take what waits, and work on it; does not wait."""
+        """Take the messages that wait, and process them; does not wait."""
 
 
 def make_executor(source: MessageSource, node: Node, kind: str = 'lean') -> Executor:
     """
-    Make the executor of a node whose messages come from `source`.
+    Make the executor of a node whose messages come from `source`: `lean`, or that of `rclpy`.
 
-    rclpy's own builds a wait set of all that a node has for each callback, and makes a task of it:
-    half of the CPU time of a relay. The `lean` one waits for the messages alone, with a wait set
-    that is made once and anew only when subscriptions or services come or go. Every 50 ms it calls
-    the timers that are ready, and has rclpy run what else is ready. For that it relies on what
-    rclpy does not document (`PreparedWait`). Where that is not as expected it warns once, and does
-    as `rclpy`, the other kind.
+    For each callback the executor of rclpy builds a wait set of all entities of a node, and a task:
+    half of the CPU time of a relay. The lean one waits for the messages alone, with a wait set that
+    it builds again only when subscriptions or services are created or destroyed. Every 50 ms it
+    calls the timers that are ready, and has rclpy run what else is ready. It relies on internals of
+    rclpy (`PreparedWait`). Where these differ it warns once and behaves as that of rclpy.
     """
     executor = SingleThreadedExecutor() if kind == 'rclpy' else LeanExecutor(source)
     executor.add_node(node)
@@ -61,35 +108,34 @@ def make_executor(source: MessageSource, node: Node, kind: str = 'lean') -> Exec
 
 
 class LeanExecutor(SingleThreadedExecutor):
-    """The lean kind of `make_executor`."""
+    """The lean executor of `make_executor`."""
 
     def __init__(self, source: MessageSource) -> None:
         super().__init__()
         self._source = source
-        self._is_lean = True
+        self._is_supported = True
         self._is_stale = True
         self._message_wait: PreparedWait | None = None
         self._other_wait: PreparedWait | None = None
-        self._others_due = self._turn_due = 0.0
+        self._others_due = self._full_turn_due = 0.0
 
     def wake(self) -> None:
-        """Note that entities of a node were created or destroyed, as rclpy tells by this."""
+        """Note that entities of a node were created or destroyed: rclpy calls this then."""
         self._is_stale = True
         super().wake()
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Take the messages that wait, or run callbacks of everything else that is ready."""
+        """Take the messages that wait, or run the callbacks of everything else that is ready."""
         if self._is_stale:
             self._prepare()
         if self._message_wait is None:
-            # There is nothing to be lean about yet.
             super().spin_once(timeout_sec)
             return
-        left = self._others_due - time.monotonic()
-        if left > 0:
+        seconds = self._others_due - time.monotonic()
+        if seconds > 0:
             if timeout_sec is not None and timeout_sec >= 0:
-                left = min(left, timeout_sec)
-            if self._message_wait.wait(left):
+                seconds = min(seconds, timeout_sec)
+            if self._message_wait.wait(seconds):
                 self._source.take_messages()
             if time.monotonic() < self._others_due:
                 return
@@ -97,40 +143,39 @@ class LeanExecutor(SingleThreadedExecutor):
             for timer in node.timers:
                 if timer.is_ready():
                     call(timer)
-        for _ in range(_MOST_IN_A_ROW):
+        for _ in range(_MAX_CALLBACKS):
             if self._is_stale or not self._is_other_ready():
                 break
-            self._turn_due = time.monotonic() + _TURN_EVERY
+            self._full_turn_due = time.monotonic() + _FULL_TURN_INTERVAL
             super().spin_once(0)
-        # After a failure the rest goes on at once.
-        self._others_due = time.monotonic() + _OTHERS_EVERY
+        # Not before: after a callback that fails, the next ones are served at once.
+        self._others_due = time.monotonic() + _OTHERS_INTERVAL
 
     def _is_other_ready(self) -> bool:
-        """Whether rclpy has to run a callback, or its turn of everything is due."""
-        if time.monotonic() >= self._turn_due:
+        """Whether rclpy has a callback to run, or everything is due to be served."""
+        if time.monotonic() >= self._full_turn_due:
             return True
         return self._other_wait is not None and self._other_wait.wait(0.0)
 
     def _prepare(self) -> None:
-        """Make the wait sets of the entities that there are now."""
+        """Make the wait sets of the present entities."""
         self._message_wait = self._other_wait = None
         self._is_stale = False
         subscriptions = list(self._source.subscriptions)
-        if not self._is_lean or not subscriptions:
+        if not self._is_supported or not subscriptions:
             return
         nodes = self.get_nodes()
-        others = [s for node in nodes for s in node.subscriptions if s not in subscriptions]
+        unpolled = [s for node in nodes for s in node.subscriptions if s not in subscriptions]
         services = [s for node in nodes for s in node.services]
         try:
             self._message_wait = PreparedWait(self.context, subscriptions)
-            self._other_wait = PreparedWait(self.context, others, services)
+            self._other_wait = PreparedWait(self.context, unpolled, services)
         except (AttributeError, TypeError) as error:
             self._message_wait = self._other_wait = None
-            self._is_lean = False
+            self._is_supported = False
             for node in nodes:
                 node.get_logger().warning(
                     f'this rclpy has other internals than are known ({error}), so its own executor '
-                    'waits, at more CPU time; set the parameter executor to rclpy to have no '
-                    'warning'
+                    'waits, at more CPU time'
                 )
-        self._source.group.is_polled = self._is_lean
+        self._source.group.is_polled = self._is_supported

@@ -1,15 +1,15 @@
 """
-The live node: markers in, results out, nothing computed that nobody reads.
+The live node: markers in, results out.
 
 A thin shell around the tracker: it takes parameters, transitions and markers, and publishes the
-rows of the results table that have subscribers, and the diagnostics.
+topics of results that have subscribers, and the diagnostics.
 """
 
 import gc
 import sys
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import rclpy
@@ -33,87 +33,85 @@ from kinpole_ros.messages import (
     DiagnosticsMaker,
     MessageError,
     Output,
+    deletion_of_all,
     live_outputs,
-    nothing_drawn,
 )
-from kinpole_ros.ros.declare import given_in_vain
-from kinpole_ros.ros.executor import make_executor
+from kinpole_ros.ros.executor import make_executor, reason_of, start_ros
+from kinpole_ros.ros.parameters import ParameterNode, qos_overrides_without_effect
 from kinpole_ros.ros.private import RCLError, wrap_service
-from kinpole_ros.ros.process import reason_of, start_ros
-from kinpole_ros.ros.settable import SettableNode
 from kinpole_ros.ros.source import MarkerSource, publishers_of
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.parameters import ParameterError, Settings
 from kinpole_ros.tracking.tracker import Tracker
 
-_DIAGNOSTICS_EVERY = 1.0
-_LOOK_EVERY = 0.1
-# With so many waiting the node is behind: all are taken into the window, only the newest is
-# published.
+_DIAGNOSTICS_INTERVAL = 1.0  # s
+_DISCOVERY_INTERVAL = 0.1  # s: how often subscribers and publishers are looked up
+# With so many messages waiting the node is behind: only the newest frame is published.
 _BEHIND = 25
-# Results kept for a reliable reader that is slow, such as a recorder on a busy machine: what waits
-# is taken at once, so they come in bunches. Those who asked for less do not get more.
-_KEPT = 1000
-# So many failures, for so long (s), with nothing done between them are no weather to ride out.
-_MOST_FAILURES, _LONGEST_FAILURE = 100, 10.0
-# rclpy's own callbacks only log, and cost 6 us a publisher whenever it waits.
+# Results kept for a reliable reader that is slow, such as a recorder on a busy machine: messages
+# that wait are taken at once, so results come in bunches. A reader that asks for less gets less.
+_DEPTH = 1000
+# The node ends after so many failures, for so long (s), without a success between them.
+_MAX_FAILURES, _MAX_FAILING = 100, 10.0
+# The callbacks of rclpy only log, and cost 6 us a publisher in each wait.
 _NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
-# s. It takes ms, but Fast DDS has readers say every 3 s only what they have.
-_ARRIVES_WITHIN = 0.1
-_LATEST_STAMP = 2**31 * 10**9 - 1
+_ACKNOWLEDGMENT_WAIT = 0.1  # s; ms suffice, but a reader of Fast DDS may acknowledge after 3 s
+_MAX_STAMP = 2**31 * 10**9 - 1  # ns
+# Faults that are over when they were not noted again in the time of one diagnostics.
+_PASSING_FAULTS = frozenset({'message', 'failure', 'clock'})
 
 
-class KinpoleNode(SettableNode):
-    """Tracks the bodies its parameters name; managed, and active from the start."""
+class KinpoleNode(ParameterNode):
+    """Tracks the bodies that its parameters name; managed, and active from the start."""
 
     def __init__(self) -> None:
         super().__init__('kinpole')
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.source = MarkerSource(self, self.settings, self._on_markers, self._note)
-        if in_vain := given_in_vain(self, self.source.topic):
+        if overrides := qos_overrides_without_effect(self, self.source.topic):
             self.get_logger().warning(
-                f'{", ".join(in_vain)} set nothing: the markers come on {self.source.topic}; '
+                f'{", ".join(overrides)} set nothing: the markers come on {self.source.topic}; '
                 f'write qos_overrides.{self.source.topic}.subscription...'
             )
         self._tracker = Tracker(self.settings)
         self._diagnostics = self._make_diagnostics()
+        self._publisher_of_topic: dict[str, Any] = {}
         self._outputs: list[tuple[Output, Any]] = []
-        # Those that somebody reads, looked up now and then: it takes 0.6 us each.
-        self._wanted: list[tuple[Output, Any]] = []
-        # Those that people look at, and when the next is due.
-        self._viewed: list[tuple[Output, Any]] = []
-        self._view_due = 0.0
-        self._publishers_made: dict[str, Any] = {}
-        self._amid_markers = False
-        # Of the frames since the last diagnostics.
+        # Those with subscribers, looked up now and then, which takes 0.6 us each: those of every
+        # frame, and those for displays, with the time at which the next is due.
+        self._frame_outputs: list[tuple[Output, Any]] = []
+        self._display_outputs: list[tuple[Output, Any]] = []
+        self._display_due = 0.0
+        self._is_processing = False
+        # Stamps and newest estimate of the frames since the last diagnostics.
         self._stamps: list[int] = []
         self._latest: Estimate | None = None
-        # The last one published since the drawings were taken away.
+        # The last estimate published since the drawing was deleted.
         self._drawn: Estimate | None = None
-        self._trouble: dict[str, str] = {}
-        # What of it was noted since the last diagnostics.
+        # Present faults, and the keys of those noted since the last diagnostics.
+        self._faults: dict[str, str] = {}
         self._noted: set[str] = set()
         self._last_diagnostics = self._steady.now()
         self._status_publisher: Any = None
-        # A steady clock: these beat even where simulated time stands still. The second one does so
-        # in every state, for whoever spins.
-        self._telling = self.create_timer(
-            _DIAGNOSTICS_EVERY, self._tell, clock=self._steady, autostart=False
+        # With a steady clock timers run though simulated time stands still. The second one runs in
+        # every state, so that no wait is endless.
+        self._diagnostics_timer = self.create_timer(
+            _DIAGNOSTICS_INTERVAL, self._publish_diagnostics, clock=self._steady, autostart=False
         )
-        self.create_timer(_LOOK_EVERY, self._look, clock=self._steady)
-        self.let_parameters_be_set()
+        self.create_timer(_DISCOVERY_INTERVAL, self._discover, clock=self._steady)
+        self.accept_changes()
         self.create_service(Trigger, '~/relearn', self._relearn)
         wrap_service(self, ChangeState, _change_if_possible)
         if self.get_parameter('autostart').value:
             self.trigger_configure()
             if self.trigger_activate() != TransitionCallbackReturn.SUCCESS:
-                raise ParameterError(self._trouble['start'])
+                raise ParameterError(self._faults['start'])
 
     def create_subscription(
-        self, msg_type: Any, topic: str, callback: Callable[..., Any], *words: Any, **more: Any
+        self, msg_type: Any, topic: str, callback: Callable[..., Any], *args: Any, **kwargs: Any
     ) -> Any:
-        """As in rclpy, but of a clock leave out what is before 0, where it raises."""
+        """As in rclpy, but ignore times before 0 on /clock, for which rclpy raises."""
 
         def take_clock(message: ClockMessage) -> None:
             if message.clock.sec >= 0:
@@ -125,12 +123,12 @@ class KinpoleNode(SettableNode):
                 'left out: see to what publishes it',
             )
 
-        take = take_clock if msg_type is ClockMessage else callback
-        return super().create_subscription(msg_type, topic, take, *words, **more)
+        checked = take_clock if msg_type is ClockMessage else callback
+        return super().create_subscription(msg_type, topic, checked, *args, **kwargs)
 
     def use_settings(self) -> None:
-        """Start anew with the changed settings; publishers that stay in use are not touched."""
-        self._start_anew()
+        """Restart with the changed settings; publishers that stay in use are kept."""
+        self._restart()
         if self._outputs:
             self._make_outputs()
 
@@ -139,21 +137,21 @@ class KinpoleNode(SettableNode):
         self.source.check(settings)
 
     def _make_diagnostics(self) -> DiagnosticsMaker:
-        # With the namespace, if any: nodes of several rigs tell on one topic.
+        # With the namespace: the nodes of several rigs share the topic.
         name = self.get_fully_qualified_name().lstrip('/')
         return DiagnosticsMaker(name, self.theory, self.source.topic)
 
-    def _start_anew(self) -> None:
-        """Forget all frames, and the counts."""
+    def _restart(self) -> None:
+        """Forget all frames and counts."""
         self._tracker = Tracker(self.settings)
         self._diagnostics = self._make_diagnostics()
-        self.source.start_anew(self.settings)
+        self.source.restart(self.settings)
         self._latest = None
         self._stamps = []
 
     def _relearn(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Markers were moved on their bodies: learn shapes, noise and pins anew."""
-        self._start_anew()
+        """Learn shapes, noise and pins again: markers were moved on their bodies."""
+        self._restart()
         response.success, response.message = True, 'all is learned anew from the next frame on'
         return response
 
@@ -169,38 +167,38 @@ class KinpoleNode(SettableNode):
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start listening, with an empty window."""
+        """Subscribe to the markers, with an empty window."""
         if self.incomplete:
             self.get_logger().error(self.incomplete)
             return TransitionCallbackReturn.FAILURE
         result = super().on_activate(state)
-        self._start_anew()
-        self._trouble.clear()
+        self._restart()
+        self._faults.clear()
         self._last_diagnostics = self._steady.now()
-        self._telling.reset()
+        self._diagnostics_timer.reset()
         self.active = True
         try:
-            self._look()
+            self._discover()
         except ParameterError as error:
             self.on_deactivate(state)
-            self._trouble['start'] = str(error)
+            self._faults['start'] = str(error)
             if not self.get_parameter('autostart').value:
                 self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
-        if not self.source.found:
+        if not self.source.is_subscribed:
             self.get_logger().info(f'waits for markers on {self.source.topic}')
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop listening."""
-        self._telling.cancel()
+        """Unsubscribe from the markers."""
+        self._diagnostics_timer.cancel()
         self.active = False
         self.source.close()
-        self._take_drawings_away()
+        self._delete_drawing()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Take the publishers down."""
+        """Destroy the publishers."""
         self.close_outputs()
         if self._status_publisher is not None:
             self.destroy_publisher(self._status_publisher)
@@ -208,12 +206,12 @@ class KinpoleNode(SettableNode):
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """From wherever the node is, stop and take everything down."""
+        """Unsubscribe and destroy the publishers, from any state."""
         self.on_deactivate(state)
         return self.on_cleanup(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """After a transition that failed, be as before the first."""
+        """After a transition that failed, return to the state before the first."""
         return self.on_shutdown(state)
 
     def _make_outputs(self) -> None:
@@ -222,71 +220,76 @@ class KinpoleNode(SettableNode):
             for output in live_outputs(self.settings, self.theory)
             if output.topic != TF or self.settings.publish_tf
         ]
-        self._drop_outputs([output.topic for output in outputs])
+        self._drop_outputs({output.topic for output in outputs})
         for output in outputs:
-            publisher = self._publishers_made.get(output.topic)
+            publisher = self._publisher_of_topic.get(output.topic)
             if publisher is None:
                 publisher = self.create_lifecycle_publisher(
-                    output.message_type,
-                    output.under('~'),
-                    _KEPT,
-                    event_callbacks=_NO_EVENTS,
+                    output.message_type, output.under('~'), _DEPTH, event_callbacks=_NO_EVENTS
                 )
                 if self.active:
                     publisher.on_activate(LifecycleState('active', 0))
-                self._publishers_made[output.topic] = publisher
+                self._publisher_of_topic[output.topic] = publisher
             self._outputs.append((output, publisher))
-        self._note_readers()
+        self._look_up_subscribers()
 
     def close_outputs(self) -> None:
-        """Take the drawings away, and the publishers of all results down."""
-        self._drop_outputs([])
+        """Delete the drawing, and destroy the publishers of all results."""
+        self._drop_outputs(set())
 
-    def _drop_outputs(self, kept: Sequence[str]) -> None:
-        """Destroy the publishers of all topics but those kept."""
-        if DRAWING not in kept:
-            self._take_drawings_away()
-        going = [self._publishers_made.pop(t) for t in self._publishers_made.keys() - set(kept)]
-        _let_arrive(going)
-        for publisher in going:
+    def _drop_outputs(self, retained: Collection[str]) -> None:
+        """Destroy the publishers of all topics but the retained ones."""
+        if DRAWING not in retained:
+            self._delete_drawing()
+        dropped = [
+            self._publisher_of_topic.pop(topic)
+            for topic in self._publisher_of_topic.keys() - set(retained)
+        ]
+        # Readers drop messages on their way when their publisher is destroyed.
+        deadline = time.monotonic() + _ACKNOWLEDGMENT_WAIT
+        for publisher in dropped:
+            remaining = max(0.0, deadline - time.monotonic())
+            publisher.wait_for_all_acked(Duration(seconds=remaining))
+        for publisher in dropped:
             self.destroy_lifecycle_publisher(publisher)
         self._outputs = []
-        self._note_readers()
+        self._look_up_subscribers()
 
-    def _take_drawings_away(self) -> None:
-        """Viewers keep what was drawn until a message deletes it."""
+    def _delete_drawing(self) -> None:
+        """Have viewers delete what was drawn, which they keep otherwise."""
         drawn, self._drawn = self._drawn, None
-        publisher = self._publishers_made.get(DRAWING)
+        publisher = self._publisher_of_topic.get(DRAWING)
         if drawn is not None and publisher is not None and publisher.get_subscription_count():
-            publisher.publish(nothing_drawn(int(drawn.stamp[-1]), drawn.frame_id))
+            publisher.publish(deletion_of_all(int(drawn.stamp[-1]), drawn.frame_id))
 
-    def _note_readers(self) -> None:
+    def _look_up_subscribers(self) -> None:
         read = [row for row in self._outputs if row[1].get_subscription_count()]
-        self._wanted = [row for row in read if not row[0].every]
-        self._viewed = [row for row in read if row[0].every]
+        self._frame_outputs = [row for row in read if not row[0].interval]
+        self._display_outputs = [row for row in read if row[0].interval]
 
-    def _look(self) -> None:
-        """See who is there, to read and to be read."""
+    def _discover(self) -> None:
+        """Look up subscribers of the results and publishers of the markers."""
         if not self.active:
             return
-        self._note_readers()
-        if self.source.look():
+        self._look_up_subscribers()
+        if self.source.update():
             self._tracker.reset()
             self._tracker.counts['restarts'] += 1
 
     def _on_markers(self, message: bytes, info: Mapping[str, Any]) -> None:
-        """Take all that waits at once: what is behind catches up, and loses the oldest first."""
-        self._amid_markers = True
+        """Process this message and all that wait: a node that is behind loses the oldest first."""
+        self._is_processing = True
         now = time.monotonic()
-        viewed = self._viewed if now >= self._view_due else []
-        order = max((output.order for output, _ in (*self._wanted, *viewed)), default=None)
-        read, messages, dropped = self.source.take(message, info)
-        self._tracker.counts['dropped'] += dropped
+        displayed = self._display_outputs if now >= self._display_due else []
+        outputs = (*self._frame_outputs, *displayed)
+        order = max((output.order for output, _ in outputs), default=None)
+        results, messages, lost = self.source.take(message, info)
+        self._tracker.counts['dropped'] += lost
         last: Estimate | None = None
-        # On /tf there may be none of ours among them.
-        if read and messages >= _BEHIND and not self.source.lossless:
-            read = self._newest_last(read)
-        for frames in read:
+        # Without results, messages on /tf had no frames of these bodies.
+        if results and messages >= _BEHIND and not self.source.is_reliable:
+            results = self._keep_newest(results)
+        for frames in results:
             if isinstance(frames, MessageError):
                 self._tracker.counts['unreadable'] += 1
                 self._note('message', str(frames))
@@ -294,106 +297,99 @@ class KinpoleNode(SettableNode):
             self._stamps.extend(frames.stamps.tolist())
             for estimate in self._tracker.add(frames, order):
                 self._latest = self._drawn = estimate
-                _publish(self._wanted, estimate)
+                _publish(self._frame_outputs, estimate)
                 last = estimate
-        # Nobody else waits for what people look at.
-        if viewed and last is not None:
-            _publish(viewed, last)
-            self._view_due = now + max(output.every for output, _ in viewed)
-        self._tracker.settle()
-        self._amid_markers = False
+        # Displays come after all other topics.
+        if displayed and last is not None:
+            _publish(displayed, last)
+            self._display_due = now + max(output.interval for output, _ in displayed)
+        self._tracker.learn_if_due()
+        self._is_processing = False
 
-    def _newest_last(
-        self, read: list[MarkerFrames | MessageError]
+    def _keep_newest(
+        self, results: list[MarkerFrames | MessageError]
     ) -> list[MarkerFrames | MessageError]:
-        """Take all but the newest frame into the window, without results."""
-        *earlier, last = read
+        """Add all but the newest frame to the window; return that frame, and errors before it."""
+        *earlier, last = results
         for frames in (f for f in earlier if not isinstance(f, MessageError)):
-            self._take_silently(frames)
+            self._add_unpublished(frames)
         if not isinstance(last, MessageError) and len(last.stamps) > 1:
-            self._take_silently(part_of(last, slice(-1)))
+            self._add_unpublished(part_of(last, slice(-1)))
             last = part_of(last, slice(-1, None))
         return [*(f for f in earlier if isinstance(f, MessageError)), last]
 
-    def _take_silently(self, frames: MarkerFrames) -> None:
+    def _add_unpublished(self, frames: MarkerFrames) -> None:
         self._stamps.extend(frames.stamps.tolist())
         self._tracker.add(frames, None)
         self._tracker.counts['untold'] += len(frames.stamps)
 
-    def _note(self, trouble: str, text: str) -> None:
-        """Keep what is wrong for the diagnostics, and say it when it begins; '' is its end."""
+    def _note(self, key: str, text: str) -> None:
+        """Keep a fault for the diagnostics, and log it when it begins; without text it is over."""
         if not text:
-            self._trouble.pop(trouble, None)
+            self._faults.pop(key, None)
             return
-        if trouble not in self._trouble:
+        if key not in self._faults:
             self.get_logger().warning(text)
-        self._trouble[trouble] = text
-        self._noted.add(trouble)
+        self._faults[key] = text
+        self._noted.add(key)
 
-    def _tell(self) -> None:
+    def _publish_diagnostics(self) -> None:
         now = self._steady.now()
         seconds = (now - self._last_diagnostics).nanoseconds * 1e-9
         self._last_diagnostics = now
-        # A simulated clock may tell any time.
-        stamp = min(max(0, self.get_clock().now().nanoseconds), _LATEST_STAMP)
-        self.source.note_turns()
-        self.source.note_names()
-        self._note_rivals()
-        for passing in {'message', 'failure', 'clock'} - self._noted:
-            self._note(passing, '')
+        # A simulated clock may have any time.
+        stamp = min(max(0, self.get_clock().now().nanoseconds), _MAX_STAMP)
+        self.source.note_several_publishers()
+        self.source.note_unseen_names()
+        self._note_duplicate_publishers()
+        for key in _PASSING_FAULTS - self._noted:
+            self._note(key, '')
         self._noted.clear()
         array = self._diagnostics.make(
-            stamp, self._tracker, self._latest, seconds, self._trouble, self._stamps
+            stamp, self._tracker, self._latest, seconds, self._faults, self._stamps
         )
         self._stamps, self._latest = [], None
         self._status_publisher.publish(array)
 
-    def _note_rivals(self) -> None:
-        """Note where other nodes publish the same results."""
-        results = next(iter(self._publishers_made.values())).topic_name
+    def _note_duplicate_publishers(self) -> None:
+        """Note other nodes that publish the same results."""
+        topic = next(iter(self._publisher_of_topic.values())).topic_name
         text = ''
-        # Asked for by number first, which is cheaper.
-        if self.count_publishers(results) > 1:
-            names = publishers_of(self, results)
+        # The count is cheaper than the names.
+        if self.count_publishers(topic) > 1:
+            names = publishers_of(self, topic)
             own = self.get_fully_qualified_name()
             if own in names:
                 names.remove(own)
             if names:
                 listed = ', '.join('another node of this name' if n == own else n for n in names)
                 text = (
-                    f'{results} and the like are published by {listed} too: give each node a '
+                    f'{topic} and the like are published by {listed} too: give each node a '
                     'name of its own (-r __node:=NAME), and play of a bag the markers alone; what '
                     'was killed counts for some seconds more'
                 )
         self._note('rivals', text)
 
     def recover(self, error: Exception) -> None:
-        """After what no callback caught: tell of it, and if it was amid markers start anew."""
-        what = 'goes on'
-        if self._amid_markers:
-            self._amid_markers = False
+        """Note an error that no callback caught; while processing markers, restart the tracker."""
+        outcome = 'goes on'
+        if self._is_processing:
+            self._is_processing = False
             self._tracker.reset()
             self._latest = None
-            what = 'starts anew'
+            outcome = 'starts anew'
         self._tracker.counts['failures'] += 1
         text = ' '.join(str(error).split())
-        self._note('failure', f'the node failed ({type(error).__name__}: {text}) and {what}')
+        self._note('failure', f'the node failed ({type(error).__name__}: {text}) and {outcome}')
 
 
 def _publish(outputs: Sequence[tuple[Output, Any]], estimate: Estimate) -> None:
-    """All are made before the first goes out: its readers wake, and take the core."""
-    made = [
+    """Make all messages before the first is sent: its readers wake, and take the core."""
+    messages = [
         (publisher, data) for output, publisher in outputs for data in output.build(estimate)[1]
     ]
-    for publisher, data in made:
+    for publisher, data in messages:
         publisher.publish(data)
-
-
-def _let_arrive(publishers: Sequence[Any]) -> None:
-    """Before publishers go: readers that hear of that drop what of theirs is still on its way."""
-    deadline = time.monotonic() + _ARRIVES_WITHIN
-    for publisher in publishers:
-        publisher.wait_for_all_acked(Duration(seconds=max(0.0, deadline - time.monotonic())))
 
 
 def _change_if_possible(change: Callable[..., Any], request: Any, response: Any) -> Any:
@@ -406,39 +402,50 @@ def _change_if_possible(change: Callable[..., Any], request: Any, response: Any)
 
 
 def _spin(node: KinpoleNode, executor: Executor, stop_requested: Callable[[], bool]) -> None:
-    """As rclpy.spin, but a node that others rely upon does not end with its first failure."""
-    failures, well = 0, time.monotonic()
+    """As rclpy.spin, but go on after failures, since other nodes rely on this one."""
+    failures, last_success = 0, time.monotonic()
     while not stop_requested():
         try:
             executor.spin_once()
-            failures, well = 0, time.monotonic()
+            failures, last_success = 0, time.monotonic()
         except ParameterError:
             raise
         except Exception as error:
             failures += 1
-            if failures > _MOST_FAILURES and time.monotonic() - well > _LONGEST_FAILURE:
+            if failures > _MAX_FAILURES and time.monotonic() - last_success > _MAX_FAILING:
                 raise
             node.recover(error)
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until a stop is requested; returns the exit status."""
+    """
+    Run the node until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    args : sequence of str, optional
+        The command line; that of the process if not given.
+
+    Returns
+    -------
+    int
+        The exit status.
+    """
     words = list(sys.argv if args is None else args)
     node = executor = stop_requested = None
     try:
-        # rcl logs what it also raises, and one line says it all.
+        # rcl logs the errors that it raises too; one line is enough.
         set_logger_level('rcl', LoggingSeverity.FATAL)
         stop_requested = start_ros(words)
         set_logger_level('rcl', LoggingSeverity.UNSET)
-        # It warns of what it also raises.
         warnings.filterwarnings('ignore', 'Failed to fini', RuntimeWarning)
         if unknown := remove_ros_args(words)[1:]:
             return _refuse(f'unknown words {" ".join(unknown)}; those for ROS follow --ros-args')
-        # What was imported stays: to look through it for garbage takes up to 40 ms. The node does
-        # not, so that it goes with the interpreter and not after it.
+        # Modules are not garbage, and a search among them takes up to 40 ms. The node is made
+        # later, so that it is collected before the interpreter ends.
         gc.freeze()
         node = KinpoleNode()
-        if '--params-file' in words and node.given_nothing:
+        if '--params-file' in words and not node.has_given_parameters:
             name = node.get_fully_qualified_name()
             node.get_logger().warning(
                 f'no parameter file has anything for {name}, and all is as by default: call its '

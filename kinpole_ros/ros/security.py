@@ -1,5 +1,5 @@
 """
-What the node may do on the network, as a policy for SROS2: its topics and services and no others.
+The policy of the node for SROS2: its topics and services, and no others.
 
 python -m kinpole_ros.ros.security [my_rig.yaml] > kinpole.policy.xml
 """
@@ -12,7 +12,7 @@ from xml.sax.saxutils import escape, quoteattr
 from kinpole_ros.messages import TF, live_outputs, theory_of
 from kinpole_ros.tracking.parameters import ParameterError, Settings, load_settings
 
-# Of every node, or every managed one, by rclpy; and one of its own.
+# Services of every managed node of rclpy, and `relearn`.
 _SERVICES = (
     'change_state',
     'describe_parameters',
@@ -33,12 +33,12 @@ _PUBLISHED = ('/diagnostics', '/parameter_events', '/rosout', '~/transition_even
 
 def permitted(settings: Settings) -> dict[str, list[str]]:
     """
-    Names the node uses with these parameters, by what it does with them, as a policy writes them.
+    Return the names that the node publishes, subscribes and replies to, as a policy has them.
 
-    '~/' stands for the node's own name and a name without '/' for one in its namespace. The keys
-    are publish, subscribe and reply. Raises ParameterError as theory_of does.
+    '~/' stands for the node's own name; a name without '/' is in its namespace. The keys are
+    publish, subscribe and reply. Raises ParameterError as `theory_of` does.
     """
-    # Of all orders, since derivative_order may be set while the node runs.
+    # Topics of all orders, since derivative_order may be set while the node runs.
     outputs = live_outputs(replace(settings, derivative_order=4), theory_of(settings))
     results = [o.under('~') for o in outputs if o.topic != TF or settings.publish_tf]
     return {
@@ -50,9 +50,24 @@ def permitted(settings: Settings) -> dict[str, list[str]]:
 
 def policy(settings: Settings, node: str = 'kinpole', namespace: str = '/') -> str:
     """
-    The policy of the node in the XML of SROS2, version 0.2.0, for the enclave of its name.
+    Return the policy of the node in the XML of SROS2, version 0.2.0, for the enclave of its name.
 
-    Raises ParameterError as `permitted` does.
+    Parameters
+    ----------
+    settings : Settings
+        The parameters of the node.
+    node, namespace : str
+        Name and namespace of the node.
+
+    Returns
+    -------
+    str
+        The policy.
+
+    Raises
+    ------
+    ParameterError
+        As `permitted` does.
     """
     names = permitted(settings)
     enclave = f'{namespace.rstrip("/")}/{node}'
@@ -64,9 +79,9 @@ def policy(settings: Settings, node: str = 'kinpole', namespace: str = '/') -> s
             f'    <enclave path={quoteattr(enclave)}>',
             '      <profiles>',
             f'        <profile ns={quoteattr(namespace)} node={quoteattr(node)}>',
-            *_rule('services', 'service', 'reply', names['reply']),
-            *_rule('topics', 'topic', 'subscribe', names['subscribe']),
-            *_rule('topics', 'topic', 'publish', names['publish']),
+            *_profile_lines('services', 'service', 'reply', names['reply']),
+            *_profile_lines('topics', 'topic', 'subscribe', names['subscribe']),
+            *_profile_lines('topics', 'topic', 'publish', names['publish']),
             '        </profile>',
             '      </profiles>',
             '    </enclave>',
@@ -77,8 +92,8 @@ def policy(settings: Settings, node: str = 'kinpole', namespace: str = '/') -> s
     )
 
 
-def _rule(group: str, one: str, verb: str, names: Iterable[str]) -> list[str]:
-    inner = [f'            <{one}>{escape(name)}</{one}>' for name in names]
+def _profile_lines(group: str, item: str, verb: str, names: Iterable[str]) -> list[str]:
+    inner = [f'            <{item}>{escape(name)}</{item}>' for name in names]
     return [f'          <{group} {verb}="ALLOW">', *inner, f'          </{group}>']
 
 

@@ -1,4 +1,4 @@
-"""Where the markers come from: a topic that is found, subscribed to, taken from and watched."""
+"""The topic of the markers: found in the graph, subscribed to, read, and watched for faults."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import chain
@@ -33,11 +33,11 @@ MAX_MESSAGE_BYTES = 1 << 20
 
 class MarkerSource:
     """
-    The topic of the markers.
+    The subscription to the markers.
 
-    `on_markers` is called with a message and its info, by rclpy or by `take_messages`, and has them
-    and all that waits read by `take`. `note` is given what is wrong, by a word for it, and '' when
-    that is over.
+    `on_markers` is called with a message and its info, by rclpy or by `take_messages`; it calls
+    `take` to read it and all that wait. `note(key, text)` is called for each fault, and with an
+    empty text when the fault is over.
     """
 
     def __init__(
@@ -53,31 +53,32 @@ class MarkerSource:
         self._subscription: Any = None
         self.group = SubscriptionGroup()
         self._kind = ''
-        # Whether the markers were asked for reliably.
-        self.lossless = False
+        # Whether the parameters ask for reliable delivery.
+        self.is_reliable = False
         self._publishers: set[bytes] = set()
-        # Of the last message, as its publisher numbers them.
+        # The number that the publisher gave to the last message.
         self._number: int | None = None
-        # How often, of late, the number was no higher: another publisher took its turn.
-        self._turns = 0
+        # How often the number did not increase since `note_several_publishers`: another publisher
+        # sent the message.
+        self._alternations = 0
 
     @property
-    def found(self) -> bool:
+    def is_subscribed(self) -> bool:
         """Whether the topic is subscribed to."""
         return self._subscription is not None
 
     @property
     def subscriptions(self) -> list[Subscription]:
-        """That of the markers, once there is one."""
-        return [self._subscription] if self.found else []
+        """The subscription to the markers, once there is one."""
+        return [self._subscription] if self.is_subscribed else []
 
     def take_messages(self) -> None:
-        """Take markers, if any wait, and have them worked on."""
+        """Take a message, if one waits, and have it processed."""
         for taken in [*take(self._subscription, 1)]:
             self._on_markers(*taken)
 
     def close(self) -> None:
-        """Listen no more; to look again begins again."""
+        """Unsubscribe; the next `update` may subscribe again."""
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
         self._subscription = None
@@ -85,59 +86,64 @@ class MarkerSource:
         self._number = None
         self._publishers = set()
 
-    def start_anew(self, settings: Settings) -> None:
-        """Forget what came, and identify markers as these settings say."""
+    def restart(self, settings: Settings) -> None:
+        """Forget the messages so far, and read markers by these settings."""
         self._settings = settings
         self._number = None
         if self._kind:
             self._reader = reader_of(self._kind, settings)
 
     def check(self, settings: Settings) -> None:
-        """Raise ParameterError where what is read does not go with these settings."""
+        """Raise ParameterError for settings that do not go with the type of the messages."""
         if self._kind:
             reader_of(self._kind, settings)
 
-    def look(self) -> bool:
+    def update(self) -> bool:
         """
-        Subscribe as soon as the type of the markers is known; note it where none can be read.
+        Subscribe once the type of the markers is known, and note the faults of the publishers.
 
-        Returns whether another publisher has taken over, whose markers may be other ones. Raises
-        ParameterError for a QoS that cannot be used.
+        Returns whether other publishers have replaced all earlier ones, whose markers may differ.
+        Raises ParameterError for a QoS that cannot be used.
         """
         offers = self._node.get_publishers_info_by_topic(self.topic)
-        replaced = self._note_publishers({bytes(offer.endpoint_gid) for offer in offers})
+        is_replaced = self._note_publishers({bytes(offer.endpoint_gid) for offer in offers})
         published = {offer.topic_type for offer in offers}
-        wanted = self._settings.marker_type
-        readable = [wanted] if wanted != 'auto' else [k for k in INPUT_TYPES if k in AUTO_TYPES]
-        found = [kind for kind in readable if INPUT_TYPE_NAMES[kind] in published]
-        unreadable = ''
-        if published and not found:
-            unreadable = (
-                f'{self.topic} is published as {", ".join(sorted(published))}; it must be '
-                f'one of {", ".join(INPUT_TYPE_NAMES[kind] for kind in readable)}'
-            )
-            if INPUT_TYPE_NAMES['tf'] in published and wanted == 'auto':
-                unreadable += ', or marker_type must be tf and <body>.markers name its frame'
-        kinds = found if wanted == 'auto' else readable
+        kinds, fault = self._readable_kinds(published)
         if kinds and self._kind not in kinds:
             try:
                 reader_of(kinds[0], self._settings)
             except ParameterError as error:
-                kinds, unreadable = [], f'{self.topic} is published as poses: {error}'
-        self._note('type', unreadable)
+                kinds, fault = [], f'{self.topic} is published as poses: {error}'
+        self._note('type', fault)
         if kinds and self._kind not in kinds:
             self.close()
             self._subscribe(kinds[0])
-        if replaced and self._kind:
+        if is_replaced and self._kind:
             self._reader = reader_of(self._kind, self._settings)
         self._note_other_types(published)
-        self._note_unheard(offers)
-        return replaced
+        self._note_incompatible(offers)
+        return is_replaced
+
+    def _readable_kinds(self, published: set[str]) -> tuple[list[str], str]:
+        """Return the input types that can be subscribed to, and the fault if none is published."""
+        marker_type = self._settings.marker_type
+        is_auto = marker_type == 'auto'
+        readable = [k for k in INPUT_TYPES if k in AUTO_TYPES] if is_auto else [marker_type]
+        matching = [kind for kind in readable if INPUT_TYPE_NAMES[kind] in published]
+        fault = ''
+        if published and not matching:
+            fault = (
+                f'{self.topic} is published as {", ".join(sorted(published))}; it must be '
+                f'one of {", ".join(INPUT_TYPE_NAMES[kind] for kind in readable)}'
+            )
+            if INPUT_TYPE_NAMES['tf'] in published and is_auto:
+                fault += ', or marker_type must be tf and <body>.markers name its frame'
+        return matching if is_auto else readable, fault
 
     def _subscribe(self, kind: str) -> None:
         # First, as it may not go with the parameters.
         self._reader = reader_of(kind, self._settings)
-        # Drivers mostly send as sensors do; what is late is not worth waiting for.
+        # As most drivers publish; a frame that is late is not worth waiting for.
         qos = QoSProfile(depth=SUBSCRIPTION_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         overrides = f'qos_overrides.{self.topic}.subscription'
         try:
@@ -152,18 +158,18 @@ class MarkerSource:
                 raw=True,
             )
             reliability = self._node.get_parameter(f'{overrides}.reliability').value
-        except Exception as error:  # rclpy raises many things, some without words
+        except Exception as error:  # rclpy raises many types, some without a text
             raise ParameterError(
                 f'parameters {overrides} cannot be used '
                 f'({str(error) or type(error).__name__}); correct them or leave them out'
             ) from None
-        self.lossless = reliability == 'reliable'
+        self.is_reliable = reliability == 'reliable'
         self._kind = kind
         bodies = ', '.join(self._settings.bodies)
         self._node.get_logger().info(f'follows {bodies} on {self.topic} ({INPUT_TYPE_NAMES[kind]})')
 
-    def _note_unheard(self, offers: Sequence[TopicEndpointInfo]) -> None:
-        """Note a publisher whose QoS is less than is asked for; rclpy tells only when it comes."""
+    def _note_incompatible(self, offers: Sequence[TopicEndpointInfo]) -> None:
+        """Note a publisher that offers too little QoS; rclpy reports it only when it appears."""
         text = ''
         for offer in offers:
             if offer.topic_type != INPUT_TYPE_NAMES.get(self._kind):
@@ -182,79 +188,78 @@ class MarkerSource:
         followed = INPUT_TYPE_NAMES.get(self._kind)
         text = ''
         if followed in published and len(published) > 1:
-            others = ', '.join(sorted(published - {followed}))
+            listed = ', '.join(sorted(published - {followed}))
             text = (
-                f'{self.topic} is published as {others} too, and that is not read: {followed} is '
+                f'{self.topic} is published as {listed} too, and that is not read: {followed} is '
                 'followed; set the parameter marker_type, or publish only one of them'
             )
         self._note('other types', text)
 
     def _note_publishers(self, seen: set[bytes]) -> bool:
-        """Whether none is left of those that were there."""
+        """Note the present publishers; return whether they have replaced all earlier ones."""
         if not seen or seen == self._publishers:
             return False
-        replaced = bool(self._publishers) and not seen & self._publishers
+        is_replaced = bool(self._publishers) and not seen & self._publishers
         self._publishers, self._number = seen, None
-        return replaced
+        return is_replaced
 
     def take(
         self, message: bytes, info: Mapping[str, Any]
     ) -> tuple[list[MarkerFrames | MessageError], int, int]:
         """
-        Read this message and those that wait, as many as the default depth.
+        Read this message and those that wait, SUBSCRIPTION_DEPTH of them at most.
 
-        Returns what was read, of how many messages, and how many more were dropped on the way.
-        Messages that are too large are released one by one, before the next is taken.
+        Returns the results, the number of messages, and how many more were lost on the way. A
+        message that is too large is released before the next one is taken.
         """
         small: list[bytes] = []
         refused: list[MarkerFrames | MessageError] = []
         numbers: list[int | None] = []
-        for data, details in chain(
-            [(message, info)], take(self._subscription, SUBSCRIPTION_DEPTH - 1)
-        ):
+        waiting = take(self._subscription, SUBSCRIPTION_DEPTH - 1)
+        for data, details in chain([(message, info)], waiting):
             numbers.append(sequence_number(details))
             if len(data) > MAX_MESSAGE_BYTES:
                 refused.append(MessageError(describe_excess(self.topic, len(data))))
             else:
                 small.append(data)
-        # Errors come first, so that the last entry is the newest frame.
-        return [*refused, *self._reader.read(small)], len(numbers), self._dropped(numbers)
+        # Errors first, so that the last result is the newest frame.
+        return [*refused, *self._reader.read(small)], len(numbers), self._count_lost(numbers)
 
-    def _dropped(self, numbers: Iterable[int | None]) -> int:
-        """Count what is missing between messages, where they have numbers and one publisher."""
-        dropped = 0
+    def _count_lost(self, numbers: Iterable[int | None]) -> int:
+        """Count the messages missing between these, where one publisher numbers them."""
+        lost = 0
         for number in numbers:
             if number and self._number is not None:
                 if len(self._publishers) == 1:
-                    dropped += max(0, number - self._number - 1)
+                    lost += max(0, number - self._number - 1)
                 elif number <= self._number:
-                    self._turns += 1
+                    self._alternations += 1
             self._number = number
-        return dropped
+        return lost
 
-    def note_names(self) -> None:
+    def note_unseen_names(self) -> None:
         """Note names of poses that no message has."""
         reader = self._reader if self._kind else None
-        lacking = reader.lacking() if isinstance(reader, PoseReader) else ''
-        self._note('names', f'on {self.topic} {lacking}' if lacking else '')
+        unseen = reader.unseen_names() if isinstance(reader, PoseReader) else ''
+        self._note('names', f'on {self.topic} {unseen}' if unseen else '')
 
-    def note_turns(self) -> None:
-        """Note whether several publishers have sent in turn since this was asked before."""
+    def note_several_publishers(self) -> None:
+        """Note whether several publishers have sent alternately since the last call."""
         text = ''
-        # Once may be a driver that was killed and is back, before its end was noticed. /tf is for
-        # all to send on.
-        if self._turns > 1 and self._kind != 'tf':
+        # Once may be a driver that was killed and has restarted, before its end was noticed.
+        # Several nodes may publish on /tf.
+        if self._alternations > 1 and self._kind != 'tf':
             names = ', '.join(publishers_of(self._node, self.topic))
             text = (
                 f'several publishers send markers on {self.topic} in turn ({names}), and results '
                 'are of all of them mixed: stop all but one'
             )
         self._note('sources', text)
-        self._turns = 0
+        self._alternations = 0
 
 
 def describe_excess(topic: str, size: int) -> str:
-    """Say that a message of `size` bytes is too large to be read, and how to fix it."""
+    """Return the fault of a message of `size` bytes that is too large to be read."""
     return (
         f'a message on {topic} has {size} bytes, and messages of more than {MAX_MESSAGE_BYTES} are '
         'not read: publish only markers there, or set marker_topic to a topic of markers'
@@ -262,7 +267,7 @@ def describe_excess(topic: str, size: int) -> str:
 
 
 def publishers_of(node: Node, topic: str) -> list[str]:
-    """Full names of the nodes that publish a topic, as far as known; once for each publisher."""
+    """Return the full names of the nodes that publish a topic, once for each known publisher."""
     offers = node.get_publishers_info_by_topic(topic)
-    known = [offer for offer in offers if has_known_node(offer)]
-    return sorted(f'{o.node_namespace.rstrip("/")}/{o.node_name}' for o in known)
+    named = [offer for offer in offers if has_known_node(offer)]
+    return sorted(f'{o.node_namespace.rstrip("/")}/{o.node_name}' for o in named)

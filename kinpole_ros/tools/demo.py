@@ -23,7 +23,7 @@ from rclpy.serialization import deserialize_message
 
 from kinpole_ros.bags import BagError, message_class, read_messages
 from kinpole_ros.mechanism import share_folder
-from kinpole_ros.ros.live import own_context, play
+from kinpole_ros.ros.player import own_context, play
 from kinpole_ros.tracking.estimate import POLE_NAMES
 from kinpole_ros.tracking.parameters import Settings, load_settings
 

@@ -135,7 +135,7 @@ def _read(
     if Path(source).exists() or source.endswith('.mcap') or topic is not None:
         parts, name = read_frames(source, topic, seconds or _OF_A_BAG, progress, report)
         return parts, name, False
-    from kinpole_ros.ros.listen import listen
+    from kinpole_ros.ros.listener import listen
 
     parts, name = listen(source, seconds or _LIVE, progress)
     return parts, name, True

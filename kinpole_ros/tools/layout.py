@@ -190,12 +190,7 @@ def foxglove(shown: Shown) -> str:
 
 def _split(direction: str, parts: Sequence[Any], percentage: float) -> Json:
     first, second = parts
-    return {
-        'direction': direction,
-        'first': first,
-        'second': second,
-        'splitPercentage': percentage,
-    }
+    return {'direction': direction, 'first': first, 'second': second, 'splitPercentage': percentage}
 
 
 def _column(panels: Sequence[str]) -> Any:

@@ -1,13 +1,15 @@
-"""What the command `kinpole` understands, and what its --help tells."""
+"""The command line of `kinpole`: its parser, and the order of its words."""
 
 import argparse
+import os
 from collections.abc import Sequence
+from typing import Any
 
 from kinpole_ros import __version__
 from kinpole_ros.tools.commands import COMMANDS
-from kinpole_ros.tools.words import files_first
+from kinpole_ros.tools.commands._command import Option
 
-_EPILOG = """Of each option, what is in parentheses at the end of its help is the default.
+_EPILOG = """The default of an option is in parentheses at the end of its help.
 
 examples:
   kinpole simulate four_bar --output four_bar.mcap --noise 0.0002
@@ -23,37 +25,88 @@ examples:
 """
 
 
+class _HelpFormatter(argparse.HelpFormatter):
+    """Wraps paragraphs to the terminal; keeps the lines of paragraphs that have an indented one."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return '\n\n'.join(
+            part
+            if '\n  ' in f'\n{part}'
+            else super(_HelpFormatter, self)._fill_text(part, width, '')
+            for part in text.split('\n\n')
+        )
+
+
 def make_parser() -> argparse.ArgumentParser:
-    """The parser of all words; `command` is which was given."""
+    """Return the parser of the whole command line; `command` is the name of the subcommand."""
     parser = argparse.ArgumentParser(
         prog='kinpole',
         description='Planar kinematics of mechanisms from tracked markers: angular rates, poles '
         'and centrodes of every body, and between bodies, with their uncertainty.',
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=_HelpFormatter,
     )
     parser.add_argument('--version', action='version', version=f'kinpole {__version__}')
-    commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
-
-    commands.add_parser(
+    subparsers = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
+    subparsers.add_parser(
         'node',
-        help='the live node',
-        description='The live node. Everything after it goes to ROS: '
+        help='Run the live node',
+        description='Run the live node. All words after `node` go to ROS: '
         'kinpole node --ros-args --params-file config/kinpole.yaml -r markers:=/mocap/markers',
     )
-    for command in COMMANDS.values():
-        command.add(commands)
+    for name, command in COMMANDS.items():
+        command.add_parser(name, subparsers, _HelpFormatter)
     return parser
 
 
 def parse_words(words: Sequence[str]) -> argparse.Namespace:
-    """Parse the words after `kinpole`; ends the process for --help and for bad usage."""
-    if words[:1] == ['fit']:
-        words = ['fit', *files_first(words[1:], 2, '--free', {'--help': 0})]
-    if words[:1] == ['tolerance']:
-        words = ['tolerance', *files_first(words[1:], 1, '--tolerances', {'--help': 0})]
-    if words[:1] == ['solve']:
-        sizes = dict.fromkeys(('--help', '--sweep', '--centers', '--statics', '--work'), 0)
-        sizes |= {'--pitch': 3, '--decompose': 2}
-        words = ['solve', *files_first(words[1:], 1, '--centrodes', sizes)]
+    """Parse the words after `kinpole`; end the process for --help and for bad usage."""
+    if words and words[0] in COMMANDS:
+        words = [words[0], *_files_first(words[1:], COMMANDS[words[0]].options)]
     return make_parser().parse_args(words)
+
+
+def _files_first(words: Sequence[str], options: Sequence[Option]) -> list[str]:
+    """
+    Move the files of a command before its options.
+
+    argparse gives an option with nargs='+' all words up to the next option, so files that come
+    after such an option would become its values. Files that are missing elsewhere are taken from
+    the last words of the option.
+    """
+    sizes = {option.name: option.values for option in options if option.name.startswith('-')}
+    sizes['--help'] = 0
+    files = sum(not option.name.startswith('-') for option in options)
+    if '+' not in sizes.values() or not files or '--' in words:
+        return list(words)
+    file_words, greedy_runs = _split_words(words, sizes)
+    missing = files - len(file_words)
+    # The option keeps at least one value. Of several options, take the one that ends with a file.
+    candidates = [run for run in reversed(greedy_runs) if len(run) > missing]
+    if missing > 0 and candidates:
+        run = max(candidates, key=lambda run: os.path.exists(words[run[-1]]))
+        file_words = sorted([*file_words, *run[-missing:]])
+    other_words = [word for k, word in enumerate(words) if k not in file_words]
+    return [*(words[k] for k in file_words), *other_words]
+
+
+def _split_words(words: Sequence[str], sizes: dict[str, Any]) -> tuple[list[int], list[list[int]]]:
+    """Return the indices of words that belong to no option, and of those after greedy options."""
+    free: list[int] = []
+    greedy: list[list[int]] = []
+    owned: Any = 0  # how many of the next words belong to the option before them; '+' is all
+    for k, word in enumerate(words):
+        if word.startswith('--') and '=' not in word:
+            # argparse accepts the beginning of a name for the name.
+            owned = next((size for name, size in sizes.items() if name.startswith(word)), 1)
+            if owned == '+':
+                greedy.append([])
+        elif word.startswith('-') and not word[1:2].isdigit() and word != '-':
+            owned = 0
+        elif owned == '+':
+            greedy[-1].append(k)
+        elif owned:
+            owned -= 1
+        else:
+            free.append(k)
+    return free, greedy

@@ -34,8 +34,8 @@ class Arrivals:
             self._last = self._newest = int(stamps[0]) - 1
         ahead = stamps - np.concatenate(((self._newest,), stamps[:-1]))
         end, came = len(stamps), slice(None)
-        if late or np.minimum.reduce(ahead) <= 0 or np.maximum.reduce(ahead) > self._window:
-            # As it is when each frame comes.
+        if np.minimum.reduce(ahead) <= 0 or np.maximum.reduce(ahead) > self._window:
+            # The latest stamp before each frame.
             reached = np.maximum.accumulate(np.concatenate(((self._newest,), stamps[:-1])))
             before = np.concatenate(((self._last,), stamps[:-1]))
             ahead = stamps - reached

@@ -4,8 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kinpole_ros.planar import grip_of
+from kinpole_ros.planar import procrustes_factors
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
+from kinpole_ros.tracking.thresholds import ROUNDED
 
 # A marker farther off than this is an outlier, in standard deviations of residuals.
 OUTLIER_SIGMAS = 6.0
@@ -15,8 +16,6 @@ YOUNG_OUTLIER = 0.03
 UNSTEADY = 0.15
 # Fewer fits, or degrees of freedom, than these give no usable variance.
 MIN_FITS = 20
-# Residuals below this share of the diameter are rounding.
-TINY = 1e-6
 # Number of frames after which the place of a marker is known well enough to be kept.
 SETTLED_FRAMES = 1000
 
@@ -85,10 +84,10 @@ class Bodies:
         self.size = 2 * np.sqrt(self.spread / np.maximum(self.known, 1))
         # A place known from N frames adds 1 / N to the variance of its marker.
         self.weights = self.frames / (self.frames + 1.0) / self.relative
-        self.grip = grip_of(self.shape, self.weights)
+        self.grip = procrustes_factors(self.shape, self.weights)
         self.middle = self.grip.mean
         self.mature = self.fits >= MIN_FITS
-        usual = OUTLIER_SIGMAS * np.sqrt(np.maximum(self.misfit, TINY**2 * self.spread))
+        usual = OUTLIER_SIGMAS * np.sqrt(np.maximum(self.misfit, ROUNDED**2 * self.spread))
         young = np.maximum(YOUNG_OUTLIER * self.size, 2 * usual)
         self.limit = np.where(self.mature, usual, young)
         self.largest = np.where(self.mature, usual**2, np.inf)[:, None] * self.relative

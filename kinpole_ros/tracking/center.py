@@ -13,8 +13,8 @@ from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.fit import fit_markers
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.levels import FEW, KEPT, RUNNING, SURE
 from kinpole_ros.tracking.statistics import chi_square, medians, student
+from kinpole_ros.tracking.thresholds import CONFIRMING_FRAMES, MEMORY_FRAMES, MIN_SAMPLES, N_SIGMA
 
 # Poses kept per body, and the angle between them, rad: 4 rad of one-way turning.
 _KEPT = 64
@@ -38,7 +38,7 @@ _DEGREES = np.arange(1, 6)[:, None]
 _WHETHER = 1
 # A point is taken when turning about it explains this share of what moves, and far more than the
 # noise would have it explain; the angle must turn by as many times its noise.
-_SHARE, _CLEAR = 0.9, SURE**2
+_SHARE, _CLEAR = 0.9, N_SIGMA**2
 # Number of windows that must agree on a hub, reckoned as many in which the body turns alike.
 _WINDOWS = 2.9
 # A window that leaves more than the others by this factor counts for less, in proportion.
@@ -82,7 +82,7 @@ class Pins:
         with np.errstate(invalid='ignore'):
             off = np.abs(position + np.exp(1j * angle) * self.arm - self.center) ** 2
             spread = variance[:, 1] + np.abs(self.arm) ** 2 * variance[:, 0]
-            return np.asarray(off > SURE**2 * spread)
+            return np.asarray(off > N_SIGMA**2 * spread)
 
     def update(self, bodies: Bodies, history: History, new: int, posed: bool = False) -> None:
         """Take the `new` newest frames, and fit pins to the poses that are kept."""
@@ -93,7 +93,7 @@ class Pins:
         with np.errstate(divide='ignore', invalid='ignore'):
             variance = bodies.error / information
         off = known & self.off(position, angle, variance)
-        self._leave(_any_run(off, RUNNING))
+        self._leave(_any_run(off, CONFIRMING_FRAMES))
         usable = known & ~off
         with np.errstate(invalid='ignore'):
             far = np.abs((angle - self._last + np.pi) % (2 * np.pi) - np.pi) > _STEP
@@ -108,7 +108,7 @@ class Pins:
             self._markers[place, b] = np.where(used, history['markers'][rows][at, b], np.nan)
             self._last[b] = angle[at[-1], b]
             self._number[b] += len(at)
-        self._fit(bodies, self._number >= FEW, posed)
+        self._fit(bodies, self._number >= MIN_SAMPLES, posed)
 
     def _fit(self, bodies: Bodies, which: np.ndarray, posed: bool) -> None:
         """Fit pins to the poses kept of the bodies `which` (B,)."""
@@ -173,7 +173,7 @@ class Pins:
     def _leave(self, which: np.ndarray) -> None:
         """Take the bodies `which` (B,) off their pins; next time eight times as much is wanted."""
         left = which & np.isfinite(self.center)
-        self._wanted[left] = np.minimum(8 * self._wanted[left], KEPT)
+        self._wanted[left] = np.minimum(8 * self._wanted[left], MEMORY_FRAMES)
         self.forget(which)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.tracking.identity import find_ways, fit_place
+from kinpole_ros.tracking.identity import find_candidates, fit_points
 from kinpole_ros.tracking.statistics import mean_square, tame_part
 
 EXCHANGED = 'markers_exchanged'
@@ -97,7 +97,7 @@ def correct_markers(
         return _moved(points, seen, orders[best]) if worst <= limit else None
 
     if len(seen) > 2:
-        ways = find_ways(points, seen, known, limit).place
+        ways = find_candidates(points, seen, known, limit).indices
         found = corrected(_completed(ways, points, seen, known, limit * erring))
         if found is not None:
             return found
@@ -149,7 +149,7 @@ def _completed(
         left = np.setdiff1d(seen, way)
         if not len(left):
             continue
-        position, turn, _ = fit_place(points, np.nan_to_num(known), way)
+        position, turn, _ = fit_points(points, np.nan_to_num(known), way)
         for marker in left:
             off = np.abs(position + turn * known - points[marker])
             off = np.where((way < 0) & (off <= most), off, np.inf)

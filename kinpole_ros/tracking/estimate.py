@@ -5,7 +5,7 @@ Holds the poses with their derivatives and covariances; rates, poles and centrod
 by `planar`. Whatever does not stand out of its noise is marked undetermined, with the reason.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property, lru_cache, partial
 from typing import NamedTuple, TypeVar
 
@@ -13,17 +13,19 @@ import numpy as np
 
 from kinpole_ros import planar
 from kinpole_ros.tracking.plane import Plane
+from kinpole_ros.tracking.quantities import (
+    CURVATURE,
+    DETERMINED,
+    FREE,
+    MOVES,
+    VELOCITY,
+    Motion,
+    compute_quantity,
+)
 
-# A denominator counts as known when it exceeds its standard deviation this many times.
-SIGNIFICANT = 4.0
-# Beyond this many body sizes a pole is as good as at infinity.
-FARTHEST = 1e3
-# An ICR that moves by less than so many standard deviations, or body sizes per rad, stands still.
-MOVING = 1.7
-STILL = 1e-6
-# A curvature is known to this part of itself, or to one over the body's size, while the body turns
-# by more than so many standard deviations.
-CURVED, TURNING = 0.3, 1.5
+# A denominator counts as known when it exceeds its standard deviation this many times. Beyond this
+# many body sizes a pole is as good as at infinity. Both as in _quantities.c.
+SIGNIFICANT, FARTHEST = 4.0, 1e3
 # Bodies whose pairs are all measured: 20 have 190 pairs, 300 would have 44,850.
 MOST_PAIRED_BODIES = 20
 # Why a body whose ICR is known has no curvature of the centrode.
@@ -69,81 +71,122 @@ class FramePoses(NamedTuple):
 
 
 _Parts = TypeVar('_Parts', bound=Vectors | Numbers | FramePoses)
+# Which axis of each array is that of the instants.
+INSTANT_AXIS = {
+    **dict.fromkeys(('position_covariance', 'angle_covariance'), 2),
+    **dict.fromkeys(('position', 'angle'), 1),
+}
+
+
+class _Column:
+    """An array of an estimate, fetched when it is first asked for."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, estimate: 'Estimate', owner: type | None = None) -> np.ndarray:
+        array = estimate.__dict__[self._name] = estimate._column(self._name)
+        return array
 
 
 class Estimate:
     """
-    Motion of B bodies at T instants `stamp` (T,), ns, up to the derivative of `order`.
+    Motion of B bodies at T instants, in the plane of the frame `frame_id`.
 
-    `angle` (order + 1, T, B), rad, is that of the bodies' frames in the plane of `frame_id`, and
-    `position` (order + 1, T, B), complex, m, that of a point of each body, which is at `reference`
-    (T, B), complex, m, in its frame: see `origin`; `position_covariance` and `angle_covariance`
-    (order + 1, order + 1, T, B) between orders, of one axis; `size` (T, B) is the diameter of
-    each body and `height` (T, B) where its markers are along the normal, m; `span` (T, B) in s and
-    `degree` (T, B) tell on how much time the angular velocity was found, and by how many parameters
-    less one. NaN marks a body of which nothing is known, for the reason in `missing` (T, B). `run`
-    is another number each time that a tracker starts anew: poses from before it are in other body
-    frames.
-    `pin` (T, B) is the fixed point a body was found to turn about, complex, m, with
-    `pin_variance` (T, B), m^2, of one coordinate; NaN for a body on no pin. `shape` (T, B, n) are
-    the markers in the bodies' frames, complex, m. `due` (T,) is which frame, of those the tracker
-    was given in one call, each instant fell due with. `plane` is where all this lies in `frame_id`,
-    None for the one that the parameters name. `frame_poses` makes those of the very frames, without
-    what others tell of them, when they are first asked for; None where they are not kept.
+    An index gives one instant as an estimate of its own, in which all arrays lack the axis of T.
+    What is computed from these arrays has the shape (T, B) too, and (T, pairs) for pairs of bodies.
 
-    What follows is of shape (T, B) too, (T, pairs) for pairs of bodies. An index gives one instant
-    as an estimate of its own, in which all arrays lack the axis of T.
+    Attributes
+    ----------
+    stamp : (T,) int64
+        The instants, ns.
+    angle : (order + 1, T, B) float
+        Angles of the bodies' frames and their derivatives, rad/s^order.
+    position : (order + 1, T, B) complex
+        A point of each body and its derivatives, m/s^order.
+    reference : (T, B) complex
+        That point in the frame of the body, m: see `origin`.
+    angle_covariance, position_covariance : (order + 1, order + 1, T, B) float
+        Covariances between the orders, of one axis.
+    size, height : (T, B) float
+        Diameter of each body, and the height of its markers along the normal, m.
+    span, degree : (T, B) float
+        How long the samples of the angular velocity take, s, and by how many parameters less one
+        they are described.
+    missing : (T, B) str
+        Why nothing is known of a body, '' if it is known. Its arrays are NaN.
+    pin, pin_variance : (T, B)
+        The fixed point a body was found to turn about, complex, m, and the variance of one of its
+        coordinates, m^2. NaN for a body on no pin.
+    shape : (T, B, n) complex
+        The markers in the frames of the bodies, m.
+    due : (T,) int64
+        The frame, of those given to the tracker in one call, with which each instant fell due.
+    run : int
+        Another number each time a tracker starts anew, with other frames of the bodies.
+    plane : Plane or None
+        Where all this lies in `frame_id`; None for the plane that the parameters name.
+
     """
+
+    stamp = _Column()
+    angle = _Column()
+    position = _Column()
+    reference = _Column()
+    angle_covariance = _Column()
+    position_covariance = _Column()
+    size = _Column()
+    height = _Column()
+    span = _Column()
+    degree = _Column()
+    missing = _Column()
+    pin = _Column()
+    pin_variance = _Column()
+    shape = _Column()
+    due = _Column()
 
     def __init__(
         self,
-        stamp: np.ndarray,
+        column: Callable[[str], np.ndarray],
         frame_id: str,
         bodies: tuple[str, ...],
-        position: np.ndarray,
-        angle: np.ndarray,
-        position_covariance: np.ndarray,
-        angle_covariance: np.ndarray,
-        size: np.ndarray,
-        height: np.ndarray,
-        span: np.ndarray,
-        degree: np.ndarray,
-        missing: np.ndarray,
         run: int = 0,
-        pin: np.ndarray | None = None,
-        pin_variance: np.ndarray | None = None,
-        shape: np.ndarray | None = None,
-        due: np.ndarray | None = None,
-        reference: np.ndarray | None = None,
         plane: Plane | None = None,
         frame_poses: Callable[[], FramePoses] | None = None,
     ) -> None:
-        self.stamp = stamp
+        self._column = column
         self.frame_id = frame_id
         self.bodies = bodies
-        self.position = position
-        self.angle = angle
-        self.position_covariance = position_covariance
-        self.angle_covariance = angle_covariance
-        self.size = size
-        self.height = height
-        self.span = span
-        self.degree = degree
-        self.missing = missing
         self.run = run
-        each = position.shape[1:]
-        self.pin = np.full(each, np.nan + 0j) if pin is None else pin
-        self.pin_variance = np.full(each, np.nan) if pin_variance is None else pin_variance
-        self.pinned = np.isfinite(self.pin)
-        self._any_pinned = np.count_nonzero(self.pinned) > 0
-        self.shape = np.empty((*each, 0), complex) if shape is None else shape
-        self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
-        self.reference = np.zeros(each, complex) if reference is None else reference
         self.plane = plane
         self._make_frame_poses = frame_poses
         self._poles: dict[int, Vectors] = {}
         self._origins: dict[int, np.ndarray] = {}
         self._rates: dict[int, Numbers] = {}
+
+    @classmethod
+    def of_arrays(
+        cls,
+        arrays: Mapping[str, np.ndarray],
+        frame_id: str,
+        bodies: tuple[str, ...],
+        run: int = 0,
+        plane: Plane | None = None,
+    ) -> 'Estimate':
+        """
+        Return an estimate of arrays by their names.
+
+        Pins, shapes and references may be left out: then no body has any.
+        """
+        shape, stamp = np.shape(arrays['position'])[1:], np.asarray(arrays['stamp'])
+        defaults = {
+            'pin': np.full(shape, np.nan + 0j),
+            'pin_variance': np.full(shape, np.nan),
+            'shape': np.empty((*shape, 0), complex),
+            'due': np.arange(stamp.size).reshape(stamp.shape),
+            'reference': np.zeros(shape, complex),
+        }
+        return cls((defaults | dict(arrays)).__getitem__, frame_id, bodies, run, plane)
 
     def __len__(self) -> int:
         return len(self.stamp)
@@ -152,34 +195,24 @@ class Estimate:
         return (self[instant] for instant in range(len(self)))
 
     def __getitem__(self, instant: int) -> 'Estimate':
-        one = Estimate(
-            self.stamp[instant],
-            self.frame_id,
-            self.bodies,
-            self.position[:, instant],
-            self.angle[:, instant],
-            self.position_covariance[:, :, instant],
-            self.angle_covariance[:, :, instant],
-            self.size[instant],
-            self.height[instant],
-            self.span[instant],
-            self.degree[instant],
-            self.missing[instant],
-            self.run,
-            self.pin[instant],
-            self.pin_variance[instant],
-            self.shape[instant],
-            self.due[instant],
-            self.reference[instant],
-            self.plane,
-            self._make_frame_poses and partial(self._frame_poses_at, instant),
-        )
+        def column(name: str) -> np.ndarray:
+            index = *(slice(None),) * INSTANT_AXIS.get(name, 0), instant
+            part: np.ndarray = getattr(self, name)[index]
+            return part
+
+        make = self._make_frame_poses and partial(self._frame_poses_at, instant)
+        one = Estimate(column, self.frame_id, self.bodies, self.run, self.plane, make)
         # What was computed of all instants is not computed again of the one.
         one._poles = {order: _at(instant, pole) for order, pole in self._poles.items()}
         for name, figure in vars(self).items():
             if isinstance(figure, Vectors | Numbers):
                 vars(one)[name] = _at(instant, figure)
         return one
+
+    @cached_property
+    def pinned(self) -> np.ndarray:
+        """Which bodies (T, B) turn about a fixed point."""
+        return np.isfinite(self.pin)
 
     @cached_property
     def frame_poses(self) -> FramePoses | None:
@@ -211,36 +244,25 @@ class Estimate:
             self._rates[order] = Numbers(value, variance, np.isfinite(value))
         return self._rates[order]
 
-    @property
-    def _motion(self) -> tuple[np.ndarray, ...]:
-        """What figures follow from."""
-        return self.position, self.angle, self.position_covariance, self.angle_covariance
+    @cached_property
+    def _motion(self) -> Motion:
+        """What poles and centrodes follow from."""
+        covariances = self.position_covariance, self.angle_covariance
+        return Motion(
+            *(self.position, self.angle, *covariances, self.size, self.pin, self.pin_variance)
+        )
 
     def general_pole(self, order: int) -> Vectors:
         """The pole of order 1 to 4 (m) as it follows from the motion, whatever is known of pins."""
-        value, spread, certainty = planar.pole_figures(order, *self._motion)
-        with np.errstate(invalid='ignore', over='ignore'):
-            near = np.abs(value - self.position[0]) < FARTHEST * self.size
-        known = np.isfinite(spread).all(axis=(-2, -1))
-        return Vectors(value, spread, (certainty > SIGNIFICANT) & near & known)
+        value, spread, flags = compute_quantity(FREE + order, self._motion)
+        return Vectors(value, spread, flags > 0)
 
     def pole(self, order: int) -> Vectors:
         """ICR, IAP, IJP or ISP (m) for order 1 to 4, on the pin where there is one."""
         if order not in self._poles:
-            self._poles[order] = self._pole(order)
+            value, spread, flags = compute_quantity(order, self._motion)
+            self._poles[order] = Vectors(value, spread, flags > 0)
         return self._poles[order]
-
-    def _pole(self, order: int) -> Vectors:
-        value, spread, determined = self.general_pole(order)
-        if self._any_pinned:
-            value = np.where(self.pinned, self.pin, value)
-            even = self.pin_variance[..., None, None] * np.eye(2)
-            spread = np.where(self.pinned[..., None, None], even, spread)
-            # Whatever rate is seen, the pin has none of that order; the formula need not be known.
-            rates = slice(order + 1)
-            turns = _stands_out(np.abs(self.angle[rates]), self.angle_covariance[rates, rates])
-            determined = determined | (self.pinned & turns)
-        return Vectors(value, spread, determined)
 
     def motion(self, body: int) -> str:
         """
@@ -259,39 +281,19 @@ class Estimate:
     @cached_property
     def icr_velocity(self) -> Vectors:
         """Velocity of the ICR along both centrodes (m/s)."""
-        value, spread = planar.velocity_figures(*self._motion)
-        known = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
-        if self._any_pinned:
-            value = np.where(self.pinned, 0.0, value)
-            spread = np.where(self.pinned[..., None, None], 0.0, spread)
-            known = known | self.pinned
-        return Vectors(value, spread, self.pole(1).determined & known)
+        value, spread, flags = compute_quantity(VELOCITY, self._motion)
+        return Vectors(value, spread, (flags & DETERMINED) > 0)
 
     @cached_property
-    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def centrode_curvature(self) -> Numbers:
         """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
-        value, noise = planar.curvature_figures(*self._motion)
-        known, u = np.isfinite(value) & np.isfinite(noise), self.icr_velocity
-        # It goes by the speed to the power of -2, which is far from linear where that is noisy:
-        # of the error x of the speed, relative to it, the change of second order is 3 x^2.
-        slowness = (u.covariance[..., 0, 0] + u.covariance[..., 1, 1]) / 2 / np.abs(u.value) ** 2
-        noise = noise + 18 * (value * slowness) ** 2
-        least = np.maximum(CURVED * np.abs(value), 1 / self.size)
-        # Where the body does not turn for all one knows, it comes out straight, and that for sure.
-        turns = self.angle[1] ** 2 > TURNING**2 * self.angle_covariance[1, 1]
-        known = known & turns & (noise < least**2)
-        return Numbers(value, noise, self.icr_moves & known)
+        value, spread, flags = compute_quantity(CURVATURE, self._motion)
+        return Numbers(value.real, spread[..., 0, 0], (flags & DETERMINED) > 0)
 
-    @cached_property
-    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
+    @property
     def icr_moves(self) -> np.ndarray:
         """Where (T, B) the ICR, however well known, is seen to move: on a pin it does not."""
-        u = self.icr_velocity
-        noise = np.sqrt(u.covariance[..., 0, 0] + u.covariance[..., 1, 1])
-        least = STILL * np.abs(self.angle[1]) * self.size
-        near = np.abs(self.pole(1).value - self.position[0]) < FARTHEST * self.size
-        return np.asarray(near & (np.abs(u.value) > np.maximum(MOVING * noise, least)))
+        return (compute_quantity(VELOCITY, self._motion)[2] & MOVES) > 0
 
     @cached_property
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 
-from kinpole_ros.planar import Fit, fit_by_grip, fit_pose, grip_of
+from kinpole_ros.planar import Fit, fit_pose, fit_pose_with_factors, procrustes_factors
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.corrections import EXCHANGED, correct_markers, half_turn
@@ -26,8 +26,8 @@ def fit_markers(bodies: Bodies, markers: Complex) -> Fit:
     unseen = np.isnan(markers)
     grip = bodies.grip
     if np.count_nonzero(unseen):
-        grip = grip_of(bodies.shape, np.where(unseen, 0.0, bodies.weights))
-    return fit_by_grip(markers, grip)
+        grip = procrustes_factors(bodies.shape, np.where(unseen, 0.0, bodies.weights))
+    return fit_pose_with_factors(markers, grip)
 
 
 def correct_frame(

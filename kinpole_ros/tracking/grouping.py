@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex
-from kinpole_ros.tracking.levels import SURE
+from kinpole_ros.tracking.thresholds import N_SIGMA
 
 # Frames that are looked at.
 _FRAMES = 64
@@ -41,7 +41,7 @@ def group(points: Complex, loose: np.ndarray) -> Grouping:
     if not within:
         return Grouping(None, [])
     # Distances of one body, as the most constant ones: of those are about as many as of one body.
-    rigid = varied <= SURE * np.median(np.sort(varied[i, j])[:within])
+    rigid = varied <= N_SIGMA * np.median(np.sort(varied[i, j])[:within])
     members = [np.flatnonzero(body == b).tolist() for b in range(bodies)]
     bent = [b for b in np.flatnonzero(loose).tolist() if not _is_rigid(members[b], rigid)]
     exchanges = _exchanges(members, bent, rigid)

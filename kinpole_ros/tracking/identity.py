@@ -1,12 +1,12 @@
 """
 Which point of a frame is which marker of which body, by the shapes of the bodies.
 
-Names lie: a tracker exchanges two markers of two links, gives a marker that comes back another
-name, or has no names at all. What cannot lie is that the distances between the markers of a body
-stay as they are. So points are first looked for where the bodies are to be expected, and what that
-does not settle by pairs of points as distant as two markers of a body (the congruent pairs of
-4PCS, Aiger, Mitra and Cohen-Or 2008, here of two points, which fix a pose in the plane). Whatever
-fits in more than one way is left out. Mirrored bodies do not fit.
+Names of markers may be wrong: a tracker exchanges two markers, gives a marker that comes back
+another name, or has no names at all. The distances between the markers of a body stay the same.
+Points are first sought near the predicted markers. A body that is not found there is sought by
+pairs of points as distant as two of its markers, which fix a pose in the plane (the congruent sets
+of 4PCS, Aiger, Mitra and Cohen-Or 2008). A body that fits in several ways is left out. Mirrored
+bodies do not fit.
 """
 
 from typing import NamedTuple
@@ -14,29 +14,29 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.tracking.levels import SURE
+from kinpole_ros.tracking.thresholds import N_SIGMA, RECENT_FRAMES
 
-# A point is where a marker is expected if the second nearest is so many times as far.
-_NEARER = 2.0
-# A pose found by two points, and a marker expected by it, are off by up to so many times the limit.
-_BY_TWO = 3.0
-# Poses that are tried of one body in one frame: those by its longest pairs, which tell most.
-_MOST_POSES = 4096
-# In a cloud with more points nothing is searched for, nor by more pairs than the longest.
-_MOST = 512
+# A point is taken for a predicted marker if the second nearest point is this many times as far.
+_DISTANCE_RATIO = 2.0
+# A pose found by two points is off by up to so many times the limit of a marker.
+_PAIR_LIMITS = 3.0
+# Poses that are tried of one body in one frame, by its longest pairs first.
+_MAX_POSES = 4096
+# Larger clouds are not searched, and no more pairs of markers are tried.
+_MAX_POINTS = 512
 
 
 class Match(NamedTuple):
     """
-    Points of a frame as markers.
+    The points that are the markers of B bodies.
 
-    `place` (B, n) says which point is the marker, -1 for none; `position` (B,), complex, m, and
-    `turn` (B,), of length 1, are the poses, NaN for a body that was not found; `uncertain` (B,)
-    says where one was found in several ways that fit as well. `variance` (B,) is that of one
-    coordinate of a marker in the way that fits best, m^2, NaN for a body that was not searched for.
+    `indices` (B, n) are the points of the markers, -1 for none. `position` (B,), complex, m, and
+    `turn` (B,), of length 1, are the poses, NaN for a body that is not found. `uncertain` (B,)
+    marks bodies that fit equally well in several ways. `variance` (B,), m^2, is that of one
+    coordinate of a marker in the best fit, NaN for a body that was not searched for.
     """
 
-    place: np.ndarray
+    indices: np.ndarray
     position: Complex
     turn: Complex
     uncertain: np.ndarray
@@ -45,342 +45,463 @@ class Match(NamedTuple):
 
 class Expected(NamedTuple):
     """
-    What else is known of a frame.
+    What is known of a frame before its points are matched.
 
-    `position` and `turn` (B,) are where bodies are to be expected, NaN where nothing tells. `named`
-    (B, n) are the points by name, -1 for none, and `held` (B,) the bodies that fit by name.
-    `variance` is that of the noise of one coordinate of a marker, m^2, infinite while not known.
-    `pins` (B, 2) are where bodies are pinned to the ground, in their frames and in the plane,
-    complex, m, NaN for a body without; None where there are none.
+    `position` and `turn` (B,) are the predicted poses, NaN where there is no prediction. `named`
+    (B, n) are the points by name, -1 for none, and `fits` (B,) the bodies that fit by name.
+    `variance`, m^2, is the noise of one coordinate of a marker, infinite while not measured.
+    `pins` (B, 2), complex, m, are points of bodies that are pinned to the ground, in the frame of
+    the body and in the plane, NaN for a body without; None where no body has one.
     """
 
     position: Complex
     turn: Complex
     named: np.ndarray
-    held: np.ndarray
+    fits: np.ndarray
     variance: float = np.inf
     pins: Complex | None = None
 
 
-class Ways(NamedTuple):
+class Candidates(NamedTuple):
     """
-    H ways to find one body among points: place (H, n), the pose, and how many markers fit.
+    H ways to place one body on points, best first.
 
-    `variance` (H,) is the mean square of a residual per degree of freedom, m^2.
+    `indices` (H, n) are the points of the markers, `count` (H,) how many markers have one, and
+    `variance` (H,), m^2, the mean square of a residual per degree of freedom.
     """
 
-    place: np.ndarray
+    indices: np.ndarray
     position: Complex
     turn: Complex
     count: np.ndarray
     variance: Real
 
-    def at(self, which: np.ndarray) -> 'Ways':
-        return Ways(*(part[which] for part in self))
+    def at(self, which: np.ndarray) -> 'Candidates':
+        """Return some of the candidates."""
+        return Candidates(*(array[which] for array in self))
 
 
 def match(points: Complex, shapes: Complex, limit: Real, expected: Expected) -> Match:
     """
-    Match `points` (m,), complex, m, NaN for none, to bodies of the `shapes` (B, n), NaN for none.
+    Match points to the markers of bodies.
 
-    A marker may be off its place by `limit` (B,), m.
+    Parameters
+    ----------
+    points : (m,) complex
+        Points in the plane, m, NaN for none.
+    shapes : (B, n) complex
+        Markers in the frames of the bodies, m, NaN for none.
+    limit : (B,) float
+        Largest residual of a marker, m.
+    expected : Expected
+        Predictions, names and pins.
+
+    Returns
+    -------
+    Match
+        The points of the markers, and the poses.
+
     """
-    known = ~np.isnan(shapes)
-    shape = np.where(known, shapes, 0)
-    place = np.where(expected.held[:, None] & known, expected.named, -1)
+    has_marker = ~np.isnan(shapes)
+    shape = np.where(has_marker, shapes, 0)
+    indices = np.where(expected.fits[:, None] & has_marker, expected.named, -1)
     if len(points):
-        near = _where_expected(points, shape, known & ~expected.held[:, None], expected)
-        place = np.where(expected.held[:, None], place, near)
-    position, turn, off = fit_place(points, shape, place)
-    count = (place >= 0).sum(axis=1)
-    # Two markers of several agree in one distance only, so whoever else has that must not be near.
-    found = (off <= limit) & (count >= 2)
-    uncertain = np.zeros(len(shapes), bool)
-    variance = np.full(len(shapes), np.nan)
-    position = np.where(found, position, np.nan)
-    turn = np.where(found, turn, np.nan)
-    found &= np.isfinite(turn)
-    place[~found] = -1
-    if found.any():
-        place = _gathered(points, shape, known, limit, position, turn, place)
-    lost = np.flatnonzero(~found & (known.sum(axis=1) >= 2))
-    if len(lost) and len(points):
-        free = np.flatnonzero(~np.isnan(points))
-        free = free[~np.isin(free, place)]
-        ways = {b: find_ways(points, free, shapes[b], float(limit[b])) for b in lost.tolist()}
-        pinned = {b: _keep_pin(some, b, limit[b], expected) for b, some in ways.items()}
-        ways = {
-            b: _likely(b, pinned[b] or some, shape[b], known[b], expected)
-            for b, some in ways.items()
+        near = _near_predictions(points, shape, has_marker & ~expected.fits[:, None], expected)
+        indices = np.where(expected.fits[:, None], indices, near)
+    position, turn, worst = fit_points(points, shape, indices)
+    # Of several markers two agree in one distance only, so `count` alone does not decide: whatever
+    # lies near the prediction has to fit as well.
+    matched = (worst <= limit) & ((indices >= 0).sum(axis=1) >= 2) & np.isfinite(turn)
+    indices[~matched] = -1
+    result = Match(
+        indices,
+        np.where(matched, position, np.nan),
+        np.where(matched, turn, np.nan),
+        np.zeros(len(shapes), bool),
+        np.full(len(shapes), np.nan),
+    )
+    if matched.any():
+        _add_hidden(points, shape, has_marker, limit, result)
+    missing = np.flatnonzero(~matched & (has_marker.sum(axis=1) >= 2))
+    if len(missing) and len(points):
+        _search(points, shapes, missing, limit, expected, result)
+        if not result.uncertain.all():
+            _add_hidden(points, shape, has_marker, limit, result)
+    return result
+
+
+def _search(
+    points: Complex,
+    shapes: Complex,
+    bodies: np.ndarray,
+    limit: Real,
+    expected: Expected,
+    result: Match,
+) -> None:
+    """Search for bodies by pairs of points, and write those that are found into the result."""
+    free = np.flatnonzero(~np.isnan(points))
+    free = free[~np.isin(free, result.indices)]
+    on_pins, candidates = {}, {}
+    for b in bodies.tolist():
+        every_way = find_candidates(points, free, shapes[b], float(limit[b]))
+        at_pin = _at_pin(every_way, b, limit[b], expected)
+        on_pins[b] = at_pin is not None
+        candidates[b] = _likeliest(b, at_pin or every_way, shapes[b], expected)
+        # Two points of many are always as far apart as two markers.
+        likeliest = candidates[b]
+        variance = likeliest.variance[likeliest.count > 2].min(initial=np.inf)
+        result.variance[b] = variance if np.isfinite(variance) else np.nan
+    # Bodies at their pins choose first.
+    for first in (True, False):
+        taken = result.indices[result.indices >= 0]
+        open_ = {
+            b: one.at(~np.isin(one.indices, taken).any(axis=1))
+            for b, one in candidates.items()
+            if on_pins[b] == first
         }
-        for b, some in ways.items():
-            # Two points of many are always as far apart as two markers.
-            variance[b] = some.variance[some.count > 2].min(initial=np.inf)
-        variance[np.isinf(variance)] = np.nan
-        # Bodies that are at their pins come first.
-        for first in (True, False):
-            part = {b: some for b, some in ways.items() if (pinned[b] is not None) == first}
-            taken = place[place >= 0]
-            part = {b: some.at(~np.isin(some.place, taken).any(axis=1)) for b, some in part.items()}
-            _settle(part, place, position, turn, uncertain)
-        if not uncertain.all():
-            place = _gathered(points, shape, known, limit, position, turn, place)
-    return Match(place, position, turn, uncertain, variance)
+        _assign(open_, result)
 
 
 def merge_names(found: Match, named: np.ndarray) -> np.ndarray | None:
     """
-    Places (B, n) by name, but for bodies that have a point which is not named for them.
+    Merge a match with the names of the points, which hold for all other bodies.
 
-    None where there is no such body: what is amiss within one is not a matter of names.
+    Parameters
+    ----------
+    found : Match
+        What the shapes say.
+    named : (B, n) int
+        Points of the markers by their names, -1 for none.
+
+    Returns
+    -------
+    (B, n) int or None
+        Points of the markers. None where no body has a point with the name of another body's: what
+        is wrong within one body is not a matter of names.
+
     """
     foreign = np.array(
         [
             ((row >= 0) & ~np.isin(row, own)).any()
-            for row, own in zip(found.place, named, strict=True)
+            for row, own in zip(found.indices, named, strict=True)
         ]
     )
     foreign &= np.isfinite(found.turn)
     if not foreign.any():
         return None
-    claimed = found.place[foreign]
+    claimed = found.indices[foreign]
     claimed = claimed[claimed >= 0]
     lost = np.isin(named, claimed)
-    place = np.where(lost, -1, named)
+    indices = np.where(lost, -1, named)
     for b in np.flatnonzero(foreign | (lost.any(axis=1) & np.isfinite(found.turn))):
-        # Markers of which no place is known yet stay where their names say.
-        own = np.where(np.isin(place[b], found.place[b]), -1, place[b])
-        place[b] = np.where(found.place[b] >= 0, found.place[b], own)
-    return place
+        # A marker whose place on the body is not known yet keeps its name.
+        own = np.where(np.isin(indices[b], found.indices[b]), -1, indices[b])
+        indices[b] = np.where(found.indices[b] >= 0, found.indices[b], own)
+    return indices
 
 
-def _where_expected(
-    points: Complex, shape: Complex, wanted: np.ndarray, expected: Expected
+def predict_poses(
+    stamps: np.ndarray, position: Complex, angle: Real, now: int
+) -> tuple[Complex, Complex]:
+    """
+    Predict poses by the last velocity of each body.
+
+    Parameters
+    ----------
+    stamps : (T,) int64
+        Stamps of the frames before, ns.
+    position, angle : (T, B)
+        Poses, complex, m, and rad; NaN for a body that was not seen.
+    now : int
+        Stamp of the frame to predict, ns.
+
+    Returns
+    -------
+    position, turn : (B,) complex
+        Positions, m, and turns of length 1; NaN for a body that was not seen of late. A body that
+        was seen once stays where it was.
+
+    """
+    if not len(stamps):
+        nowhere = np.full(position.shape[1], complex(np.nan, np.nan))
+        return nowhere, nowhere
+    stamps, position, angle = (
+        stamps[-RECENT_FRAMES:],
+        position[-RECENT_FRAMES:],
+        angle[-RECENT_FRAMES:],
+    )
+    body = np.arange(position.shape[1])
+    # Rows from 1 on; 0 is none.
+    rows = np.where(np.isfinite(angle), np.arange(1, len(stamps) + 1)[:, None], 0)
+    last = rows.max(axis=0)
+    before = np.where(rows < last, rows, 0).max(axis=0)
+    seconds = (stamps - now) * 1e-9
+    # One frame alone has no interval.
+    memory = 1.01 * RECENT_FRAMES * (seconds[-1] - seconds[0]) / max(len(stamps) - 1, 1) or np.inf
+    age, step = -seconds[last - 1], seconds[last - 1] - seconds[before - 1]
+    moved = position[last - 1, body] - position[before - 1, body]
+    turned = angle[last - 1, body] - angle[before - 1, body]
+    turned = (turned + np.pi) % (2 * np.pi) - np.pi
+    has_velocity = (before > 0) & (step <= memory)
+    steps = np.where(has_velocity, age / np.where(has_velocity, step, 1.0), 0.0)
+    is_recent = (last > 0) & (age <= memory)
+    ahead = position[last - 1, body] + steps * np.where(has_velocity, moved, 0)
+    turn = np.exp(1j * (angle[last - 1, body] + steps * np.where(has_velocity, turned, 0)))
+    return np.where(is_recent, ahead, np.nan), np.where(is_recent, turn, np.nan)
+
+
+def _near_predictions(
+    points: Complex, shape: Complex, sought: np.ndarray, expected: Expected
 ) -> np.ndarray:
-    """Points (B, n) that are nearest to where `wanted` markers are expected, and they to them."""
-    place = np.full(shape.shape, -1)
-    there = expected.position[:, None] + expected.turn[:, None] * shape
-    wanted = wanted & ~np.isnan(there)
-    flat = there[wanted]
-    if not len(flat):
-        return place
-    far = np.abs(flat[:, None] - points)
-    far[np.isnan(far)] = np.inf
-    held = expected.named[expected.held]
-    far[:, held[held >= 0]] = np.inf
-    rows = np.arange(len(flat))
-    nearest = far.argmin(axis=1)
-    least = far[rows, nearest]
-    far[rows, nearest] = np.inf
-    second = far.min(axis=1)
-    far[rows, nearest] = least
-    mutual = far.argmin(axis=0)[nearest] == rows
-    place[wanted] = np.where(mutual & (_NEARER * least < second), nearest, -1)
-    return place
+    """Points (B, n) that are nearest to `sought` markers (B, n) and these to them, -1 for none."""
+    indices = np.full(shape.shape, -1)
+    predicted = expected.position[:, None] + expected.turn[:, None] * shape
+    sought = sought & ~np.isnan(predicted)
+    markers = predicted[sought]
+    if not len(markers):
+        return indices
+    distance = np.abs(markers[:, None] - points)
+    distance[np.isnan(distance)] = np.inf
+    named = expected.named[expected.fits]
+    distance[:, named[named >= 0]] = np.inf
+    rows = np.arange(len(markers))
+    nearest = distance.argmin(axis=1)
+    least = distance[rows, nearest]
+    distance[rows, nearest] = np.inf
+    second = distance.min(axis=1)
+    distance[rows, nearest] = least
+    mutual = distance.argmin(axis=0)[nearest] == rows
+    indices[sought] = np.where(mutual & (_DISTANCE_RATIO * least < second), nearest, -1)
+    return indices
 
 
-def fit_place(points: Complex, shape: Complex, place: np.ndarray) -> tuple[Complex, Complex, Real]:
-    """Poses (...) of shapes (..., n) at points, and how far off the worst marker is."""
-    seen = place >= 0
-    there = np.where(seen, points[np.where(seen, place, 0)], 0) if len(points) else 0 * shape
-    there = np.where(np.isnan(there), 0, there)
-    count = np.maximum(seen.sum(axis=-1), 1)
-    own = np.where(seen, shape, 0)
-    mean, middle = there.sum(axis=-1) / count, own.sum(axis=-1) / count
-    arms = np.where(seen, there - mean[..., None], 0)
-    own = np.where(seen, own - middle[..., None], 0)
-    cross = (own.conj() * arms).sum(axis=-1)
+def fit_points(
+    points: Complex, shape: Complex, indices: np.ndarray
+) -> tuple[Complex, Complex, Real]:
+    """
+    Fit shapes to points.
+
+    Parameters
+    ----------
+    points : (m,) complex
+        Points, m.
+    shape : (..., n) complex
+        Markers in the frame of the body, m; finite.
+    indices : (..., n) int
+        Points of the markers, -1 for none.
+
+    Returns
+    -------
+    position, turn : (...) complex
+        Poses: m, and of length 1.
+    worst : (...) float
+        Largest residual, m; infinite where there is no pose.
+
+    """
+    used = indices >= 0
+    target = np.where(used, points[np.where(used, indices, 0)], 0) if len(points) else 0 * shape
+    target = np.where(np.isnan(target), 0, target)
+    count = np.maximum(used.sum(axis=-1), 1)
+    source = np.where(used, shape, 0)
+    mean, middle = target.sum(axis=-1) / count, source.sum(axis=-1) / count
+    target = np.where(used, target - mean[..., None], 0)
+    source = np.where(used, source - middle[..., None], 0)
+    cross = (source.conj() * target).sum(axis=-1)
     with np.errstate(invalid='ignore', divide='ignore'):
         turn = cross / np.abs(cross)
-    off = np.abs(arms - turn[..., None] * own)
-    worst = np.where(np.isnan(off), np.inf, off).max(axis=-1)
+    residual = np.abs(target - turn[..., None] * source)
+    worst = np.where(np.isnan(residual), np.inf, residual).max(axis=-1)
     return mean - turn * middle, turn, worst
 
 
-def _gathered(
-    points: Complex,
-    shape: Complex,
-    known: np.ndarray,
-    limit: Real,
-    position: Complex,
-    turn: Complex,
-    place: np.ndarray,
-) -> np.ndarray:
+def _add_hidden(
+    points: Complex, shape: Complex, has_marker: np.ndarray, limit: Real, result: Match
+) -> None:
     """
-    The same with the markers that are missing, where there is one point in their place.
+    Add markers that have no point yet, of bodies with a pose, where one point is in their place.
 
-    A point within the limit of two markers, or one of two points at a marker, is left out.
+    A point within the limit of two markers is left out, and so is one of two points at a marker.
     """
-    missing = known & (place < 0) & np.isfinite(turn)[:, None]
+    indices, position, turn = result.indices, result.position, result.turn
+    missing = has_marker & (indices < 0) & np.isfinite(turn)[:, None]
     if not missing.any():
-        return place
+        return
     body = np.nonzero(missing)[0]
-    far = np.abs((position[body] + turn[body] * shape[missing])[:, None] - points)
-    fits = far <= limit[body][:, None]
-    fits[:, place[place >= 0]] = False
-    alone = (fits.sum(axis=1, keepdims=True) == 1) & (fits.sum(axis=0) == 1)
-    fits &= alone
-    place = place.copy()
-    place[missing] = np.where(fits.any(axis=1), fits.argmax(axis=1), -1)
-    return place
+    distance = np.abs((position[body] + turn[body] * shape[missing])[:, None] - points)
+    fits = distance <= limit[body][:, None]
+    fits[:, indices[indices >= 0]] = False
+    fits &= (fits.sum(axis=1, keepdims=True) == 1) & (fits.sum(axis=0) == 1)
+    indices[missing] = np.where(fits.any(axis=1), fits.argmax(axis=1), -1)
 
 
-def find_ways(points: Complex, free: np.ndarray, shape: Complex, limit: float) -> Ways:
-    """All ways to find a shape (n,) of two markers or more among some points, best first."""
-    n = len(shape)
-    marker = np.flatnonzero(~np.isnan(shape))
-    there, own = points[free], shape[marker]
-    i, j = np.triu_indices(len(marker), 1)
-    long = np.abs(own[j] - own[i])
-    order = np.argsort(-long, kind='stable')[:_MOST]
-    i, j, long = (part[order][long[order] > 2 * limit] for part in (i, j, long))
-    nothing = Ways(
-        np.zeros((0, n), int),
-        np.zeros(0, complex),
-        np.zeros(0, complex),
-        np.zeros(0, int),
-        np.zeros(0),
-    )
-    if not len(long) or not 2 <= len(there) <= _MOST:
-        return nothing
-    distance = np.abs(there - there[:, None])
-    first, second, pair = [], [], []
-    total = 0
-    for k in range(len(long)):
-        p, q = np.nonzero(np.abs(distance - long[k]) <= 2 * limit)
-        total += len(p)
-        if total > _MOST_POSES and k:
-            break
-        first.append(p[:_MOST_POSES])
-        second.append(q[:_MOST_POSES])
-        pair.append(np.full(len(first[-1]), k))
-    p, q, k = map(np.concatenate, (first, second, pair))
-    if not len(p):
-        return nothing
-    step = (there[q] - there[p]) / (own[j[k]] - own[i[k]])
+def find_candidates(points: Complex, free: np.ndarray, shape: Complex, limit: float) -> Candidates:
+    """
+    Find all ways to place a body of two markers or more on points.
+
+    Parameters
+    ----------
+    points : (m,) complex
+        Points in the plane, m.
+    free : (f,) int
+        The points that may be its markers.
+    shape : (n,) complex
+        Its markers, m, NaN for none.
+    limit : float
+        Largest residual of a marker, m.
+
+    Returns
+    -------
+    Candidates
+        The ways, those with the most markers first.
+
+    """
+    width, markers = len(shape), np.flatnonzero(~np.isnan(shape))
+    target, source = points[free], shape[markers]
+    i, j = np.triu_indices(len(markers), 1)
+    length = np.abs(source[j] - source[i])
+    order = np.argsort(-length, kind='stable')[:_MAX_POINTS]
+    i, j, length = (array[order][length[order] > 2 * limit] for array in (i, j, length))
+    pairs = _congruent_pairs(target, length, limit) if len(length) else None
+    if pairs is None:
+        none = np.zeros(0, complex)
+        return Candidates(np.zeros((0, width), int), none, none, np.zeros(0, int), np.zeros(0))
+    p, q, k = pairs
+    step = (target[q] - target[p]) / (source[j[k]] - source[i[k]])
     turn = step / np.abs(step)
-    position = (there[p] + there[q] - turn * (own[i[k]] + own[j[k]])) / 2
-    inner = np.full((len(p), n), -1)
-    inner[:, marker] = _nearest(there, position, turn, own, _BY_TWO * limit)
-    count = (inner >= 0).sum(axis=1)
-    # Of those by two markers alone nothing is gained where there is more.
-    inner = np.unique(inner[count >= min(3, count.max())], axis=0)
+    position = (target[p] + target[q] - turn * (source[i[k]] + source[j[k]])) / 2
+    indices = np.full((len(p), width), -1)
+    indices[:, markers] = _nearest(target, position, turn, source, _PAIR_LIMITS * limit)
+    count = (indices >= 0).sum(axis=1)
+    # A pose by two markers alone is no use where another pose has more.
+    indices = np.unique(indices[count >= min(3, count.max())], axis=0)
     filled = np.where(np.isnan(shape), 0, shape)
-    position, turn, _ = fit_place(there, filled, inner)
-    inner[:, marker] = _nearest(there, position, turn, own, limit)
-    inner = np.unique(inner, axis=0)
-    position, turn, off = fit_place(there, filled, inner)
-    count = (inner >= 0).sum(axis=1)
-    good = (off <= limit) & (count >= 2) & np.isfinite(turn)
-    order = np.flatnonzero(good)[np.argsort(-count[good], kind='stable')]
-    place = np.where(inner >= 0, free[np.where(inner >= 0, inner, 0)], -1)
-    off = np.abs(there[np.where(inner >= 0, inner, 0)] - position[:, None] - turn[:, None] * filled)
-    square = np.square(off).sum(axis=1, where=inner >= 0)
-    variance = square / np.maximum(2 * count - 3, 1)
-    return Ways(place, position, turn, count, variance).at(order)
+    position, turn, _ = fit_points(target, filled, indices)
+    indices[:, markers] = _nearest(target, position, turn, source, limit)
+    indices = np.unique(indices, axis=0)
+    position, turn, worst = fit_points(target, filled, indices)
+    used = indices >= 0
+    count = used.sum(axis=1)
+    good = (worst <= limit) & (count >= 2) & np.isfinite(turn)
+    best_first = np.flatnonzero(good)[np.argsort(-count[good], kind='stable')]
+    chosen = np.where(used, indices, 0)
+    residual = np.abs(target[chosen] - position[:, None] - turn[:, None] * filled)
+    variance = np.square(residual).sum(axis=1, where=used) / np.maximum(2 * count - 3, 1)
+    indices = np.where(used, free[chosen], -1)
+    return Candidates(indices, position, turn, count, variance).at(best_first)
+
+
+def _congruent_pairs(
+    points: Complex, lengths: Real, limit: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Pairs of points p, q as distant as a pair k of markers; None where there are none."""
+    if not 2 <= len(points) <= _MAX_POINTS:
+        return None
+    distance = np.abs(points - points[:, None])
+    pairs, total = [], 0
+    for k, length in enumerate(lengths):
+        p, q = np.nonzero(np.abs(distance - length) <= 2 * limit)
+        total += len(p)
+        if total > _MAX_POSES and k:
+            break
+        p, q = p[:_MAX_POSES], q[:_MAX_POSES]
+        pairs.append((p, q, np.full(len(p), k)))
+    p, q, k = (np.concatenate(arrays) for arrays in zip(*pairs, strict=True))
+    return (p, q, k) if len(p) else None
 
 
 def _nearest(
-    there: Complex, position: Complex, turn: Complex, own: Complex, most: float
+    points: Complex, position: Complex, turn: Complex, shape: Complex, limit: float
 ) -> np.ndarray:
-    """The points (H, n) nearest to the markers, each once, -1 where none is within `most`."""
-    markers = position[:, None] + turn[:, None] * own
-    place = np.empty(markers.shape, int)
+    """The points (H, n) nearest to the markers, each once, -1 where none is within the limit."""
+    markers = position[:, None] + turn[:, None] * shape
+    indices = np.empty(markers.shape, int)
     least = np.empty(markers.shape)
-    for n in range(len(own)):
-        far = np.abs(markers[:, n, None] - there)
-        place[:, n] = far.argmin(axis=1)
-        least[:, n] = far[np.arange(len(far)), place[:, n]]
+    for n in range(len(shape)):
+        distance = np.abs(markers[:, n, None] - points)
+        indices[:, n] = distance.argmin(axis=1)
+        least[:, n] = distance[np.arange(len(distance)), indices[:, n]]
     # A point that is nearest to two markers is that of the nearer one.
-    for n in range(1, len(own)):
+    for n in range(1, len(shape)):
         for before in range(n):
-            same = place[:, n] == place[:, before]
+            same = indices[:, n] == indices[:, before]
             farther = least[:, n] >= least[:, before]
             least[same & farther, n] = np.inf
             least[same & ~farther, before] = np.inf
-    return np.where(least <= most, place, -1)
+    return np.where(least <= limit, indices, -1)
 
 
-def _keep_pin(ways: Ways, b: int, limit: float, expected: Expected) -> Ways | None:
-    """Those of the ways that keep the pin of body `b` where it is on the ground; None for none."""
+def _at_pin(candidates: Candidates, b: int, limit: float, expected: Expected) -> Candidates | None:
+    """Candidates that keep the pin of body `b` where it is on the ground, if there are any."""
     if expected.pins is None:
         return None
     own, ground = expected.pins[b]
-    near = np.abs(ways.position + ways.turn * own - ground) <= _BY_TWO * limit
-    return ways.at(near) if near.any() else None
+    distance = np.abs(candidates.position + candidates.turn * own - ground)
+    near = distance <= _PAIR_LIMITS * limit
+    return candidates.at(near) if near.any() else None
 
 
-def _likely(b: int, ways: Ways, shape: Complex, known: np.ndarray, expected: Expected) -> Ways:
-    """Those of the ways to find body `b` that nothing speaks against, each pose once."""
-    few = min(3, int(known.sum()))
-    named = (ways.place == expected.named[b]) & (ways.place >= 0)
+def _likeliest(b: int, candidates: Candidates, shape: Complex, expected: Expected) -> Candidates:
+    """Candidates of body `b` that fit the most markers, names, and the prediction."""
+    markers = shape[~np.isnan(shape)]
+    named = (candidates.indices == expected.named[b]) & (candidates.indices >= 0)
     agree = named.sum(axis=1)
-    ahead = np.full(len(agree), np.inf)
+    off = np.full(len(agree), np.inf)
     if len(agree) and np.isfinite(expected.turn[b]):
-        there = expected.position[b] + expected.turn[b] * shape[known]
-        here = ways.position[:, None] + ways.turn[:, None] * shape[known]
-        ahead = np.sqrt(np.square(np.abs(here - there)).mean(axis=1))
-    size = 2 * np.abs(shape[known] - shape[known].mean()).max()
-    # Two markers of more fit too easily, unless they are about where they are to be.
-    near = ahead < size / 4
-    ways_kept = (ways.count >= few) | near | (agree >= 2)
-    ways, agree, ahead = ways.at(ways_kept), agree[ways_kept], ahead[ways_kept]
-    if not len(ways.count):
-        return ways
-    # A name counts as much as a fit: a marker that is off for once does not make its body another.
-    score = ways.count + agree
+        predicted = expected.position[b] + expected.turn[b] * markers
+        placed = candidates.position[:, None] + candidates.turn[:, None] * markers
+        off = np.sqrt(np.square(np.abs(placed - predicted)).mean(axis=1))
+    size = 2 * np.abs(markers - markers.mean()).max()
+    # Two markers of more fit too easily, unless they are near the prediction.
+    enough = candidates.count >= min(3, len(markers))
+    plausible = enough | (off < size / 4) | (agree >= 2)
+    candidates, agree, off = candidates.at(plausible), agree[plausible], off[plausible]
+    if not len(agree):
+        return candidates
+    # A name counts as much as a fitting marker: one marker that is off does not exchange bodies.
+    score = candidates.count + agree
     best = score == score.max()
-    # Of these, a way with residuals far beyond the noise is wrong where another has less.
-    best &= ways.variance <= max(
-        SURE**2 * expected.variance, _NEARER**2 * ways.variance.min(where=best, initial=np.inf)
-    )
-    ways, agree, ahead = ways.at(best), agree[best], ahead[best]
-    if len(agree) > 1 and (agree.max() > agree).sum() == len(agree) - 1:
-        return ways.at(agree == agree.max())
-    if len(agree) > 1 and np.isfinite(ahead[0]):
-        least, second = np.partition(ahead, 1)[:2]
-        if _NEARER * least < second:
-            return ways.at(ahead == least)
-    return ways
+    # Residuals far beyond the noise are wrong where another candidate has smaller ones.
+    least = candidates.variance.min(where=best, initial=np.inf)
+    best &= candidates.variance <= max(N_SIGMA**2 * expected.variance, _DISTANCE_RATIO**2 * least)
+    candidates, agree, off = candidates.at(best), agree[best], off[best]
+    if len(agree) > 1 and (agree == agree.max()).sum() == 1:
+        return candidates.at(agree == agree.max())
+    if len(agree) > 1 and np.isfinite(off[0]):
+        least, second = np.partition(off, 1)[:2]
+        if _DISTANCE_RATIO * least < second:
+            return candidates.at(off == least)
+    return candidates
 
 
-def _settle(
-    ways: dict[int, Ways],
-    place: np.ndarray,
-    position: Complex,
-    turn: Complex,
-    uncertain: np.ndarray,
-) -> None:
+def _assign(candidates: dict[int, Candidates], result: Match) -> None:
     """
-    Take the ways that are the only ones for a body, and none of whose points another body wants.
+    Take candidates that are the only ones of a body, and whose points no other body could have.
 
-    Whoever fits with more markers comes first. Fills `place`, `position`, `turn` and `uncertain`.
+    Bodies that fit with more markers choose first.
     """
-    open_ = {b: some for b, some in ways.items() if len(some.count)}
+    open_ = {b: one for b, one in candidates.items() if len(one.count)}
     while open_:
-        most = max(int(some.count.max()) for some in open_.values())
-        best = {b: some for b, some in open_.items() if some.count.max() == most}
-        alone = {b: some for b, some in best.items() if len(some.count) == 1}
-        claims = [p for some in best.values() for p in set(some.place[some.place >= 0].tolist())]
+        most = max(int(one.count.max()) for one in open_.values())
+        best = {b: one for b, one in open_.items() if one.count.max() == most}
+        claims = [p for one in best.values() for p in set(one.indices[one.indices >= 0].tolist())]
         clear = {
-            b: some
-            for b, some in alone.items()
-            if all(claims.count(p) == 1 for p in some.place[0].tolist() if p >= 0)
+            b: one
+            for b, one in best.items()
+            if len(one.count) == 1
+            and all(claims.count(p) == 1 for p in one.indices[0].tolist() if p >= 0)
         }
+        for b, one in clear.items():
+            result.indices[b] = one.indices[0]
+            result.position[b], result.turn[b] = one.position[0], one.turn[0]
         if not clear:
-            for b in best:
-                uncertain[b] = True
-                del open_[b]
-            # What they may have is nobody's.
-            taken = np.array(sorted(set(claims)))
-        else:
-            for b, some in clear.items():
-                place[b], position[b], turn[b] = some.place[0], some.position[0], some.turn[0]
-                del open_[b]
-            taken = np.unique(np.concatenate([some.place[0] for some in clear.values()]))
-        for b, some in list(open_.items()):
-            left = some.at(~np.isin(some.place, taken[taken >= 0]).any(axis=1))
-            if len(left.count):
-                open_[b] = left
-            else:
-                del open_[b]
+            # Points that several bodies could have are left to none of them.
+            result.uncertain[list(best)] = True
+        decided = clear or best
+        taken = np.concatenate([one.indices.ravel() for one in decided.values()])
+        taken = taken[taken >= 0]
+        open_ = {
+            b: one.at(~np.isin(one.indices, taken).any(axis=1))
+            for b, one in open_.items()
+            if b not in decided
+        }
+        open_ = {b: one for b, one in open_.items() if len(one.count)}

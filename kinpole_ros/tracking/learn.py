@@ -4,13 +4,15 @@ from collections import Counter
 
 import numpy as np
 
+from kinpole_ros.planar import procrustes_factors
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
-from kinpole_ros.tracking.bodies import MIN_FITS, OUTLIER_SIGMAS, SETTLED_FRAMES, TINY, Bodies
+from kinpole_ros.tracking.bodies import MIN_FITS, OUTLIER_SIGMAS, SETTLED_FRAMES, Bodies
 from kinpole_ros.tracking.corrections import agreed
 from kinpole_ros.tracking.fit import fit_markers
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.noise import correlated_noise, marker_variances, white_noise
 from kinpole_ros.tracking.statistics import mean_square, medians, tame_part
+from kinpole_ros.tracking.thresholds import ROUNDED
 
 # Frames that noise is estimated from, and those for the misfit, which must follow faster.
 NOISE_FRAMES, MISFIT_FRAMES = 512, 200
@@ -77,7 +79,7 @@ def _begin_robustly(bodies: Bodies, history: History, counts: Counter[str]) -> n
             continue
         seen = np.isfinite(history['angle'][:, b])
         markers = np.where(history['used'][seen, b], history['markers'][seen, b], np.nan)
-        found = agreed(markers, OUTLIER_SIGMAS / np.sqrt(MISFIT_RATIO), TINY)
+        found = agreed(markers, OUTLIER_SIGMAS / np.sqrt(MISFIT_RATIO), ROUNDED)
         if found is None:
             continue
         bodies.shape[b], markers, corrected = found
@@ -125,7 +127,7 @@ def _update_shapes(bodies: Bodies, history: History) -> bool:
     late = slice(-NOISE_FRAMES, None)
     seen = used[late].sum(axis=0)
     mean = np.where(used[late], residual[late], 0).sum(axis=0) / np.maximum(seen, 1)
-    limit = CONTRADICTED * np.sqrt(np.maximum(bodies.misfit, TINY**2 * bodies.spread))
+    limit = CONTRADICTED * np.sqrt(np.maximum(bodies.misfit, ROUNDED**2 * bodies.spread))
     creeps = settled & (np.abs(mean) > limit[:, None]) & (seen >= NOISE_FRAMES // 2)
     every = np.where(used, residual, 0).sum(axis=0) / np.maximum(number, 1)
     step = np.where(creeps, mean, np.where(settled, 0, every))
@@ -156,9 +158,7 @@ def freedom_of(bodies: Bodies, residual: Complex) -> Real:
     seen = ~np.isnan(residual)
     if seen.all():
         return np.broadcast_to(bodies.grip.freedom, residual.shape)
-    from kinpole_ros.planar import grip_of
-
-    return grip_of(bodies.shape, np.where(seen, bodies.weights, 0.0)).freedom
+    return procrustes_factors(bodies.shape, np.where(seen, bodies.weights, 0.0)).freedom
 
 
 def _update_misfit(bodies: Bodies, history: History) -> None:

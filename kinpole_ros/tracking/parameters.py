@@ -374,6 +374,10 @@ NODE_PARAMETERS = {
         fixed=True,
     ),
 }
+# Parameters that no user needs: accepted with a warning, and the reason.
+DEPRECATED = {
+    'method': 'it makes no difference',
+}
 # In a joint, what does not move.
 GROUND = 'ground'
 # Not YAML; the others are what PyYAML lets through.
@@ -532,6 +536,14 @@ def known_rows(values: Mapping[str, Any]) -> dict[str, Parameter]:
                 f'unknown parameter {cut(name)}{hint}; known are {", ".join(sorted(known))}'
             )
     return known
+
+
+def deprecation_warnings(names: Iterable[str]) -> list[str]:
+    """Return a warning for each deprecated parameter among the names."""
+    return [
+        f'parameter {name} is deprecated, since {DEPRECATED[name]}; fix: leave it out'
+        for name in sorted(DEPRECATED.keys() & set(names))
+    ]
 
 
 def is_of_bodies(name: str) -> bool:

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.levels import FEW, ROUNDING, SURE
 from kinpole_ros.tracking.statistics import trimmed_mean
+from kinpole_ros.tracking.thresholds import MIN_SAMPLES, N_SIGMA
 
 # Differences are of this order; of another one for comparison, which motion would make larger.
 _ORDER = 6
@@ -141,9 +141,9 @@ def pose_noise(time: np.ndarray, position: Complex, angle: Real) -> PoseNoise:
         moves = np.ones(len(seen), bool)
         moves[1:] = (np.diff(angle[:, b]) != 0) | (np.diff(position[:, b]) != 0)
         # A tracker that rounds says nothing of its noise while its body rests.
-        if (seen & moves).sum() >= FEW + _ORDER:
+        if (seen & moves).sum() >= MIN_SAMPLES + _ORDER:
             seen &= moves
-        if seen.sum() >= FEW + _ORDER:
+        if seen.sum() >= MIN_SAMPLES + _ORDER:
             _measure(found, b, time[seen], np.unwrap(angle[seen, b]), position[seen, b])
     return found
 
@@ -153,7 +153,7 @@ def _measure(found: PoseNoise, b: int, stamps: np.ndarray, angle: Real, position
     time = (stamps - stamps[0]) * 1e-9
     turn = np.exp(1j * angle)
     off, turned, about = _differences(time, _ORDER, angle, turn, position)
-    if len(off) < FEW:
+    if len(off) < MIN_SAMPLES:
         return
     squares = float((turned.real**2 + turned.imag**2).sum())
     if squares > 0:
@@ -167,14 +167,14 @@ def _measure(found: PoseNoise, b: int, stamps: np.ndarray, angle: Real, position
         for block in _BLOCKS:
             times, means = _means(block, time, values)
             count = len(times) - _ORDER
-            if count < FEW:
+            if count < MIN_SAMPLES:
                 break
             new, lower = (_deviation(times, means, order) for order in (_ORDER, _LOWER))
             # Motion makes the lower one larger, and is seen in all blocks that are longer.
             if lower > _SAME * new:
                 break
             # Of n differences half as many are degrees of freedom.
-            lasts = math.sqrt(block) * new > (1 + SURE / math.sqrt(count)) * level
+            lasts = math.sqrt(block) * new > (1 + N_SIGMA / math.sqrt(count)) * level
             if lasts:
                 level = math.sqrt(block) * new
         levels.append((max(level, least), lasts))

@@ -2,16 +2,16 @@
 
 import math
 from collections.abc import Sequence
-from ctypes import Structure, c_longlong, c_void_p
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from kinpole_ros.compiled import address_of
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.deformation import deformation_covariance, hold_hidden
-from kinpole_ros.tracking.estimate import Estimate, FramePoses
+from kinpole_ros.tracking.estimate import INSTANT_AXIS, Estimate, FramePoses
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.plane import Plane
 
@@ -47,78 +47,76 @@ class _Part(NamedTuple):
     offset: int
 
 
+# Where the arrays that C fills begin, in the order of the fields of `Results` of _follow.c.
+_FIELDS = (
+    *('stamp', 'due', 'position', 'size', 'height', 'pin_variance', 'frame_angle', 'information'),
+    *('noise', 'pin', 'shape', 'reference', 'frame_position', 'middle', 'reason'),
+)
+
+
 @lru_cache(maxsize=64)
-def _layout_of(instants: int, orders: int, bodies: int, markers: int) -> dict[str, _Part]:
-    """Where the arrays of results are, in the order of the fields; `end` is behind them."""
-    each = instants, bodies
+def _layout_of(
+    instants: int, orders: int, bodies: int, markers: int
+) -> tuple[dict[str, _Part], np.ndarray, int]:
+    """Where the arrays of results are, the offsets of the fields of C, and the size of all."""
+    each, square = (instants, bodies), (orders, orders, instants, bodies)
     arrays: dict[str, tuple[tuple[int, ...], Any]] = {
         'stamp': ((instants,), np.int64),
         'due': ((instants,), np.int64),
-        'derivatives': ((3 * orders + 2 * orders**2 + 2, *each), float),
-        **dict.fromkeys(('size', 'height', 'pin_variance', 'angle'), (each, float)),
+        # From here to `freedom`: derivatives as `derive_poses` has them.
+        'position': ((orders, *each), complex),
+        'angle': ((orders, *each), float),
+        'position_covariance': (square, float),
+        'angle_covariance': (square, float),
+        'span': (each, float),
+        'freedom': (each, float),
+        **dict.fromkeys(('size', 'height', 'pin_variance', 'frame_angle'), (each, float)),
         'information': ((instants, 2, bodies), float),
         'noise': (each, float),
         'pin': (each, complex),
         'shape': ((*each, markers), complex),
-        **dict.fromkeys(('reference', 'position', 'middle'), (each, complex)),
-        'missing': (each, np.uint8),
-        'end': ((0,), np.uint8),
+        **dict.fromkeys(('reference', 'frame_position', 'middle'), (each, complex)),
+        'reason': (each, np.uint8),
     }
     layout, offset = {}, 0
     for name, (shape, dtype) in arrays.items():
         layout[name] = _Part(shape, dtype, offset)
         offset += math.prod(shape) * np.dtype(dtype).itemsize
-    return layout
+    return layout, np.array([layout[name].offset for name in _FIELDS]), offset
 
 
-class Results(Structure):
+class Results:
     """
-    `Results` of _follow.c: room for the results of some instants, of bodies with some markers.
+    The results of up to so many instants, of bodies with some markers, as _follow.c fills them.
 
-    Its arrays are attributes, as `Estimate` and `FramePoses` have them.
+    `fields` are those of `Results` there: the number of instants that there is memory for, how many
+    have results, the fewest samples of a window, and where the arrays begin.
     """
-
-    _fields_: ClassVar[Any] = [
-        *((name, c_longlong) for name in ('instants', 'count', 'fewest')),
-        *((f'_{name}', c_void_p) for name in _layout_of(1, 1, 1, 1)),
-    ]
 
     def __init__(self, instants: int, orders: int, bodies: int, markers: int) -> None:
-        layout = _layout_of(instants, orders, bodies, markers)
-        buffer = np.empty(layout['end'].offset, np.uint8)
-        start = buffer.__array_interface__['data'][0]
-        addresses = (start + part.offset for part in layout.values())
-        super().__init__(instants, 0, FEWEST_SAMPLES, *addresses)
-        self.orders, self._buffer, self._layout = orders, buffer, layout
+        self.instants, self.orders = instants, orders
+        self._layout, offsets, size = _layout_of(instants, orders, bodies, markers)
+        self._buffer = np.empty(size, np.uint8)
+        self.fields = np.empty(3 + len(offsets), np.int64)
+        self.fields[:3] = instants, 0, FEWEST_SAMPLES
+        np.add(offsets, address_of(self._buffer), out=self.fields[3:])
+
+    @property
+    def count(self) -> int:
+        """How many instants have results."""
+        return int(self.fields[1])
 
     def array(self, name: str) -> np.ndarray:
-        """Return the array of a field."""
-        part = self._layout[name]
-        return np.ndarray(part.shape, part.dtype, self._buffer, part.offset)
+        """Return an array, of all instants that there is memory for."""
+        shape, dtype, offset = self._layout[name]
+        return np.ndarray(shape, dtype, self._buffer, offset)
 
-    def of_instants(self, name: str) -> np.ndarray:
-        """Return the array of a field, of the instants of which there are results."""
-        return self.array(name)[: self.count]
-
-    def derivatives(self) -> tuple[np.ndarray, ...]:
-        """Position, angle, their covariances, span and freedom at instants: see `Derivatives`."""
-        found, orders = self.array('derivatives'), self.orders
-        _, instants, bodies = found.shape
-        square = orders, orders, instants, bodies
-        first, second = 2 * orders, 3 * orders
-        third = second + orders**2
-        position = found[:first].reshape(orders, instants, bodies, 2).view(complex)[..., 0]
-        parts = (
-            position,
-            found[first:second],
-            found[second:third].reshape(square),
-            found[third:-2].reshape(square),
-            found[-2],
-            found[-1],
-        )
-        if self.count == instants:
-            return parts
-        return tuple(part[..., : self.count, :] for part in parts)
+    def column(self, name: str) -> np.ndarray:
+        """Return an array, of the instants that have results."""
+        array, count = self.array(name), self.count
+        if count == self.instants:
+            return array
+        return array[(slice(None),) * INSTANT_AXIS.get(name, 0) + (slice(count),)]
 
 
 def add_deformation(
@@ -130,9 +128,10 @@ def add_deformation(
     `now` and `oldest` are rows of the history, `interval` is in s.
     """
     last, order = results.count - 1, results.orders - 1
-    _, _, of_position, of_angle, span, freedom = results.derivatives()
+    of_position, of_angle = map(results.array, ('position_covariance', 'angle_covariance'))
+    span, freedom = map(results.array, ('span', 'freedom'))
     first = max(0, oldest - (len(history) - oldest))
-    usable = results.array('missing')[last] == 0
+    usable = results.array('reason')[last] == 0
     for b in np.flatnonzero(usable & (bodies.freedom > 0)).tolist():
         residual = hold_hidden(history['residual'][first:, b : b + 1])[:, 0]
         slow = deformation_covariance(
@@ -169,53 +168,29 @@ def estimate_of(
     plane: Plane | None,
     posed: bool,
 ) -> Estimate:
-    """Join results as one estimate."""
+    """Return results, of one instant after the other, as one estimate."""
 
-    def joined(name: str) -> np.ndarray:
-        if single is not None:
-            return single.of_instants(name)
-        return np.concatenate([each.of_instants(name) for each in results])
+    def stored(name: str) -> np.ndarray:
+        axis = INSTANT_AXIS.get(name, 0)
+        return np.concatenate([part.column(name) for part in results], axis)
 
-    single = results[0] if len(results) == 1 else None
-    derivatives = results[0].derivatives()
-    if single is None:
-        every = zip(*(each.derivatives() for each in results), strict=True)
-        derivatives = tuple(np.concatenate(parts, axis=-2) for parts in every)
-    position, angle, position_covariance, angle_covariance, span, freedom = derivatives
-    missing = (_OF_POSES if posed else _OF_MARKERS)[joined('missing')]
-    if plane is None:
-        missing[...] = 'plane not known yet'
+    if len(results) == 1:
+        stored = results[0].column
+
+    def column(name: str) -> np.ndarray:
+        if name == 'degree':
+            return stored('freedom') - 1
+        if name != 'missing':
+            return stored(name)
+        reasons = (_OF_POSES if posed else _OF_MARKERS)[stored('reason')]
+        if plane is None:
+            reasons[...] = 'plane not known yet'
+        return reasons
 
     def frame_poses() -> FramePoses:
-        information = joined('information')
-        return FramePoses(
-            joined('angle'),
-            joined('position'),
-            information[:, 0],
-            information[:, 1],
-            joined('middle'),
-            joined('noise'),
-        )
+        turned, placed = stored('information').swapaxes(0, 1)
+        names = ('frame_angle', 'frame_position', 'middle', 'noise')
+        angle, position, middle, noise = map(stored, names)
+        return FramePoses(angle, position, turned, placed, middle, noise)
 
-    return Estimate(
-        joined('stamp'),
-        frame_id,
-        bodies,
-        position,
-        angle,
-        position_covariance,
-        angle_covariance,
-        joined('size'),
-        joined('height'),
-        span,
-        freedom - 1,
-        missing,
-        run,
-        joined('pin'),
-        joined('pin_variance'),
-        joined('shape'),
-        joined('due'),
-        joined('reference'),
-        plane,
-        frame_poses,
-    )
+    return Estimate(column, frame_id, bodies, run, plane, frame_poses)

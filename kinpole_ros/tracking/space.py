@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.tracking.levels import FEWEST, LITTLE, SURE
 from kinpole_ros.tracking.plane import Plane, PlaneSetting, plane_along, plane_of, upward
 from kinpole_ros.tracking.scatter import GROUP, Scatter
+from kinpole_ros.tracking.thresholds import MIN_DOF, N_SIGMA, NEGLIGIBLE
 
 # Frames that are measured at once, where nothing waits for it: several groups cost little more.
 _AT_ONCE = 4 * GROUP
@@ -122,8 +122,8 @@ class Space:
             return True
         off = normal @ self._scatter.about_means().sum((0, 1)) @ normal / kept.count.sum()
         noise = normal @ kept.rough.sum((0, 1)) @ normal / max(kept.rough_count.sum(), 1)
-        least = LITTLE * np.nanmean(self._scatter.size())
-        return bool(off <= max(SURE**2 * noise, least**2))
+        least = NEGLIGIBLE * np.nanmean(self._scatter.size())
+        return bool(off <= max(N_SIGMA**2 * noise, least**2))
 
     def report(self) -> SpaceReport:
         """How the motion of late lies in space."""
@@ -142,7 +142,7 @@ class Space:
             size = self._scatter.size()
             stretch = self._scatter.stretch()
             # A tilt would look like it before the motion shows one.
-            if across is not None and len(self._scatter.kept.count) >= FEWEST:
+            if across is not None and len(self._scatter.kept.count) >= MIN_DOF:
                 off = self._off_plane(across, size, stretch)
         return SpaceReport(self.plane, normal, line, tilt, deviation, size, off, stretch)
 
@@ -158,17 +158,17 @@ class Space:
         counts = self._scatter.kept.count.sum((1, 2))
         count = counts.sum()
         size = self._scatter.size()
-        if len(blocks) < FEWEST or not np.isfinite(size).any():
+        if len(blocks) < MIN_DOF or not np.isfinite(size).any():
             return nothing
         rough = self._scatter.kept.rough.sum((0, 1)) / max(self._scatter.kept.rough_count.sum(), 1)
         values, vectors = np.linalg.eigh(total)
-        least = np.nanmean(size) * LITTLE
+        least = np.nanmean(size) * NEGLIGIBLE
 
         def shows(k: int) -> bool:
             # Where it moves most: it may have been at rest for long.
             way = vectors[:, k]
             extent = (blocks @ way @ way / np.maximum(counts, 1)).max()
-            return bool(extent > max(SURE**2 * way @ rough @ way, least**2))
+            return bool(extent > max(N_SIGMA**2 * way @ rough @ way, least**2))
 
         def variance(normal: np.ndarray, k: int) -> float:
             way = vectors[:, k]
@@ -213,6 +213,6 @@ class Space:
             noise = (normal @ self._scatter.kept.rough.sum(0) @ normal) / rough_count
             path = np.trace(scatter, axis1=-2, axis2=-1) / count
             off = np.sqrt(off)
-            least = LITTLE * np.maximum(size, np.sqrt(path))
-            leaves = (off > np.maximum(SURE * np.sqrt(noise), least)) & (stretch < KEEPS * off)
+            least = NEGLIGIBLE * np.maximum(size, np.sqrt(path))
+            leaves = (off > np.maximum(N_SIGMA * np.sqrt(noise), least)) & (stretch < KEEPS * off)
         return np.where(leaves, off, 0.0)

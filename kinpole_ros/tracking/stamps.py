@@ -24,7 +24,7 @@ from kinpole_ros.tracking.clock import (
     estimate_clock,
 )
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.levels import FEW, SURE
+from kinpole_ros.tracking.thresholds import MIN_SAMPLES, N_SIGMA
 
 # Neighbors on each side that predict a pose.
 _SIDE = 3
@@ -65,9 +65,9 @@ class StampHistory:
         self.until_update = FEWEST_SAMPLES
         self._seen = 0
         self._nats = self._speed = 0.0
-        self._stamps = np.zeros(0, np.int64)
-        # Which of the frames were taken, and have poses.
-        self._taken = np.zeros(0, bool)
+        # Stamps of the frames, in parts, and which of them were taken and have poses.
+        self._appended = [(np.zeros(0, np.int64), np.zeros(0, bool))]
+        self._last = 0
         # Whether the next frame shows that stamps are rounded.
         self._slipped = False
         # Frames since the last update, and those taken that were not compared with neighbors yet.
@@ -83,13 +83,16 @@ class StampHistory:
         clock = self.clock
         if self.mode != 'auto' or self.regular or clock is None or not clock.is_even:
             return len(stamps)
-        every = np.concatenate((self._stamps[-1:], stamps)) - clock.origin
-        ticks = np.rint((every - clock.phase) / clock.interval)
-        off = np.abs(every - clock.phase - ticks * clock.interval)[1:]
-        step = np.gcd(round(clock.resolution), every[1:])
+        since = stamps - clock.origin
+        ticks = np.rint((since - clock.phase) / clock.interval)
+        off = np.abs(since - clock.phase - ticks * clock.interval)
+        if np.maximum.reduce(off) <= COARSE / 2:
+            return len(stamps)
+        step = np.gcd(round(clock.resolution), since)
         slips = (step >= COARSE) & (off > COARSE / 2) & (off <= (1 + TOLERANCE) * step)
         # Frames that come sooner than the clock ticks are of another rate.
-        slips &= np.diff(ticks) > 0
+        before = np.rint((self._last - clock.origin - clock.phase) / clock.interval)
+        slips &= np.diff(ticks, prepend=before) > 0
         first = int(slips.argmax()) if slips.any() else len(stamps)
         if not first:
             self._slipped, self.until_update = True, 0
@@ -97,8 +100,8 @@ class StampHistory:
 
     def append(self, stamps: np.ndarray, taken: np.ndarray) -> None:
         """Append frames that have come with `stamps` (T,), ns, of which some are `taken`."""
-        self._stamps = np.concatenate((self._stamps, stamps))
-        self._taken = np.concatenate((self._taken, taken))
+        self._appended.append((stamps, taken))
+        self._last = int(stamps[-1]) if len(stamps) else self._last
         self.until_update -= len(stamps)
         self._seen += len(stamps)
         self._new += len(stamps)
@@ -115,18 +118,19 @@ class StampHistory:
         known. Where frames of the history are `counted` by the motion, the clock is that of these
         counts.
         """
-        stamps = self._stamps[-MEMORY:]
+        stamps, taken = (np.concatenate(parts) for parts in zip(*self._appended, strict=True))
+        stamps, taken = stamps[-MEMORY:], taken[-MEMORY:]
         clock, counts = estimate_clock(stamps, self.clock)
         if counted:
-            which = np.flatnonzero(self._taken[-MEMORY:])
+            which = np.flatnonzero(taken)
             which = which[: len(which) - uncounted][-len(history) :]
             own = history['count'][len(history) - len(which) :]
             clock, counts = clock_of(clock, counts, stamps, which, own)
-        self._stamps = stamps[len(stamps) - len(counts) :]
-        self._taken = self._taken[len(self._taken) - len(counts) :]
+        taken = taken[len(taken) - len(counts) :]
+        self._appended = [(stamps[len(stamps) - len(counts) :], taken)]
         self._count_lost(clock, counts)
         self.clock = clock
-        counts = counts[self._taken]
+        counts = counts[taken]
         counts = counts[: len(counts) - uncounted]
         self._weigh(history, samples, counts, noise)
         self.regular = self._decide()
@@ -147,7 +151,7 @@ class StampHistory:
         assert self.clock is not None
         held = min(samples, len(counts), self._unweighed + _SIDE)
         centers = held - UNSETTLED - 2 * _SIDE
-        if self._seen < FEW or centers < 1:
+        if self._seen < MIN_SAMPLES or centers < 1:
             return
         self._unweighed = UNSETTLED + _SIDE
         rows = slice(len(history) - held, len(history) - UNSETTLED)
@@ -169,7 +173,7 @@ class StampHistory:
         if abs(self._nats) > DECISIVE_NATS:
             self._by_motion = self._nats > 0
         rounded = clock.is_rounded or self._slipped
-        rounded = rounded and self._seen >= FEW and self._nats > -DECISIVE_NATS
+        rounded = rounded and self._seen >= MIN_SAMPLES and self._nats > -DECISIVE_NATS
         self._slipped = False
         # Frames are not late by windows: then it is no clock.
         return (self._by_motion or rounded) and clock.largest < self._window
@@ -242,7 +246,7 @@ def _evidence(times: Real, signals: Real, variance: Real) -> tuple[float, float]
     # By the better of the two, for no polynomial follows every motion.
     scale = np.maximum((squares.sum(axis=1) / number).min(axis=0), 1.0)
     # None counts for more than an outlier would.
-    cost = np.minimum(squares / scale, SURE**2)
+    cost = np.minimum(squares / scale, N_SIGMA**2)
     # What neighbors predict is correlated: there is half as much evidence as predictions.
     nats = float((cost[0] - cost[1]).sum() / 2) / 2
     rate = np.diff(signals, axis=0) ** 2 / np.where(variance[1:] > 0, variance[1:], np.nan)

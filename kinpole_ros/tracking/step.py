@@ -5,14 +5,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from kinpole_ros.compiled import library
+from kinpole_ros.compiled import address_of, library
 from kinpole_ros.derivatives import Call, go_on, new_call, pass_tables
 from kinpole_ros.tracking.bodies import UNSTEADY, Bodies
 from kinpole_ros.tracking.center import Pins
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.levels import SURE
 from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.results import NOISE_UNKNOWN, TOO_NOISY, Results
+from kinpole_ros.tracking.thresholds import N_SIGMA
 
 # A pose is wrong beyond this many standard deviations of what poses are off the cubic through their
 # neighbors; the newest, which no pose follows yet, beyond three times as many off every polynomial
@@ -61,7 +61,7 @@ _fit_frame.argtypes = [POINTER(_Frames), c_void_p, c_longlong, c_void_p]
 _follow_paths = library.kinpole_follow_paths
 _follow_paths.argtypes = [POINTER(_Frames), c_void_p, c_void_p]
 _follow = library.kinpole_follow
-_follow.argtypes = [POINTER(_Frames), POINTER(Call), POINTER(Results)]
+_follow.argtypes = [POINTER(_Frames), POINTER(Call), c_void_p]
 
 
 class Step:
@@ -88,11 +88,11 @@ class Step:
             newest_far=NEWEST_FAR,
             near=NEAR,
             gap=GAP,
-            sure=SURE,
+            sure=N_SIGMA,
         )
         self._frames = byref(self.fields)
         for name in _COUNTED:
-            setattr(self.fields, name, getattr(self, name).ctypes.data)
+            setattr(self.fields, name, address_of(getattr(self, name)))
         self._call = new_call(settings.window, 0)
         self._arrays: dict[str, np.ndarray] = {}
         self._came: tuple[np.ndarray, ...] = ()
@@ -126,14 +126,14 @@ class Step:
             if name == 'last_angle':
                 bodies.last_angle = array
             self._arrays[name] = array
-            setattr(fields, name, array.ctypes.data)
+            setattr(fields, name, address_of(array))
         self.bind_history()
 
     def bind_history(self) -> None:
         """Use the columns of the history, after they have grown."""
         for name in _COLUMNS:
             column = self._history.columns[name]
-            setattr(self.fields, 'marker' if name == 'markers' else name, column.ctypes.data)
+            setattr(self.fields, 'marker' if name == 'markers' else name, address_of(column))
 
     def hand_over(self, came: tuple[np.ndarray, ...], hidden_is_unusual: bool) -> None:
         """
@@ -144,7 +144,7 @@ class Step:
         """
         self._came = tuple(map(np.ascontiguousarray, came))
         for name, array in zip(_CAME, self._came, strict=True):
-            setattr(self.fields, name, array.ctypes.data)
+            setattr(self.fields, name, address_of(array))
         self.fields.frame, self.fields.frames = 0, len(came[0])
         self.fields.hidden_is_unusual = hidden_is_unusual
 
@@ -156,8 +156,8 @@ class Step:
             self.bind_history()
         fields.first, fields.end = history.first, history.end
         call.orders, call.instants = results.orders, 1
-        tables = pass_tables(call)
-        while (code := _follow(self._frames, call, results)) < DONE or code == 1:
+        tables, fields_of_results = pass_tables(call), address_of(results.fields)
+        while (code := _follow(self._frames, call, fields_of_results)) < DONE or code == 1:
             tables = go_on(call, code)
         del tables
         history.end = fields.end
@@ -167,9 +167,9 @@ class Step:
         """Fit markers (B, n), complex, into the newest row; returns what is unusual."""
         history = self._history
         self.fields.first, self.fields.end = history.first, history.end
-        address = markers.ctypes.data
-        return int(_fit_frame(self._frames, address, goes_on, self.unusual.ctypes.data))
+        unusual = address_of(self.unusual)
+        return int(_fit_frame(self._frames, address_of(markers), goes_on, unusual))
 
     def follow_paths(self) -> None:
         """Complete the newest row: whole turns, and poses that it shows to be wrong."""
-        _follow_paths(self._frames, self.wrong.ctypes.data, self.newest.ctypes.data)
+        _follow_paths(self._frames, address_of(self.wrong), address_of(self.newest))

@@ -98,6 +98,8 @@ class Timeline:
 
         Also the `numbers` (T,) of the frames with which they became so. The others wait.
         """
+        if self._counter is None and not self._uncounted:
+            return [(frames, numbers)]
         parts = [*self._uncounted, frames]
         if self._counter is None:
             waiting = sum(len(part.stamps) for part in self._uncounted)
@@ -124,7 +126,8 @@ class Timeline:
             fresh, self._counted = np.split(self._counted, [len(stamps)])
             return self._times(fresh), fresh
         rising = stamps
-        if self._regular or stamps[0] <= before or (stamps[1:] <= stamps[:-1]).any():
+        several = len(stamps) > 1
+        if self._regular or stamps[0] <= before or (several and (stamps[1:] <= stamps[:-1]).any()):
             rising = _rising(np.concatenate(((before,), stamps)))[1:]
         return rising, np.zeros(len(stamps), np.int64)
 

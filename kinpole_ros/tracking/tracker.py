@@ -1,8 +1,8 @@
 """
-The tracker: frames of markers in, motion of bodies out, one frame at a time.
+The tracker: from frames of markers to the motion of bodies, one frame at a time.
 
-Node and replay call it alike, so live results equal replayed ones. Stamps drive it, never the time
-of the machine.
+Node and replay use it in the same way, so live results equal replayed ones. It depends on the
+stamps of the frames only, never on the clock of the machine.
 """
 
 import itertools
@@ -11,6 +11,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from kinpole_ros.tracking.assignment import MarkerAssignment
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins, find_hubs
 from kinpole_ros.tracking.corrections import EXCHANGED
@@ -20,7 +21,6 @@ from kinpole_ros.tracking.fit import correct_frame, fit_markers
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.learn import MOVED_FRAMES, NOISE_FRAMES, freedom_of, learn
-from kinpole_ros.tracking.levels import LITTLE, SURE, TINY
 from kinpole_ros.tracking.matcher import Matcher
 from kinpole_ros.tracking.outages import Outage, one_more
 from kinpole_ros.tracking.outliers import path_scale
@@ -28,7 +28,6 @@ from kinpole_ros.tracking.parameters import Settings, of_poses
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.posed import TiltedTurns, learn_poses
 from kinpole_ros.tracking.results import Results, add_deformation, estimate_of
-from kinpole_ros.tracking.roster import Roster
 from kinpole_ros.tracking.space import Space, SpaceReport
 from kinpole_ros.tracking.stamps import StampState
 from kinpole_ros.tracking.step import (
@@ -41,22 +40,22 @@ from kinpole_ros.tracking.step import (
     UNUSUAL,
     Step,
 )
+from kinpole_ros.tracking.thresholds import N_SIGMA, NEGLIGIBLE, ROUNDED
 from kinpole_ros.tracking.timeline import Timeline
 
-# Frames kept to learn from, and at least so many windows.
-LEARNED_FRAMES, LEARNED_WINDOWS = 1024, 4
-# Frames between two updates: this share of those that have come, at most so many.
-UPDATE_SHARE, MOST_BETWEEN_UPDATES = 1 / 8, 128
-# Frames between two searches for the names of markers, if those before found none.
-MOST_BETWEEN_SEARCHES = 16
-# Markers that are off by this share of the size of their body are of other bodies: no tissue moves
-# so far.
-OTHER_BODIES = 0.05
+# The history has at least this many frames, and this many windows.
+MIN_HISTORY_FRAMES, MIN_HISTORY_WINDOWS = 1024, 4
+# Frames between two updates: this share of all frames so far, and at most so many.
+UPDATE_SHARE, MAX_UPDATE_INTERVAL = 1 / 8, 128
+# Most frames between two searches for the names of markers after searches without a result.
+MAX_SEARCH_INTERVAL = 16
+# Residuals beyond this share of the body size are of markers on other bodies: tissue moves less.
+OTHER_BODY_SHARE = 0.05
 _run_numbers = itertools.count(1)
 
 
 class Tracker:
-    """Follows the bodies of `settings` from frame to frame."""
+    """Tracks the bodies of `settings` from frame to frame."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -64,52 +63,54 @@ class Tracker:
         self._counts: Counter[str] = Counter()
         self._window = round(settings.window * 1e9)
         self._frame_id = ''
-        # Whether poses come, and not markers.
+        # Whether the input are poses of bodies instead of markers.
         self._posed = False
         self._outages: dict[str, Outage] = {}
-        self._wrong = np.zeros(len(self.bodies), int)
+        self._earlier_wrong = np.zeros(len(self.bodies), int)
         self._start()
 
     def reset(self) -> None:
-        """Forget all frames, and what was learned from them."""
+        """Forget all frames and everything learned from them."""
         self._start()
 
     def _start(self, before: Timeline | None = None) -> None:
-        """Start anew; `before` a jump of the stamps frames were as in that timeline."""
+        """Start from nothing, but with the clock of the timeline `before` a jump of the stamps."""
         count = len(self.bodies)
         if hasattr(self, '_step'):
-            self._wrong = self.wrong()
+            self._earlier_wrong = self.wrong()
         settings = of_poses(self.settings) if self._posed else self.settings
-        self._roster = Roster(settings, self._posed)
-        self._space = Space(self.settings.plane, count, self._roster.width)
-        self._roster.plane = self._space.plane
-        # Frames before the plane is known: stamps, times and markers.
-        self._early: deque[tuple[int, int, MarkerFrames]] = deque(maxlen=LEARNED_FRAMES)
+        self._assignment = MarkerAssignment(settings, self._posed)
+        self._space = Space(self.settings.plane, count, self._assignment.width)
+        self._assignment.plane = self._space.plane
+        # Stamps, times and markers of the frames before the plane was known.
+        self._before_plane: deque[tuple[int, int, MarkerFrames]] = deque(maxlen=MIN_HISTORY_FRAMES)
         self._run_number = next(_run_numbers)
-        self._begin_bodies()
+        self._start_bodies()
         self._timeline = Timeline(self.settings, self._counts, self._history, before)
 
-    def _begin_bodies(self) -> None:
-        """Begin with bodies of which nothing is known."""
-        self._known = Bodies(len(self.bodies), self._roster.width)
-        self._history = History(len(self.bodies), self._roster.width)
-        self._pins = Pins(self._known)
+    def _start_bodies(self) -> None:
+        """Start with bodies of which nothing is known."""
+        self._calibration = Bodies(len(self.bodies), self._assignment.width)
+        self._history = History(len(self.bodies), self._assignment.width)
+        self._pins = Pins(self._calibration)
         settings = of_poses(self.settings) if self._posed else self.settings
         self._turns = TiltedTurns(len(self.bodies))
-        self.matcher = Matcher(settings, self._roster, self._known, self._history, self._counts)
-        self._step = Step(settings, self._known, self._pins, self._history, self._posed)
-        self._frames = self._new = self._counted = 0
-        # Searches for the names of markers, in a row, that found none.
-        self._futile = self._next_search = 0
+        self.matcher = Matcher(
+            settings, self._assignment, self._calibration, self._history, self._counts
+        )
+        self._step = Step(settings, self._calibration, self._pins, self._history, self._posed)
+        self._frame_count = self._new_frames = self._counted_frames = 0
+        # Searches for the names of markers in a row that had no result.
+        self._futile_searches = self._next_search = 0
         self._next_update = 1
         self._names_changed = False
 
-    # What diagnostics ask for.
+    # For diagnostics.
 
     @property
     def counts(self) -> Counter[str]:
-        """What became of the frames, and of their markers."""
-        self._count_new()
+        """Numbers of frames and markers that were dropped, corrected or not seen, by cause."""
+        self._count_new_frames()
         return self._counts
 
     @property
@@ -124,86 +125,100 @@ class Tracker:
 
     @property
     def plane(self) -> Plane | None:
-        """The plane of the results; None while it is to be fitted and not known yet."""
-        return self._roster.plane
+        """The plane of the results; None until it is fitted."""
+        return self._assignment.plane
 
     @property
     def identities(self) -> tuple[str, ...]:
-        """The markers that the last message has."""
-        return self._roster.identities
+        """Identities of the markers in the last message."""
+        return self._assignment.identities
 
     def space(self) -> SpaceReport:
-        """How the motion lies in space: its tilt against the plane, and what leaves the plane."""
-        self._count_new()
+        """Return the tilt of the motion against the plane, and how far it leaves the plane."""
+        self._count_new_frames()
         return self._space.report()
 
     def noise(self) -> np.ndarray:
-        """Noise (B,) of one coordinate of a marker, m, given or measured; NaN while not known."""
-        return self._known.noise
+        """Return the noise (B,) of one coordinate of a marker, m; NaN while not measured."""
+        return self._calibration.noise
 
     def angle_noise(self) -> np.ndarray | None:
-        """Noise (B,) of the angles of poses that come as such, rad; None where markers come."""
-        return self._known.angle_noise if self._posed else None
+        """Return the noise (B,) of the angles of input poses, rad; None for markers."""
+        return self._calibration.angle_noise if self._posed else None
 
     def rigidity_residual(self) -> np.ndarray:
-        """How far (B,) markers are off one rigid body, m, per axis; 0 where they may be of one."""
-        known = self._known
+        """Return the rms residual (B,) of each body, m, per axis; 0 for one that is rigid."""
+        known = self._calibration
         off = np.sqrt(np.where(known.mature, known.misfit, np.nan))
         with np.errstate(invalid='ignore'):
-            loose = (off > SURE * known.white) & (off > LITTLE * known.size)
-            loose &= off > TINY * known.size
+            loose = (off > N_SIGMA * known.white) & (off > NEGLIGIBLE * known.size)
+            loose &= off > ROUNDED * known.size
         return np.where(loose, off, 0.0)
 
     def causes(self) -> list[str]:
-        """What moves the markers of each body against each other, '' unless it is known."""
-        known = self._known
+        """Return why the markers of each body move against each other, '' if it is not known."""
+        known = self._calibration
         off = np.sqrt(known.misfit)
-        tissue = (known.freedom > 0) & ~(off > OTHER_BODIES * known.size)
+        tissue = (known.freedom > 0) & ~(off > OTHER_BODY_SHARE * known.size)
         return [TISSUE if one else '' for one in tissue]
 
     def noise_underestimated(self) -> np.ndarray:
-        """Which bodies (B,) have more noise than can be measured, since it lasts long."""
-        return self._known.lasting & (self.settings.noise == 0)
+        """Return which bodies (B,) have noise that is correlated for too long to be measured."""
+        return self._calibration.lasting & (self.settings.noise == 0)
 
     def erring(self) -> dict[str, dict[str, float]]:
-        """Deviations, m, per axis, of markers, by name, that count for less than the others."""
+        """Return the standard deviations of noisy markers by body and name, m, per axis."""
         return {
-            body: {self._roster.markers[b][k]: float(row[k]) for k in np.flatnonzero(row)}
-            for b, (body, row) in enumerate(zip(self.bodies, self._known.deviation, strict=True))
+            body: {self._assignment.markers[b][k]: float(row[k]) for k in np.flatnonzero(row)}
+            for b, (body, row) in enumerate(
+                zip(self.bodies, self._calibration.deviation, strict=True)
+            )
         }
 
     def wrong(self) -> np.ndarray:
-        """In how many frames each body (B,) as a whole was wrong, and left out."""
-        return self._wrong + self._step.wrong
+        """Return in how many frames each body (B,) was left out since its pose was off its path."""
+        return self._earlier_wrong + self._step.wrong
 
     def outages(self) -> dict[str, Outage]:
-        """For how long bodies, by name, were not seen, a window or more; all frames by ''."""
+        """Return gaps of a window or more, by body; '' for gaps without any frame."""
         return self._outages
 
-    def lacking(self) -> dict[str, list[str]]:
-        """Markers by body that the last message has not, where less than two of the body are."""
-        lacks = zip(self.bodies, self._roster.lacking(), strict=False)
+    def absent_markers(self) -> dict[str, list[str]]:
+        """Return the markers that the last message lacks, of bodies with less than two in it."""
+        lacks = zip(self.bodies, self._assignment.absent_of_bodies(), strict=False)
         return {body: names for body, names in lacks if names}
 
     def stamp_state(self) -> StampState | None:
-        """How the stamps lie on the clock found behind them; None while too few have come."""
+        """Return how the stamps lie on the estimated clock; None while too few have come."""
         return self._timeline.stamp_state()
 
     # Frames.
 
     def add(self, frames: MarkerFrames, order: int | None) -> list[Estimate]:
         """
-        Take frames; return what is now known, stamped `lag` earlier.
+        Take frames, and return the results that are complete, which are stamped `lag` earlier.
 
-        `order` is the highest derivative wanted now (1 to 4), None for no estimates at all. A stamp
-        seen already is left out, and so is a frame that comes late: before the newest, within the
-        window. Everything starts anew with another frame_id, and with a stamp farther from the
-        newest than the window.
+        A frame is left out if its stamp was seen before, or if it comes late: before the newest
+        frame, within the window. Everything restarts with another frame_id, and with a stamp
+        farther from the newest than the window.
+
+        Parameters
+        ----------
+        frames : MarkerFrames
+            Frames of one layout, in the order in which they came.
+        order : int or None
+            The highest derivative needed, 1 to 4; None for no results.
+
+        Returns
+        -------
+        list of Estimate
+            Empty if no result is complete.
+
         """
         return self.add_parts((frames,), order)
 
     def add_parts(self, parts: Iterable[MarkerFrames], order: int | None) -> list[Estimate]:
-        """The same of frames in parts. Instants are `due` by the number of the frame in all."""
+        """Take several parts, as `add` takes one; `due` counts the frames of all of them."""
         estimates: list[Estimate] = []
         self._results: list[Results] = []
         number = 0
@@ -213,84 +228,90 @@ class Tracker:
                 continue
             posed = frames.axes is not None
             if frames.frame_id != self._frame_id or posed != self._posed:
-                estimates += self._estimates_so_far()
+                estimates += self._flush_results()
                 used = len(self._history) > 0
                 self._counts['frame_changes'] += used
-                anew = used or posed != self._posed
+                restarts = used or posed != self._posed
                 self._frame_id, self._posed = frames.frame_id, posed
-                if anew:
+                if restarts:
                     self._start()
             self._counts['frames'] += len(stamps)
             first = 0
             while first < len(stamps):
                 if self._timeline.clock_update_is_due:
-                    # By the noise as it is known to whoever takes frames one by one.
+                    # The clock depends on the noise, which is to be the same live and in replay.
                     self._names_changed = self._update_if_due()
                     self._timeline.update_clock(self.samples, self.noise())
                 some = slice(first, None)
-                steps, end, anew = self._timeline.accept(stamps[some], frames.points[some])
+                steps, end, restarts = self._timeline.accept(stamps[some], frames.points[some])
                 new = first + (steps > 0).nonzero()[0]
                 if len(new):
                     taken = frames if len(new) == len(stamps) else part_of(frames, new)
                     for part, numbers in self._timeline.count(taken, number + new):
-                        estimates += self._take_all(part, numbers, order)
+                        estimates += self._take_timed(part, numbers, order)
                 first += end
-                if anew:
-                    estimates += self._estimates_so_far()
-                    self._begin_again(int(stamps[first]))
+                if restarts:
+                    estimates += self._flush_results()
+                    self._restart(int(stamps[first]))
             number += len(stamps)
-            self._counts['markers_unknown'] = self._roster.unknown
-        return estimates + self._estimates_so_far()
+            self._counts['markers_unknown'] = self._assignment.unknown
+        return estimates + self._flush_results()
 
-    def _take_all(
+    def _take_timed(
         self, frames: MarkerFrames, numbers: np.ndarray, order: int | None
     ) -> list[Estimate]:
-        """Take frames whose times are sure; returns estimates that are complete."""
+        """Take frames whose times are known; return the results before a restart."""
         estimates: list[Estimate] = []
-        width = self._known.width
-        solid = self._sort(frames)
-        if self._known.width > width:
-            estimates += self._estimates_so_far()
+        width = self._calibration.width
+        in_space = self._assign(frames)
+        if self._calibration.width > width:
+            estimates += self._flush_results()
         times = self._timeline.enter(frames.stamps)
-        self._hand_over(frames.stamps, times)
-        results = self._room_for(len(frames.stamps), order)
+        self._pass_frames(frames.stamps, times)
+        results = self._reserve_results(len(frames.stamps), order)
         first, count = 0, len(frames.stamps)
         while first < count:
             if self._update_if_due():
-                self.matcher.sort_again(first)
-                self._step.fields.hidden_is_unusual = self.matcher.has_extras
-            if self._roster.plane is not self._space.plane:
-                self._keep(results, numbers)
-                estimates += self._estimates_so_far()
-                self._catch_up()
-                solid = self._sort(frames)
-                self._hand_over(frames.stamps, times)
+                self.matcher.assign_again(first)
+                self._step.fields.hidden_is_unusual = self.matcher.has_unassigned
+            if self._assignment.plane is not self._space.plane:
+                self._keep_results(results, numbers)
+                estimates += self._flush_results()
+                self._replay_in_plane()
+                in_space = self._assign(frames)
+                self._pass_frames(frames.stamps, times)
                 self._step.fields.frame = first
-                results = self._room_for(count - first, order)
-            usual = not self._posed and self._roster.plane is not None and not self._known.exchanged
+                results = self._reserve_results(count - first, order)
+            usual = (
+                not self._posed
+                and self._assignment.plane is not None
+                and not self._calibration.exchanged
+            )
             if not (usual and self.matcher.in_order):
                 code = UNUSUAL
             else:
-                code = self._follow(self._next_update - self._frames, results)
+                code = self._follow(self._next_update - self._frame_count, results)
             first = self._step.fields.frame
             if code == UNUSUAL:
-                self._take(int(frames.stamps[first]), int(times[0][first]), first, solid[first])
+                self._take_unusual(
+                    int(frames.stamps[first]), int(times[0][first]), first, in_space[first]
+                )
                 self._history['count'][-1] = times[1][first]
                 first += 1
                 self._step.fields.frame = first
                 self._follow(0, results)
-        self._keep(results, numbers)
-        if self._posed and self._roster.plane is not None:
-            self._space.add(solid)
+        self._keep_results(results, numbers)
+        if self._posed and self._assignment.plane is not None:
+            self._space.add(in_space)
         return estimates
 
-    def _hand_over(self, stamps: np.ndarray, times: tuple[np.ndarray, ...]) -> None:
-        """Hand the frames sorted last to the compiled step."""
+    def _pass_frames(self, stamps: np.ndarray, times: tuple[np.ndarray, ...]) -> None:
+        """Pass the last frames to the compiled step."""
         came = stamps, *times, self._points, self._heights
-        self._step.hand_over(came, self.matcher.has_extras)
+        self._step.hand_over(came, self.matcher.has_unassigned)
 
     def _follow(self, until_update: int, results: Results) -> int:
-        """Take usual frames, and compute what falls due; why it does not go on."""
+        """Take usual frames and compute the results that are due; return why the loop ended."""
         step, history = self._step, self._history
         fields = step.fields
         while True:
@@ -298,116 +319,116 @@ class Tracker:
             code = step.follow(until_update, results)
             taken = fields.frame - before
             until_update -= taken
-            self._frames += taken
-            self._new += taken
+            self._frame_count += taken
+            self._new_frames += taken
             if code == SEEN_AGAIN:
                 self._note_outages(int(history['stamp'][-1]))
             elif code == DEFORMED:
                 now, oldest = fields.due - 1, len(history) - fields.samples
                 interval = fields.interval * 1e-9
-                add_deformation(results, self._known, history, now, oldest, interval)
+                add_deformation(results, self._calibration, history, now, oldest, interval)
             else:
                 assert code != FULL
                 return code
 
-    def _room_for(self, frames: int, order: int | None) -> Results:
-        """Room for the results that so many frames can make due."""
+    def _reserve_results(self, frames: int, order: int | None) -> Results:
+        """Reserve memory for the results that so many frames can complete."""
         if order is None:
             return Results(0, 1, 0, 0)
         waiting = len(self._history) - self._step.fields.due
-        known = self._known
+        known = self._calibration
         return Results(frames + waiting, order + 1, known.count, known.width)
 
-    def _keep(self, results: Results, numbers: np.ndarray) -> None:
-        """Keep results for the next estimate; `numbers` are those of the frames handed over."""
+    def _keep_results(self, results: Results, numbers: np.ndarray) -> None:
+        """Keep results for the next estimate; `numbers` count the frames passed to the step."""
         if results.count:
-            due = results.of_instants('due')
+            due = results.column('due')
             due[:] = numbers[due]
             self._results.append(results)
 
-    def settle(self) -> None:
-        """Learn from the frames of late if it is time for it; else the next `add` does."""
+    def learn_if_due(self) -> None:
+        """Learn from the history now if an update is due; otherwise the next `add` does."""
         if self._update_if_due():
             self._names_changed = True
 
     def _update_if_due(self) -> bool:
-        """Learn if it is time for it; whether names stand for other markers since."""
-        if self._frames >= self._next_update:
+        """Learn if an update is due; return whether names stand for other markers since."""
+        if self._frame_count >= self._next_update:
             self._names_changed |= self._update()
         changed, self._names_changed = self._names_changed, False
         return changed
 
-    def _estimates_so_far(self) -> list[Estimate]:
-        """The results so far as one estimate, if there are any, and begin with none."""
+    def _flush_results(self) -> list[Estimate]:
+        """Return the results so far as one estimate, if there are any."""
         results, self._results = self._results, []
         if not results:
             return []
         about = self._frame_id, self.bodies, self._run_number, self.plane, self._posed
         return [estimate_of(results, *about)]
 
-    def _sort(self, frames: MarkerFrames) -> np.ndarray:
-        """The markers (T, B, n, 3) of the bodies, m; hands them to the matcher in the plane."""
-        solid = self._roster.sort(frames)
-        if self._roster.width > self._known.width:
+    def _assign(self, frames: MarkerFrames) -> np.ndarray:
+        """Assign markers (T, B, n, 3), m, to the bodies, and pass them to the matcher."""
+        in_space = self._assignment.assign(frames)
+        if self._assignment.width > self._calibration.width:
             self._widen()
-        self._block = frames
+        self._frames_in_hand = frames
         # The matcher corrects both in place.
-        points, heights = self._roster.flat(solid)
+        points, heights = self._assignment.project(in_space)
         self._points, self._heights = np.ascontiguousarray(points), np.ascontiguousarray(heights)
-        if self._posed and self._roster.plane is not None:
-            self._tilts = self._roster.tilts(solid)
+        if self._posed and self._assignment.plane is not None:
+            self._tilts = self._assignment.tilts(in_space)
         self.matcher.begin(np.asarray(frames.stamps), self._points, self._heights)
-        return solid
+        return in_space
 
     def _widen(self) -> None:
-        """A body of all markers has more of them: begin with those, as of the same frames."""
-        width = self._roster.width
-        self._known.widen(width)
+        """Make room for more markers, of a body that takes all markers."""
+        width = self._assignment.width
+        self._calibration.widen(width)
         self._history.widen(width)
         self._pins.widen(width)
         self._space.widen(width)
-        self._step.bind(self._known, self._history)
-        self._early.clear()
+        self._step.bind(self._calibration, self._history)
+        self._before_plane.clear()
 
-    def _begin_again(self, stamp: int) -> None:
-        """Start anew after a jump of the stamps."""
+    def _restart(self, stamp: int) -> None:
+        """Restart after a jump of the stamps."""
         newest = int(self._history['stamp'][-1]) if len(self._history) else stamp
         if stamp > newest:
             self._outages[''] = one_more(self._outages.get(''), newest, stamp - newest)
         self._counts['resets'] += 1
         self._start(self._timeline)
 
-    def _take(self, stamp: int, time: int, k: int, solid: np.ndarray) -> None:
-        """Fit the poses of frame `k` of those sorted last, and append them to the history."""
-        bodies, history, matcher = self._known, self._history, self.matcher
+    def _take_unusual(self, stamp: int, time: int, k: int, in_space: np.ndarray) -> None:
+        """Fit the poses of frame `k` in Python, and append them to the history."""
+        bodies, history, matcher = self._calibration, self._history, self.matcher
         markers, interval = self._points[k], self._step.fields.interval
         newest = history['time'][-1] if len(history) else time
         goes_on = bool(interval == 0 or time - newest <= GAP * interval)
-        if self._roster.plane is None:
-            self._early.append((stamp, time, part_of(self._block, slice(k, k + 1))))
-            if matcher.lacks_order():
-                solid = np.full_like(solid, np.nan)
+        if self._assignment.plane is None:
+            self._before_plane.append((stamp, time, part_of(self._frames_in_hand, slice(k, k + 1))))
+            if matcher.is_incomplete_cloud():
+                in_space = np.full_like(in_space, np.nan)
             self._append(stamp, time, goes_on)
             for name in ('markers', 'residual', 'angle', 'position', 'heights', 'height'):
                 history[name][-1] = np.nan
             history['used'][-1] = False
             history['information'][-1] = history['turns'][-1] = 0.0
-            self._space.add(solid[None])
+            self._space.add(in_space[None])
             return
         if matcher.is_nameless and matcher.arrange(k):
-            self._begin_anew(np.ones(bodies.count, bool))
+            self._restart_bodies(np.ones(bodies.count, bool))
         if len(bodies.unmet):
             bodies.begin(markers)
             self._step.bind(bodies, history)
         if bodies.incomplete and (bodies.incomplete_places & ~np.isnan(markers)).any():
             # New markers are learned as soon as they are seen.
-            self._next_update = min(self._next_update, self._frames + 1)
+            self._next_update = min(self._next_update, self._frame_count + 1)
         if bodies.exchanged:
             markers[...] = np.take_along_axis(markers, bodies.order, axis=1)
         row = self._append(stamp, time, goes_on)
         matcher.fits_next(k)
         unusual = self._step.fit(markers, goes_on)
-        if (unusual & NAME_DOUBTFUL or matcher.has_extras) and self._renamed(k, unusual):
+        if (unusual & NAME_DOUBTFUL or matcher.has_unassigned) and self._correct_names(k, unusual):
             unusual = self._step.fit(markers, goes_on)
         came = markers
         if unusual & ODD:
@@ -434,7 +455,7 @@ class Tracker:
         self._note_outages(stamp)
 
     def _append(self, stamp: int, time: int, goes_on: bool) -> int:
-        """Append a frame to the history; returns its row, which has no poses yet."""
+        """Append a frame without poses to the history; return its row."""
         history = self._history
         if history.reserve(1):
             self._step.bind_history()
@@ -442,30 +463,32 @@ class Tracker:
         columns = history.columns
         columns['stamp'][row], columns['time'][row] = stamp, time
         columns['goes_on'][row] = goes_on
-        self._new += 1
-        self._frames += 1
+        self._new_frames += 1
+        self._frame_count += 1
         return row
 
-    def _renamed(self, k: int, unusual: int) -> bool:
-        """Whether markers of the frame had wrong names, which are corrected then."""
+    def _correct_names(self, k: int, unusual: int) -> bool:
+        """Correct wrong names of markers in the frame; return whether there were any."""
         if not unusual & NAME_DOUBTFUL:
             unseen = np.isnan(self._points[k])
             if not unseen.any():
                 return False
-            fit = fit_markers(self._known, self._points[k][None])
-            doubtful = self.matcher.doubtful(fit, unseen[None])
-            if doubtful is None or not doubtful.any():
+            if not self.matcher.is_doubtful(
+                fit_markers(self._calibration, self._points[k]), unseen
+            ):
                 return False
-        # Bodies that are not rigid stay in doubt, and a search takes long.
-        if self._frames < self._next_search:
+        # Bodies that are not rigid are doubtful in every frame, and a search takes long.
+        if self._frame_count < self._next_search:
             return False
-        corrected = self.matcher.correct()
-        self._futile = 0 if corrected else self._futile + 1
-        self._next_search = self._frames + min(2 ** max(self._futile - 1, 0), MOST_BETWEEN_SEARCHES)
+        corrected = self.matcher.correct_names()
+        self._futile_searches = 0 if corrected else self._futile_searches + 1
+        self._next_search = self._frame_count + min(
+            2 ** max(self._futile_searches - 1, 0), MAX_SEARCH_INTERVAL
+        )
         return corrected
 
     def _note_outages(self, stamp: int) -> None:
-        """Note which bodies are seen again after a window or more."""
+        """Note bodies that are seen again after a window or more."""
         seen, seen_last = np.isfinite(self._history['angle'][-1]), self._step.seen_last
         lasted = np.where(seen_last >= 0, stamp - seen_last, 0)
         for b in np.flatnonzero(seen & (lasted >= self._window)).tolist():
@@ -473,69 +496,69 @@ class Tracker:
             self._outages[body] = one_more(self._outages.get(body), since, int(lasted[b]))
         seen_last[seen] = stamp
 
-    def _begin_anew(self, which: np.ndarray) -> None:
-        """Forget what was learned of the bodies `which` (B,)."""
-        self._known.restart(which)
+    def _restart_bodies(self, which: np.ndarray) -> None:
+        """Forget everything learned of some bodies (B,)."""
+        self._calibration.restart(which)
         if self.matcher.has_shape.any():
-            self._known.give(np.where(which[:, None], self.matcher.given, np.nan))
+            self._calibration.give(np.where(which[:, None], self.matcher.given, np.nan))
         self._history['information'][:, :, which] = 0.0
         self._history['used'][:, which] = False
         self._history['markers'][:, which] = np.nan
         self._history['angle'][:, which] = np.nan
         self._pins.forget(which)
-        self._step.bind(self._known, self._history)
+        self._step.bind(self._calibration, self._history)
 
-    def _catch_up(self) -> None:
-        """The plane has become known: take the frames before as they lie in it."""
-        early = list(self._early)
-        self._early.clear()
+    def _replay_in_plane(self) -> None:
+        """Take the earlier frames again, now that the plane is known."""
+        early = list(self._before_plane)
+        self._before_plane.clear()
         due = self._step.fields.due - (len(self._history) - len(early))
         seen_last = self._step.seen_last
-        self._roster.plane = self._space.plane
-        assert self._roster.plane is not None
-        self._begin_bodies()
+        self._assignment.plane = self._space.plane
+        assert self._assignment.plane is not None
+        self._start_bodies()
         self._timeline.history = self._history
         for stamp, time, frame in early:
             self._update_if_due()
-            self._take(stamp, time, 0, self._sort(frame)[0])
+            self._take_unusual(stamp, time, 0, self._assign(frame)[0])
         self._step.fields.due = max(due, 0)
         self._step.seen_last[:] = seen_last
 
     def _update(self) -> bool:
-        """Learn from the frames of late; whether names stand for other markers since."""
-        bodies, history = self._known, self._history
-        self._next_update = self._frames + max(
-            1, min(int(self._frames * UPDATE_SHARE), MOST_BETWEEN_UPDATES)
+        """Learn from the history; return whether names stand for other markers since."""
+        bodies, history = self._calibration, self._history
+        self._next_update = self._frame_count + max(
+            1, min(int(self._frame_count * UPDATE_SHARE), MAX_UPDATE_INTERVAL)
         )
-        if self._roster.plane is None:
-            self._drop_old()
+        if self._assignment.plane is None:
+            self._drop_old_frames()
             return False
-        self._count_new()
+        self._count_new_frames()
         if self._posed:
             learn_poses(bodies, history, self.settings.noise)
             bodies.extra_turn = self._turns.total
         else:
-            anew = learn(bodies, history, self._window, self.settings.noise, self._counts)
-            self._pins.forget(anew)
-        self._pins.update(bodies, history, min(self._new, len(history)), self._posed)
-        self._new = self._counted = 0
-        self._drop_old()
+            restarts = learn(bodies, history, self._window, self.settings.noise, self._counts)
+            self._pins.forget(restarts)
+        self._pins.update(bodies, history, min(self._new_frames, len(history)), self._posed)
+        self._new_frames = self._counted_frames = 0
+        self._drop_old_frames()
         bodies.hub = find_hubs(bodies, history, self._window, bodies.hub)
         bodies.jump_scale = path_scale(history, bodies)
         if not self._posed:
             self._find_deformed()
         changed = False
-        if self.matcher.look_is_due():
+        if self.matcher.regrouping_is_due():
             regrouped = self.matcher.regroup(self.rigidity_residual() > 0)
             changed = bool(regrouped.any() or self.matcher.withheld.any())
             if regrouped.any():
-                self._begin_anew(regrouped)
+                self._restart_bodies(regrouped)
         self._step.bind(bodies, history)
         return changed
 
     def _find_deformed(self) -> None:
-        """Find the bodies whose markers move against each other."""
-        bodies, history = self._known, self._history
+        """Find the bodies whose markers move against each other by more than their noise."""
+        bodies, history = self._calibration, self._history
         rows = slice(-NOISE_FRAMES - 2, None)
         time, residual = history['time'][rows], history['residual'][rows]
         interval = float(np.median(np.diff(time))) if len(time) > 1 else self._window / 2
@@ -544,31 +567,33 @@ class Tracker:
         half = round(self._window / 2 / max(interval, 1.0))
         bodies.freedom, bodies.held = deformed_freedom(residual, free, noise, bodies.degrees, half)
 
-    def _count_new(self) -> None:
-        """Count what the frames since the last update lack, and measure how they lie in space."""
-        new = min(self._new - self._counted, len(self._history))
-        self._counted = self._new
-        if not new or self._roster.plane is None:
+    def _count_new_frames(self) -> None:
+        """Count hidden markers since the last update, and measure how the motion lies in space."""
+        new = min(self._new_frames - self._counted_frames, len(self._history))
+        self._counted_frames = self._new_frames
+        if not new or self._assignment.plane is None:
             return
         markers, heights = (self._history[name][-new:] for name in ('markers', 'heights'))
         seen = np.count_nonzero(~np.isnan(markers[..., 0] if self._posed else markers))
-        lacking = self._roster.wanted * new - seen
+        lacking = self._assignment.count * new - seen
         self._counts['markers_not_seen'] += int(lacking)
         if not self._posed:
-            self._space.add(self._roster.plane.in_space(markers, heights))
+            self._space.add(self._assignment.plane.in_space(markers, heights))
 
-    def _drop_old(self) -> None:
-        """Drop the frames that are neither in the window nor to be learned from."""
+    def _drop_old_frames(self) -> None:
+        """Drop frames that neither the window nor the next update needs."""
         history, fields = self._history, self._step.fields
         oldest = len(history) - self.samples
-        drop = min(oldest, len(history) - max(LEARNED_FRAMES, LEARNED_WINDOWS * self.samples))
+        drop = min(
+            oldest, len(history) - max(MIN_HISTORY_FRAMES, MIN_HISTORY_WINDOWS * self.samples)
+        )
         if drop > 0:
             history.drop(drop)
             fields.due = max(0, fields.due - drop)
 
 
 def mean_heights(markers: np.ndarray, heights: np.ndarray) -> np.ndarray:
-    """Mean heights (B,) of the markers (B, n) that were seen."""
+    """Return the mean heights (B,) of the visible markers (B, n)."""
     seen = ~np.isnan(markers)
     with np.errstate(invalid='ignore'):
         return np.asarray(np.where(seen, heights, 0.0).sum(axis=-1) / seen.sum(axis=-1))

@@ -18,9 +18,9 @@ from mcap.writer import MCAP0_MAGIC
 from kinpole_ros.bags._channels import BagMessage
 from kinpole_ros.bags._files import ROS1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
 from kinpole_ros.bags._frames import read_frames
-from kinpole_ros.bags._reader import described, read_messages
-from kinpole_ros.bags._ros1 import Ros1Message, ros1_messages
-from kinpole_ros.bags.formats._file import File, Format, Points, Wanted
+from kinpole_ros.bags._reader import read_messages, types_and_definitions
+from kinpole_ros.bags._storages import Ros1Message, ros1_messages
+from kinpole_ros.bags.formats._file import File, Format, Options, Points
 from kinpole_ros.bags.formats._sheet import check_cells, check_names, number_names, shown
 from kinpole_ros.messages import (
     MARKER_TYPES,
@@ -85,13 +85,13 @@ def _recognizes(file: File) -> bool:
     return file.head.startswith(magics)
 
 
-def _read(file: File, wanted: Wanted) -> Points:
+def _read(file: File, options: Options) -> Points:
     is_ros1 = file.head.startswith(ROS1_MAGIC)
-    types, definitions = (_describe_ros1 if is_ros1 else described)(file.path)
+    types, definitions = (_describe_ros1 if is_ros1 else types_and_definitions)(file.path)
     topics = _choose_topics(file, types)
     if not is_ros1 and _kind(types[topics[0]]) == 'markers':
-        parts, _ = read_frames(file.path, topics[0], report=lambda e: file.notes.append(str(e)))
-        series = [_Series('', one.identities, one.stamps, one.stamps, one.points) for one in parts]
+        frames, _ = read_frames(file.path, topics[0], report=lambda e: file.notes.append(str(e)))
+        series = [_Series('', one.identities, one.stamps, one.stamps, one.points) for one in frames]
     else:
         series = _read_series(
             file, topics, _make_decoder(file, types, topics, definitions, is_ros1)
@@ -118,7 +118,7 @@ def _read(file: File, wanted: Wanted) -> Points:
         names,
         points,
         np.arange(len(stamps)),
-        None if wanted.rate is not None else stamps / _SECOND,
+        None if options.rate is not None else stamps / _SECOND,
         'm',
         stamps=stamps,
         bodies=list(bodies),
@@ -128,8 +128,8 @@ def _read(file: File, wanted: Wanted) -> Points:
 
 def _number_columns(series: list[_Series], width: int) -> dict[str, int]:
     """Number the markers, which have 3 values each, or the bodies, which have 7."""
-    parts = (part.names for part in series if part.values.shape[-1] == width)
-    names = dict.fromkeys(name for part in dict.fromkeys(parts) for name in part)
+    layouts = (part.names for part in series if part.values.shape[-1] == width)
+    names = dict.fromkeys(name for layout in dict.fromkeys(layouts) for name in layout)
     return {name: column for column, name in enumerate(names)}
 
 
@@ -142,7 +142,7 @@ def _group_into_frames(series: list[_Series]) -> tuple[np.ndarray, list[np.ndarr
     stamps = np.concatenate([part.stamps for part in series])
     sources = list(dict.fromkeys(part.source for part in series))
     if len(sources) == 1:
-        found, rows = np.unique(stamps, return_inverse=True)
+        frame_stamps, rows = np.unique(stamps, return_inverse=True)
     else:
         number = np.repeat(
             [sources.index(p.source) for p in series], [len(p.stamps) for p in series]
@@ -159,8 +159,8 @@ def _group_into_frames(series: list[_Series]) -> tuple[np.ndarray, list[np.ndarr
                 members.clear()
             members.add(int(number[event]))
             rows[event] = len(starts) - 1
-        found = np.array(starts, np.int64)
-    return found, np.split(rows, np.cumsum([len(part.stamps) for part in series])[:-1])
+        frame_stamps = np.array(starts, np.int64)
+    return frame_stamps, np.split(rows, np.cumsum([len(part.stamps) for part in series])[:-1])
 
 
 def _kind(type_name: str) -> str | None:
@@ -180,7 +180,7 @@ def _choose_topics(file: File, types: dict[str, str]) -> list[str]:
     """
     Choose the topics to read: those of trackers, else the one of markers, else those of poses.
 
-    Notes what is left out, and raises BagError where there is nothing or no telling.
+    Notes what is left out; raises BagError where there is nothing, or several topics of markers.
     """
     kinds: dict[str, list[str]] = {}
     for topic, name in sorted(types.items()):
@@ -196,10 +196,11 @@ def _choose_topics(file: File, types: dict[str, str]) -> list[str]:
                 'one /markers, or give the bag to replay or discover with --topic'
             )
         if topics:
-            others = [topic for rest in kinds.values() for topic in rest]
-            if others:
-                more = ', '.join(others[:5])
-                file.notes.append(f'{", ".join(topics[:5])} was read, and {more} was not')
+            unread = [topic for names in kinds.values() for topic in names]
+            if unread:
+                file.notes.append(
+                    f'{", ".join(topics[:5])} was read, and {", ".join(unread[:5])} was not'
+                )
             return topics
     listed = ', '.join(f'{topic} ({kind})' for topic, kind in sorted(types.items())[:10])
     raise BagError(
@@ -212,20 +213,20 @@ def _make_store(types: set[str], definitions: dict[str, str], is_ros1: bool) -> 
     # Only bags need it.
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-    known: dict[str, Any] = {}
+    types_by_name: dict[str, Any] = {}
     if not is_ros1:
-        known |= get_typestore(Stores.ROS2_JAZZY).fielddefs
+        types_by_name |= get_typestore(Stores.ROS2_JAZZY).fielddefs
         for name, text in _MESSAGES.items():
-            known |= get_types_from_msg(text, name)
+            types_by_name |= get_types_from_msg(text, name)
     for name in types:
         text = definitions.get(name, '')
         if text.lstrip('=\n ').startswith('IDL: '):
             for part in text.split('=' * 80 + '\n')[1:]:
-                known |= get_types_from_idl(part.partition('\n')[2])
+                types_by_name |= get_types_from_idl(part.partition('\n')[2])
         elif text.strip():
-            known |= get_types_from_msg(text, name)
+            types_by_name |= get_types_from_msg(text, name)
     store = get_typestore(Stores.EMPTY)
-    store.register(known)
+    store.register(types_by_name)
     return store
 
 
@@ -269,7 +270,7 @@ def _read_series(
 ) -> list[_Series]:
     """Read the messages of these topics; those that cannot be read are left out, and noted."""
     names = _shorten_topics(topics)
-    found: dict[tuple[Any, ...], tuple[array[int], array[int], array[float]]] = {}
+    columns: dict[tuple[Any, ...], tuple[array[int], array[int], array[float]]] = {}
     fault, fault_count, size = '', 0, 0
     messages: Iterable[Ros1Message | BagMessage] = (
         ros1_messages(file.path)
@@ -283,15 +284,17 @@ def _read_series(
             try:
                 if len(message.data) > _LARGEST_MESSAGE:
                     raise ValueError(f'{len(message.data)} bytes')
-                parts = list(_observations(file, decode(message), message, names[message.topic]))
+                observations = list(
+                    _observations(file, decode(message), message, names[message.topic])
+                )
             except Exception as error:  # of the bytes, and where a type is not as its name says
                 fault_count += 1
-                why = shown(' '.join(str(error).split()))
-                fault = fault or f'{shown(message.type_name)} ({why})'
+                reason = shown(' '.join(str(error).split()))
+                fault = fault or f'{shown(message.type_name)} ({reason})'
                 continue
-            for source, markers, stamp, values in parts:
+            for source, markers, stamp, values in observations:
                 key = source, markers, len(values) // len(markers)
-                rows = found.setdefault(key, (array('q'), array('q'), array('d')))
+                rows = columns.setdefault(key, (array('q'), array('q'), array('d')))
                 rows[0].append(stamp)
                 rows[1].append(message.log_time)
                 rows[2].extend(values)
@@ -300,9 +303,9 @@ def _read_series(
     except Truncated as error:
         file.notes.append(str(error))
     left_out = f'{fault_count} messages cannot be read, the first of {fault}'
-    if not found:
-        what = left_out if fault else 'the topics are empty'
-        raise BagError(f'{file.path} has no markers or poses: {what}; fix: record again')
+    if not columns:
+        reason = left_out if fault else 'the topics are empty'
+        raise BagError(f'{file.path} has no markers or poses: {reason}; fix: record again')
     if fault:
         file.notes.append(f'{file.path}: {left_out}')
     return [
@@ -313,24 +316,24 @@ def _read_series(
             np.frombuffer(log_times, np.int64),
             np.frombuffer(values).reshape(len(stamps), len(markers), width),
         )
-        for (source, markers, width), (stamps, log_times, values) in found.items()
+        for (source, markers, width), (stamps, log_times, values) in columns.items()
     ]
 
 
 def _shorten_topics(topics: list[str]) -> dict[str, str]:
     """Shorten topics to the part that differs: arm and rod of /vrpn/arm/pose and /vrpn/rod/pose."""
-    parts = {topic: topic.strip('/').split('/') for topic in topics}
-    rows = list(parts.values())
+    names = {topic: topic.strip('/').split('/') for topic in topics}
+    rows = list(names.values())
     if len(rows) == 1:
-        kept = [part for part in rows[0] if part not in ('pose', 'tf')] or rows[0]
-        return {topics[0]: kept[-1]}
+        specific = [name for name in rows[0] if name not in ('pose', 'tf')] or rows[0]
+        return {topics[0]: specific[-1]}
     first, last = 0, 0
     least = min(map(len, rows)) - 1
     while first < least and len({row[first] for row in rows}) == 1:
         first += 1
     while last < least - first and len({row[-1 - last] for row in rows}) == 1:
         last += 1
-    return {topic: '/'.join(row[first : len(row) - last]) for topic, row in parts.items()}
+    return {topic: '/'.join(row[first : len(row) - last]) for topic, row in names.items()}
 
 
 def _observations(
@@ -402,7 +405,7 @@ def _convert(message: Any, cls: type) -> Any:
     return cls(**values)
 
 
-FORMAT = Format(
+BAG = Format(
     'bag',
     'bags of ROS 1 (.bag) and rosbag2 (.db3, .mcap), of markers, poses or the types of trackers',
     '(binary)',

@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, frame_times
+from kinpole_ros.bags.formats._file import File, Format, Options, Points, frame_times
 from kinpole_ros.bags.formats._sheet import check_cells, number_names
 
 _BLOCK = 512
 _INTEL, _DEC, _MIPS = 84, 85, 86  # how a file says which processor its numbers are of
-# Parameters that name points which are none.
+# Parameters with the names of quantities that are stored as points.
 _NO_POINTS = ('ANGLES', 'FORCES', 'MOMENTS', 'POWERS', 'SCALARS')
 _FIX = 'fix: export it again'
 
@@ -49,7 +49,7 @@ def _recognizes(file: File) -> bool:
     return not file.is_text and len(file.head) >= _BLOCK and file.head[1] == 0x50
 
 
-def _read(file: File, wanted: Wanted) -> Points:
+def _read(file: File, options: Options) -> Points:
     try:
         processor = file.data[_BLOCK * (file.data[0] - 1) + 3]
         header = _read_header(file.data, processor)
@@ -58,35 +58,35 @@ def _read(file: File, wanted: Wanted) -> Points:
         raise BagError(f'{file.path} is not a C3D file that can be read; {_FIX}') from error
 
     def numbers(name: str) -> list[float]:
-        found = parameters.get(name)
-        return [] if found is None else _numbers(found, processor)
+        parameter = parameters.get(name)
+        return [] if parameter is None else _numbers(parameter, processor)
 
     scale = next(iter(numbers('POINT:SCALE')), header.scale)
     rate = next(iter(numbers('POINT:RATE')), 0.0) or header.rate
-    first, claimed = _frame_range(header, numbers)
-    seen = _read_frames(file, header, processor, scale, claimed)
-    frames = first + np.arange(len(seen))
-    whole, is_amid = _frames_before_zeros(seen)
-    if whole < len(seen):
+    first, count = _frame_range(header, numbers)
+    values = _read_frames(file, header, processor, scale, count)
+    frames = first + np.arange(len(values))
+    end, is_amid = _frames_before_zeros(values)
+    if end < len(values):
         amid = 'amid ' if is_amid else ''
         file.notes.append(
-            f'{file.path} is zeros from {amid}frame {frames[whole]} on, as padding of a file is: '
-            f'{len(seen) - whole} of its {len(seen)} frames are left out; {_FIX} if it should '
+            f'{file.path} is zeros from {amid}frame {frames[end]} on, as padding of a file is: '
+            f'{len(values) - end} of its {len(values)} frames are left out; {_FIX} if it should '
             'have them'
         )
-        seen, frames = seen[:whole], frames[:whole]
+        values, frames = values[:end], frames[:end]
     labels = _read_labels(parameters, 'POINT:LABELS')[: header.points]
     labels += [''] * (header.points - len(labels))
     left_out = {
         name for what in _NO_POINTS for name in _read_labels(parameters, f'POINT:{what}') if name
     }
-    kept = [index for index, label in enumerate(labels) if label not in left_out]
-    names = [labels[index] or f'point {index + 1}' for index in kept]
+    indices = [index for index, label in enumerate(labels) if label not in left_out]
+    names = [labels[index] or f'point {index + 1}' for index in indices]
     names = number_names(file.path, names, file.notes)
-    points = seen[:, kept, :3].astype(float) * (1.0 if scale < 0 else scale)
-    points[seen[:, kept, 3] < 0] = np.nan
+    points = values[:, indices, :3].astype(float) * (1.0 if scale < 0 else scale)
+    points[values[:, indices, 3] < 0] = np.nan
     unit = next(iter(_read_labels(parameters, 'POINT:UNITS')), '')
-    times = None if wanted.rate is not None else frame_times(frames, rate)
+    times = frame_times(frames, rate)
     return Points(names, points, frames, times, unit)
 
 
@@ -103,14 +103,14 @@ def _read_header(data: bytes, processor: int) -> _Header:
 def _read_parameters(data: bytes, processor: int) -> dict[str, _Parameter]:
     """Read the parameters by GROUP:NAME; raises where they are cut off."""
     order = '>' if processor == _MIPS else '<'
-    place = _BLOCK * (data[0] - 1) + 4
+    offset = _BLOCK * (data[0] - 1) + 4
     groups: dict[int, str] = {}
-    found: list[tuple[int, str, _Parameter]] = []
+    rows: list[tuple[int, str, _Parameter]] = []
     step = 1
-    while step > 0 and data[place]:
-        length, number = struct.unpack_from('<bb', data, place)
-        body = place + 2 + abs(length)
-        name = _text(data[place + 2 : body]).upper()
+    while step > 0 and data[offset]:
+        length, number = struct.unpack_from('<bb', data, offset)
+        body = offset + 2 + abs(length)
+        name = _text(data[offset + 2 : body]).upper()
         (step,) = struct.unpack_from(f'{order}h', data, body)
         if number < 0:
             groups[-number] = name
@@ -119,9 +119,9 @@ def _read_parameters(data: bytes, processor: int) -> dict[str, _Parameter]:
             size = tuple(data[body + 4 : body + 4 + dimensions])
             start = body + 4 + dimensions
             count = abs(kind) * int(np.prod(size, dtype=float))
-            found.append((number, name, _Parameter(kind, size, data[start : start + count])))
-        place = body + step
-    return {f'{groups.get(number, "")}:{name}': value for number, name, value in found}
+            rows.append((number, name, _Parameter(kind, size, data[start : start + count])))
+        offset = body + step
+    return {f'{groups.get(number, "")}:{name}': value for number, name, value in rows}
 
 
 def _to_floats(data: bytes, processor: int) -> np.ndarray:
@@ -136,12 +136,12 @@ def _to_floats(data: bytes, processor: int) -> np.ndarray:
 def _numbers(parameter: _Parameter, processor: int) -> list[float]:
     data = parameter.data
     if parameter.kind == 4:
-        found = _to_floats(data[: len(data) // 4 * 4], processor)
+        values = _to_floats(data[: len(data) // 4 * 4], processor)
     elif parameter.kind == 2:
-        found = np.frombuffer(data[: len(data) // 2 * 2], '>u2' if processor == _MIPS else '<u2')
+        values = np.frombuffer(data[: len(data) // 2 * 2], '>u2' if processor == _MIPS else '<u2')
     else:
-        found = np.frombuffer(data, np.uint8)
-    return [float(value) for value in found]
+        values = np.frombuffer(data, np.uint8)
+    return [float(value) for value in values]
 
 
 def _text(data: bytes) -> str:
@@ -155,13 +155,11 @@ def _read_labels(parameters: dict[str, _Parameter], parameter: str) -> list[str]
     """Read a list of names, which goes on in NAME2, NAME3 where it has more than 255."""
     names: list[str] = []
     for number in ('', *map(str, range(2, 300))):
-        found = parameters.get(f'{parameter}{number}')
-        if found is None or found.kind != -1 or not found.size:
+        labels = parameters.get(f'{parameter}{number}')
+        if labels is None or labels.kind != -1 or not labels.size:
             break
-        width = max(1, found.size[0])
-        names += [
-            _text(found.data[place : place + width]) for place in range(0, len(found.data), width)
-        ]
+        data, width = labels.data, max(1, labels.size[0])
+        names += [_text(data[start : start + width]) for start in range(0, len(data), width)]
     return names
 
 
@@ -174,8 +172,8 @@ def _frame_range(header: _Header, numbers: Callable[[str], list[float]]) -> tupl
         first = int(start[0] + 65536 * start[1])
         counts.append(end[0] + 65536 * end[1] - first + 1)
     # A count that does not fit in 16 bits is written as the largest that does.
-    known = [count for count in counts if count != 65535] or counts
-    return first, int(max(number for number in known if np.isfinite(number)))
+    counts = [count for count in counts if count != 65535] or counts
+    return first, int(max(count for count in counts if np.isfinite(count)))
 
 
 def _read_frames(
@@ -206,19 +204,19 @@ def _read_frames(
 
 def _frames_before_zeros(values: np.ndarray) -> tuple[int, bool]:
     """
-    Count the frames (T, n, 4) before the zeros that a file is filled up with at its end.
+    Return the number of frames (T, n, 4) before the zeros that pad the end of a file.
 
-    The zeros may begin amid the frame behind these, which the second result says. A marker that
-    rests at the origin is zeros in the frame before that, too.
+    The second result is whether the zeros begin amid the following frame. A marker that rests at
+    the origin is zeros in the frame before that, too.
     """
     frames, points = values.any(axis=(1, 2)), values.any(axis=2)
     if not frames.any():
         return len(values), False
-    whole = len(values) - int(frames[::-1].argmax())
-    behind = points.shape[1] - int(points[whole - 1, ::-1].argmax())
-    if whole > 1 and points[whole - 2, behind:].any():
-        return whole - 1, True
-    return whole, False
+    end = len(values) - int(frames[::-1].argmax())
+    first_zero = points.shape[1] - int(points[end - 1, ::-1].argmax())
+    if end > 1 and points[end - 2, first_zero:].any():
+        return end - 1, True
+    return end, False
 
 
-FORMAT = Format('c3d', 'C3D', '(binary)', _recognizes, _read)
+C3D = Format('c3d', 'C3D', '(binary)', _recognizes, _read)

@@ -3,7 +3,6 @@
 import errno
 import math
 import re
-from codecs import getincrementaldecoder
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,12 +15,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._sheet import ROW_CHARACTERS, Sheet, number_in
+from kinpole_ros.bags.formats._sheet import Sheet, number_in
 from kinpole_ros.files import open_regular, read_limited
 
-# Bytes of a file; hours of tracked points are less.
-MOST = 256 << 20
-# m in the units that programs write, by their names in small letters. C3D cuts some to four.
+MOST_BYTES = 256 << 20  # of a file; hours of tracked points are less
+# m in the units that programs write, by their names in small letters. C3D cuts names to four.
 UNITS = {
     **dict.fromkeys(('m', 'meter', 'meters', 'metre', 'metres', 'mete', 'metr'), 1.0),
     **dict.fromkeys(('dm', 'decimeters', 'decimetres'), 0.1),
@@ -32,14 +30,14 @@ UNITS = {
     **dict.fromkeys(('ft', 'foot', 'feet'), 0.3048),
 }
 _MARKUP = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:<|\{|\[\s*\{)')
-_HEAD = 4096  # bytes by which a file is recognized
-_MOST_XML = 48 << 20  # bytes
+_HEAD_BYTES = 4096  # by which a format is recognized
+_MOST_XML_BYTES = 48 << 20
 _MOST_ELEMENTS = 400_000  # of XML, at some 200 bytes each, and as much for each attribute
-_MOST_DECIMALS = 17  # no number in float64 needs more digits
+_MOST_DECIMALS = 17  # no float64 needs more digits
 
 
-class Wanted(NamedTuple):
-    """What the user said of the file; None where nothing."""
+class Options(NamedTuple):
+    """What the user gave for the file; None for what was not given."""
 
     rate: float | None = None  # Hz; times in the file do not count then
     likelihood: float | None = None  # the least at which a point counts as seen
@@ -52,7 +50,7 @@ class Points:
     names: Sequence[str]  # n
     points: np.ndarray  # (T, n, 3), in the unit of the file; NaN where a marker was not seen
     frames: np.ndarray  # (T,), int64: number of each frame
-    times: np.ndarray | None  # (T,), s; None where the file has none or a rate is given
+    times: np.ndarray | None  # (T,), s; None where the file has none
     unit: str  # as the file calls it; '' where it does not say
     y_down: bool = False
     lines: Sequence[int] = ()  # of each frame, in a text file
@@ -66,7 +64,7 @@ class Points:
 
     @property
     def scale(self) -> float | None:
-        """Metres a unit; None where only the user can say."""
+        """Meters a unit; None where only the user can say."""
         return UNITS.get(self.unit.lower())
 
 
@@ -77,12 +75,12 @@ class Format(NamedTuple):
     what: str
     example: str  # its first lines, shortened
     recognizes: Callable[['File'], bool]
-    read: Callable[['File', Wanted], Points]
+    read: Callable[['File', Options], Points]
     is_always_ended: bool = False  # its programs end the last line, too
 
 
 class File:
-    """A file or folder that is to be recognized. Raises BagError when it cannot be read."""
+    """A file or folder of unknown format. Raises BagError when it cannot be read."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -92,31 +90,30 @@ class File:
         if not self.is_folder:
             try:
                 with open_regular(path) as file:
-                    self.head = file.read(_HEAD)
+                    self.head = file.read(_HEAD_BYTES)
             except OSError as error:
                 raise _unreadable(path, error) from error
 
     @cached_property
     def data(self) -> bytes:
-        """Read all its bytes."""
+        """All its bytes."""
         try:
-            return read_limited(self.path, MOST)
+            return read_limited(self.path, MOST_BYTES)
         except OSError as error:
             raise _unreadable(self.path, error) from error
 
     @cached_property
     def sheet(self) -> Sheet:
-        """Its cells, where it is text; what is not UTF-8 is taken as of Windows."""
-        fault = _not_utf8_line(self.data)
-        if b'\0' in self.data:
-            # UTF-16, or no text at all.
-            raise not_utf8(self.path, fault or 1)
-        return Sheet(self.path, self.data, self.notes, fault)
+        """Its cells, where it is text; text that is not UTF-8 is taken for Windows-1252."""
+        line = _not_utf8_line(self.data)
+        if b'\0' in self.data:  # UTF-16, or no text at all
+            raise not_utf8(self.path, line or 1)
+        return Sheet(self.path, self.data, self.notes, line)
 
     @property
     def is_text(self) -> bool:
         """Whether it can be text."""
-        return not self.is_folder and b'\0' not in self.data[:_HEAD]
+        return not self.is_folder and b'\0' not in self.data[:_HEAD_BYTES]
 
     @property
     def is_sheet(self) -> bool:
@@ -129,7 +126,7 @@ class File:
             # Entities can multiply, and no program that tracks points writes them.
             if b'<!DOCTYPE' in self.data:
                 raise ValueError('it defines entities')
-            if len(self.data) > _MOST_XML or self.data.count(b'=') > 2 * _MOST_ELEMENTS:
+            if len(self.data) > _MOST_XML_BYTES or self.data.count(b'=') > 2 * _MOST_ELEMENTS:
                 raise ValueError('it is too large')
             elements = ElementTree.iterparse(BytesIO(self.data), ['start'])
             root: ElementTree.Element = next(elements)[1]
@@ -142,62 +139,63 @@ class File:
 
 def _unreadable(path: Path, error: OSError) -> BagError:
     if error.errno == errno.EFBIG:
-        return BagError(f'{path} is larger than {MOST >> 20} MiB; fix: cut it into parts')
+        return BagError(f'{path} is larger than {MOST_BYTES >> 20} MiB; fix: cut it into parts')
     return BagError(f'{path} cannot be read: {error.strerror}; fix: check the path and its rights')
 
 
 def not_utf8(path: Path, line: int) -> BagError:
+    """Return the error of a text that is not UTF-8."""
     return BagError(f'{path}, line {line}: not UTF-8; fix: save it as CSV UTF-8')
 
 
-def claimed(path: Path, claim: str, count: int, things: str = 'frames') -> list[str]:
-    """Note that the head of a file claims another number of frames than the file has."""
-    said = number_in(claim)
-    if not said or said == count:
+def count_notes(path: Path, claim: str, count: int, noun: str = 'frames') -> list[str]:
+    """Note that the head of a file has another count than the file."""
+    claimed = number_in(claim)
+    if not claimed or claimed == count:
         return []
-    return [f'{path} says that it has {said:.0f} {things}, and has {count}']
+    return [f'{path} says that it has {claimed:.0f} {noun}, and has {count}']
 
 
 def frame_times(
-    frames: np.ndarray, rate: float | None, times: np.ndarray | None = None, decimals: int = 9
+    frames: np.ndarray, rate: float, times: np.ndarray | None = None
 ) -> np.ndarray | None:
     """
-    Instants of frames, s: exact by the file's own rate, where that gives its times as it rounds
-    them to so many decimals; else the times; None where there is neither.
+    Return the times (T,), s, of frames by the rate (Hz) and the times that a file gives.
+
+    They are exact multiples of the interval where these agree with the times of the file, which are
+    rounded; else those of the file; None where there is neither.
     """
-    if rate is None or not (math.isfinite(rate) and rate > 0):
+    if times is not None and np.isnan(times).all():
+        times = None
+    if not (math.isfinite(rate) and rate > 0):
         return times
     even = frames / rate
-    if times is None or not len(times):
+    if times is None:
         return even
     start = times[0] - even[0]
-    # Both of the ends of a difference are rounded. A missing frame is off by a whole interval.
-    rounded = 10.0**-decimals
-    most = rounded * (1.01 if rounded * rate < 0.99 else 0.99)
+    # Both times of a difference are rounded. A missing frame is off by a whole interval.
+    step = 10.0 ** -_decimals(times)
+    most = step * (1.01 if step * rate < 0.99 else 0.99)
     if np.nanmax(np.abs(times - even - start), initial=0.0) > most:
         return times
     return even + start
 
 
-def decimals_of(numbers: np.ndarray) -> int:
-    """The fewest digits behind the point that all of these numbers can be written with."""
-    known = numbers[~np.isnan(numbers)]
+def _decimals(numbers: np.ndarray) -> int:
+    """Return the fewest decimals with which all of these numbers can be written."""
+    numbers = numbers[~np.isnan(numbers)]
     for digits in range(_MOST_DECIMALS):
-        if np.array_equal(np.round(known, digits), known):
+        if np.array_equal(np.round(numbers, digits), numbers):
             return digits
     return _MOST_DECIMALS
 
 
 def _not_utf8_line(data: bytes) -> int:
-    """Number of the first line that is not UTF-8; 0 where all are."""
-    if data.isascii():
-        return 0
-    decoder = getincrementaldecoder('utf-8')()
-    for first in range(0, len(data), ROW_CHARACTERS):
-        piece = data[first : first + ROW_CHARACTERS]
-        begun = first - len(decoder.getstate()[0])
-        try:
-            decoder.decode(piece, final=first + len(piece) == len(data))
-        except UnicodeDecodeError as error:
-            return data.count(b'\n', 0, begun + error.start) + 1
+    """Return the number of the first line that is not UTF-8; 0 where all are."""
+    if not data.isascii():
+        for number, line in enumerate(BytesIO(data), start=1):
+            try:
+                line.decode()
+            except UnicodeDecodeError:
+                return number
     return 0

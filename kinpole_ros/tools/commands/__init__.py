@@ -1,48 +1,12 @@
 """
-The commands, one a module: `add` says what words it takes, `run` does it and tells the outcome.
+The subcommands of `kinpole`.
 
-What a command needs is imported when it runs, so that --help comes at once.
+Each is a function; its docstring is its --help. It imports its tools when it runs, so that --help
+comes at once.
 """
 
-from types import ModuleType
-
-from kinpole_ros.tools.commands import (
-    batch,
-    bench,
-    demo,
-    discover,
-    fit,
-    import_,
-    layout,
-    play,
-    plot,
-    record,
-    replay,
-    report,
-    simulate,
-    solve,
-    tolerance,
-    view,
-)
+# The order of these imports is the order of the list in `kinpole --help`.
+from kinpole_ros.tools.commands import bags, mechanisms, results, live  # noqa: F401, I001
+from kinpole_ros.tools.commands._command import COMMANDS
 
 __all__ = ['COMMANDS']
-
-# In the order in which --help lists them.
-COMMANDS: dict[str, ModuleType] = {
-    'replay': replay,
-    'batch': batch,
-    'simulate': simulate,
-    'solve': solve,
-    'tolerance': tolerance,
-    'discover': discover,
-    'fit': fit,
-    'plot': plot,
-    'report': report,
-    'view': view,
-    'layout': layout,
-    'import': import_,
-    'play': play,
-    'record': record,
-    'demo': demo,
-    'bench': bench,
-}

@@ -1,17 +1,18 @@
-"""Pictures of result bags."""
+"""Pictures of bags of results, and of the linkages that discover finds."""
 
-from kinpole_ros.tools.plot._draw import plot
 from kinpole_ros.tools.plot._linkage import draw_linkage
-from kinpole_ros.tools.plot._messages import decode, row_of
-from kinpole_ros.tools.plot._read import (
+from kinpole_ros.tools.plot._picture import plot
+from kinpole_ros.tools.plot._results import (
     Body,
     Centrodes,
     Results,
     Series,
     bodies_of,
     centrodes,
+    decode,
     plane_of_motion,
     read_results,
+    row_of,
 )
 from kinpole_ros.tools.plot._style import picture_format
 

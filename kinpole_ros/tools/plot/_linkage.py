@@ -1,15 +1,13 @@
 """A picture of a linkage that was found: bodies over the tracks of markers, and joints."""
 
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kinpole_ros.bags import in_place_of
 from kinpole_ros.linkage import Linkage
 from kinpole_ros.linkage._draft import first_frame
-from kinpole_ros.tools.plot._style import picture_format
+from kinpole_ros.tools.plot._style import draw_ground, hull, saved_figure
 
 _SIZE, _DPI = (10.0, 6.2), 100  # inches
 _COLORS = ('#0060a8', '#b34700', '#00785a', '#7a3d9a', '#8a6d00', '#a3234f', '#3a6f8f', '#555555')
@@ -24,17 +22,10 @@ def draw_linkage(linkage: Linkage, output: str | Path, title: str) -> None:
 
     Raises BagError when `output` cannot be written or matplotlib is missing.
     """
-    kind = picture_format(output)
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=_SIZE, layout='constrained')
-    axis = figure.add_subplot()
-    _draw(axis, linkage)
-    axis.set_title(f'{title}: {_about(linkage)}', fontsize=10, parse_math=False)
-    with in_place_of(output) as part, warnings.catch_warnings():
-        # A letter that the font lacks is drawn as a box.
-        warnings.filterwarnings('ignore', 'Glyph .* missing from', UserWarning)
-        figure.savefig(part, format=kind, dpi=_DPI)
+    with saved_figure(output, _SIZE, _DPI) as figure:
+        axis = figure.add_subplot()
+        _draw(axis, linkage)
+        axis.set_title(f'{title}: {_about(linkage)}', fontsize=10, parse_math=False)
 
 
 def _about(linkage: Linkage) -> str:
@@ -89,26 +80,6 @@ def _most_seen(linkage: Linkage) -> int:
     return int(np.sum([pose.seen for pose in linkage.poses], axis=0).argmax())
 
 
-def hull(points: np.ndarray) -> np.ndarray:
-    """Corners of the convex hull of complex points, counterclockwise (Andrew 1979)."""
-    ordered = sorted({(float(z.real), float(z.imag)) for z in points if np.isfinite(z.real)})
-    if len(ordered) < 3:
-        return np.array([complex(*p) for p in ordered])
-
-    def half(path: list[tuple[float, float]]) -> list[tuple[float, float]]:
-        kept: list[tuple[float, float]] = []
-        for p in path:
-            while len(kept) > 1:
-                (ax, ay), (bx, by) = kept[-2], kept[-1]
-                if (bx - ax) * (p[1] - ay) - (by - ay) * (p[0] - ax) > 0:
-                    break
-                kept.pop()
-            kept.append(p)
-        return kept[:-1]
-
-    return np.array([complex(*p) for p in half(ordered) + half(ordered[::-1])])
-
-
 def _draw_lengths(axis: Any, linkage: Linkage, at: dict[str, complex]) -> None:
     for length in linkage.lengths():
         if length.one not in at or length.other not in at:
@@ -154,7 +125,7 @@ def _draw_joints(axis: Any, linkage: Linkage, at: dict[str, complex], extent: fl
         if z is None or place.name.endswith('_line'):
             continue
         if _GROUND in place.on:
-            hatch(axis, z, size)
+            draw_ground(axis, z, size)
         axis.plot(
             [z.real],
             [z.imag],
@@ -175,12 +146,3 @@ def _draw_joints(axis: Any, linkage: Linkage, at: dict[str, complex], extent: fl
             bbox=_HALO,
             zorder=8,
         )
-
-
-def hatch(axis: Any, z: complex, size: float) -> None:
-    """The sign of a point on the ground: a triangle on hatching."""
-    foot = np.array([z, z + size * (-0.8 - 1.3j), z + size * (0.8 - 1.3j), z])
-    axis.plot(foot.real, foot.imag, color='black', linewidth=1.2, zorder=5, gid='linkage')
-    for k in range(-3, 4):
-        ends = z + size * np.array([0.4 * k - 1.3j, 0.4 * k - 0.35 - 1.75j])
-        axis.plot(ends.real, ends.imag, color='black', linewidth=0.9, zorder=5, gid='linkage')

@@ -5,147 +5,151 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.tools.plot._linkage import hatch, hull
-from kinpole_ros.tools.plot._pins import pins
-from kinpole_ros.tools.plot._read import Body, Centrodes, Results, Series, centrodes
+from kinpole_ros.tools.plot._results import Body, Centrodes, Results, Series, centrodes
 from kinpole_ros.tools.plot._style import (
     BLACK,
     FIXED,
     GREEN,
-    HALO,
+    LABEL_BOX,
     LINK,
     MOVING,
-    OTHER,
+    OTHER_LINK,
     PATH,
     POLES,
     RELATIVE,
     breaks_of,
+    draw_ground,
+    hull,
     line,
     reversals,
 )
 
-# An ICR known no better than this part of the picture is left out of the centrodes.
+# An ICR with a standard deviation above this fraction of the view is left out of the centrodes.
 _BLURRED = 0.05
-# Width over height of the frame, about as the figure has room.
-_WIDER = 1.12
-# What belongs to it, apart from poles and centrodes.
+# Width over height of the axes.
+_ASPECT = 1.12
+# The gid of lines that belong to the linkage, not to poles and centrodes.
 _LINKAGE = 'linkage'
-
-
-class Shown(NamedTuple):
-    """A body, the part of its centrodes that is known well, and the view of them."""
-
-    body: Body
-    locus: Centrodes
-    view: 'View'
+# Bodies have a pin where their relative center moves less than this fraction of the smaller one's
+# size, in as many instants at least.
+_PIN_DEVIATION, _PIN_INSTANTS = 0.05, 10
 
 
 class View(NamedTuple):
-    """What is worth seeing of the plane: a box, and how far from its body a pole is in it (m)."""
+    """A box of the plane; poles farther than `radius` (m) from their body do not enlarge it."""
 
     low: complex
     high: complex
-    reach: float
+    radius: float
 
-    def holds(self, points: np.ndarray) -> np.ndarray:
-        across = (points.real >= self.low.real) & (points.real <= self.high.real)
-        return across & (points.imag >= self.low.imag) & (points.imag <= self.high.imag)
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Return which complex points are in the box."""
+        in_x = (points.real >= self.low.real) & (points.real <= self.high.real)
+        return in_x & (points.imag >= self.low.imag) & (points.imag <= self.high.imag)
 
     def with_points(self, points: np.ndarray) -> 'View':
+        """Return the view with a box that contains the points too."""
         points = np.append(points, [self.low, self.high])
-        return View(
-            complex(points.real.min(), points.imag.min()),
-            complex(points.real.max(), points.imag.max()),
-            self.reach,
-        )
+        low, high = (complex(f(points.real), f(points.imag)) for f in (np.min, np.max))
+        return View(low, high, self.radius)
+
+    @property
+    def size(self) -> float:
+        """The longer side of the box."""
+        return max((self.high - self.low).real, (self.high - self.low).imag)
 
 
-def shown(body: Body) -> Shown:
-    """What is to be drawn of a body."""
-    locus = centrodes(body)
-    reach = reach_of(body, locus)
-    locus = sharp(locus, reach)
-    return Shown(body, locus, view_of(body, locus, reach))
+class Scope(NamedTuple):
+    """What is drawn of a body: its centrodes without blurred parts, and the view of them."""
+
+    body: Body
+    centrodes: Centrodes
+    view: View
+
+
+def scope_of(body: Body) -> Scope:
+    """Return what is to be drawn of a body."""
+    loci = centrodes(body)
+    radius = view_radius(body, loci)
+    loci = without_blurred(loci, radius)
+    return Scope(body, loci, view_of(body, loci, radius))
 
 
 def _size(body: Body) -> float:
     return body.size if np.isfinite(body.size) else 0.0
 
 
-def reach_of(body: Body, locus: Centrodes) -> float:
-    """How far from the body's origin a pole is worth seeing, m; many go out to infinity."""
+def view_radius(body: Body, loci: Centrodes) -> float:
+    """Return how far from the body's origin poles are shown, m; many go to infinity."""
     extent = float(np.hypot(np.ptp(body.position.real), np.ptp(body.position.imag)))
-    usual = float(np.median(np.abs(locus.moving))) if len(locus.moving) else 0.0
+    usual = float(np.median(np.abs(loci.moving))) if len(loci.moving) else 0.0
     farthest = max(8 * _size(body), 2 * extent) or np.inf
     return min(max(1.5 * usual, _size(body)), farthest)
 
 
-def sharp(locus: Centrodes, reach: float) -> Centrodes:
-    """The loci without the instants at which noise alone would draw a star across the picture."""
+def without_blurred(loci: Centrodes, radius: float) -> Centrodes:
+    """Return the centrodes without instants at which noise would draw a star over the picture."""
     with np.errstate(invalid='ignore'):
-        kept = ~(locus.sigma > _BLURRED * reach)
-    return Centrodes(*(part[kept] for part in locus))
+        sharp = ~(loci.sigma > _BLURRED * radius)
+    return Centrodes(*(values[sharp] for values in loci))
 
 
-def view_of(body: Body, locus: Centrodes, reach: float) -> View:
-    """The path and the ICRs within reach of it."""
+def view_of(body: Body, loci: Centrodes, radius: float) -> View:
+    """Return the view of the path of a body and of the ICRs within a radius of it."""
     start = complex(body.position[0])
-    view = View(start, start, reach).with_points(body.position)
-    view = view.with_points(locus.fixed[np.abs(locus.moving) <= reach])
+    view = View(start, start, radius).with_points(body.position)
+    view = view.with_points(loci.fixed[np.abs(loci.moving) <= radius])
     middle = (view.low + view.high) / 2
-    least = 0.6 * max(_size(body), 1e-6) * (1 + 1j)
-    return view.with_points(np.array([middle - least, middle + least]))
+    margin = 0.6 * max(_size(body), 1e-6) * (1 + 1j)
+    return view.with_points(np.array([middle - margin, middle + margin]))
 
 
-def instant_of(all_shown: Sequence[Shown], middle: int) -> int:
-    """The stamp nearest to the middle of those with the most poles in view, and known well."""
-    marks = []
-    for body, _, view in all_shown:
+def instant_of(scopes: Sequence[Scope], middle: int) -> int:
+    """Return the stamp with the most sharp poles in view; of several, the one nearest `middle`."""
+    stamps = []
+    for body, _, view in scopes:
         for series in (body.series[pole] for pole in POLES if pole in body.series):
-            kept = view.holds(series.value) & ~_blurred(series, view.reach)
-            marks.append(series.stamp[kept])
-    stamps = np.concatenate(marks) if marks else np.empty(0, np.int64)
-    if not len(stamps):
-        stamps = np.concatenate([one.body.stamp for one in all_shown])
-    stamps, counts = np.unique(stamps, return_counts=True)
-    best = stamps[counts == counts.max()]
+            in_view = view.contains(series.value) & ~_is_blurred(series, view.radius)
+            stamps.append(series.stamp[in_view])
+    if not any(map(len, stamps)):
+        stamps = [scope.body.stamp for scope in scopes]
+    values, counts = np.unique(np.concatenate(stamps), return_counts=True)
+    best = values[counts == counts.max()]
     return int(best[np.abs(best - middle).argmin()])
 
 
-def _blurred(series: Series, reach: float) -> np.ndarray:
-    """Where a center is known no better than a part of the picture."""
+def _is_blurred(series: Series, radius: float) -> np.ndarray:
+    """Return where a center has a standard deviation too large for a picture."""
     with np.errstate(invalid='ignore'):
-        spread = np.sqrt(np.trace(series.covariance, axis1=1, axis2=2))
-        return np.asarray(spread > _BLURRED * reach)
+        sigma = np.sqrt(np.trace(series.covariance, axis1=1, axis2=2))
+        return np.asarray(sigma > _BLURRED * radius)
 
 
-def draw_plane(axis: Any, one: Shown, instant: int, results: Results) -> None:
-    """The linkage with this body in color, its centrodes, poles and relative centers."""
-    body, locus, view = one
+def draw_plane(axis: Any, scope: Scope, instant: int, results: Results) -> None:
+    """Draw the linkage with this body in color, its centrodes, poles and relative centers."""
+    body, loci, view = scope
     view = _draw_linkage(axis, body, view, instant, results)
-    breaks = np.union1d(breaks_of(body, locus.stamp), reversals(locus.rate))
+    breaks = np.union1d(breaks_of(body, loci.stamp), reversals(loci.rate))
     line(axis, body.position, breaks_of(body, body.stamp), PATH)
-    line(axis, locus.fixed, breaks, FIXED)
-    here = np.flatnonzero(body.stamp == instant)
-    if len(here):
-        position, angle = body.position[here[0]], body.angle[here[0]]
-        rolled = position + locus.moving * np.exp(1j * angle)
-        line(axis, rolled, breaks, MOVING)
-        view = view.with_points(rolled[np.abs(locus.moving) <= view.reach])
+    line(axis, loci.fixed, breaks, FIXED)
+    at = np.flatnonzero(body.stamp == instant)
+    if len(at):
+        position, angle = body.position[at[0]], body.angle[at[0]]
+        moving = position + loci.moving * np.exp(1j * angle)
+        line(axis, moving, breaks, MOVING)
+        view = view.with_points(moving[np.abs(loci.moving) <= view.radius])
         axis.plot(position.real, position.imag, '+', color=BLACK, markersize=9)
-        others = {other.name: other for other in results.bodies}
+        bodies = {one.name: one for one in results.bodies}
         for (j, i), series in results.relative.items():
             if j == body.name:
                 centers = series.value[series.stamp == instant]
-                view = view.with_points(centers[np.abs(centers - position) <= view.reach])
-                _draw_relative(axis, body, others[i], series, view.reach, instant)
+                view = view.with_points(centers[np.abs(centers - position) <= view.radius])
+                _draw_relative_center(axis, body, bodies[i], series, view.radius, instant)
     for pole in reversed(POLES):
         _draw_pole(axis, body, pole, instant)
-    _draw_velocity(axis, body, view, instant)
-    middle, size = (view.low + view.high) / 2, view.high - view.low
-    half = 0.55 * max(size.real, size.imag)
-    wide = _WIDER * half
-    axis.set_xlim(middle.real - wide, middle.real + wide)
+    _draw_icr_velocity(axis, body, view, instant)
+    middle, half = (view.low + view.high) / 2, 0.55 * view.size
+    axis.set_xlim(middle.real - _ASPECT * half, middle.real + _ASPECT * half)
     axis.set_ylim(middle.imag - half, middle.imag + half)
     axis.set_aspect('equal')
     axis.locator_params(nbins=6)
@@ -155,47 +159,83 @@ def draw_plane(axis: Any, one: Shown, instant: int, results: Results) -> None:
 
 
 def _draw_linkage(axis: Any, body: Body, view: View, instant: int, results: Results) -> View:
-    """Outlines of all bodies through their markers and pins, and the pins; the view of it."""
-    grounded, between = pins(results, instant)
-    for other in results.bodies:
-        here = np.flatnonzero(other.stamp == instant)
-        if not len(here):
+    """Draw outlines of all bodies through their markers and pins; return the view of them."""
+    on_ground = _ground_pins(results, instant)
+    between = _body_pins(results, instant)
+    for one in results.bodies:
+        at = np.flatnonzero(one.stamp == instant)
+        if not len(at):
             continue
-        outline = other.position[here[0]] + other.outline * np.exp(1j * other.angle[here[0]])
-        own = [place for pair, place in between.items() if other.name in pair]
-        own += [grounded[other.name]] if other.name in grounded else []
-        corners = hull(np.append(outline, own))
+        outline = one.position[at[0]] + one.outline * np.exp(1j * one.angle[at[0]])
+        pins = [z for pair, z in between.items() if one.name in pair]
+        pins += [on_ground[one.name]] if one.name in on_ground else []
+        corners = hull(np.append(outline, pins))
         if len(outline) and len(corners) > 1:
-            style = LINK if other is body else OTHER
-            axis.fill(corners.real, corners.imag, zorder=0.9 if other is body else 0.8, **style)
-            color = style['edgecolor']
-            axis.plot(outline.real, outline.imag, '.', color=color, markersize=4, gid=_LINKAGE)
+            style, zorder = (LINK, 0.9) if one is body else (OTHER_LINK, 0.8)
+            axis.fill(corners.real, corners.imag, zorder=zorder, **style)
+            dots = {'color': style['edgecolor'], 'markersize': 4, 'gid': _LINKAGE}
+            axis.plot(outline.real, outline.imag, '.', **dots)
             view = view.with_points(corners)
-    size = 0.02 * max((view.high - view.low).real, (view.high - view.low).imag)
-    for place in grounded.values():
-        hatch(axis, place, size)
-    for place in (*grounded.values(), *between.values()):
-        white = {'color': BLACK, 'markerfacecolor': 'white', 'gid': _LINKAGE}
-        axis.plot(place.real, place.imag, 'o', markersize=5, **white)
+    for z in on_ground.values():
+        draw_ground(axis, z, 0.02 * view.size)
+    circle = {'color': BLACK, 'markerfacecolor': 'white', 'markersize': 5, 'gid': _LINKAGE}
+    for z in (*on_ground.values(), *between.values()):
+        axis.plot(z.real, z.imag, 'o', **circle)
     return view
 
 
-def _draw_relative(
-    axis: Any, body: Body, other: Body, every: Series, reach: float, instant: int
+def _ground_pins(results: Results, instant: int) -> dict[str, complex]:
+    """Return the pins on the ground, by body: ICRs that the tracker keeps at rest."""
+    pins = {}
+    for body in results.bodies:
+        icr, velocity = body.series.get('icr'), body.series.get('icr_velocity')
+        if icr is None or velocity is None:
+            continue
+        at_rest = np.isin(icr.stamp, velocity.stamp[velocity.value == 0])
+        for k in np.flatnonzero((icr.stamp == instant) & at_rest):
+            pins[body.name] = complex(icr.value[k])
+    return pins
+
+
+def _body_pins(results: Results, instant: int) -> dict[tuple[str, str], complex]:
+    """Return the pins between bodies, by pair: relative centers at rest in both bodies."""
+    bodies = {body.name: body for body in results.bodies}
+    pins = {}
+    for (j, i), series in results.relative.items():
+        points = [_point_at_rest(bodies[name], series.stamp, series.value) for name in (j, i)]
+        at = np.flatnonzero(bodies[i].stamp == instant)
+        if all(point is not None for point in points) and len(at):
+            turn = np.exp(1j * bodies[i].angle[at[0]])
+            pins[j, i] = complex(bodies[i].position[at[0]] + points[1] * turn)
+    return pins
+
+
+def _point_at_rest(body: Body, stamp: np.ndarray, value: np.ndarray) -> complex | None:
+    """Return the median of points in the body's frame; None if they move in it."""
+    _, pose, point = np.intersect1d(body.stamp, stamp, return_indices=True)
+    if len(pose) < _PIN_INSTANTS:
+        return None
+    points = (value[point] - body.position[pose]) * np.exp(-1j * body.angle[pose])
+    middle = complex(np.median(points.real), np.median(points.imag))
+    return middle if np.median(np.abs(points - middle)) < _PIN_DEVIATION * body.size else None
+
+
+def _draw_relative_center(
+    axis: Any, body: Body, reference: Body, series: Series, radius: float, instant: int
 ) -> None:
-    kept = ~_blurred(every, reach)
-    series = Series(*(part[kept] for part in every))
-    stamp, own, its = np.intersect1d(body.stamp, other.stamp, return_indices=True)
-    rate = np.interp(series.stamp, stamp, body.rate[own] - other.rate[its]) if len(stamp) else None
-    breaks = breaks_of(body, series.stamp)
-    if rate is not None:
+    sharp = ~_is_blurred(series, radius)
+    locus = Series(*(values[sharp] for values in series))
+    stamp, own, other = np.intersect1d(body.stamp, reference.stamp, return_indices=True)
+    breaks = breaks_of(body, locus.stamp)
+    if len(stamp):
+        rate = np.interp(locus.stamp, stamp, body.rate[own] - reference.rate[other])
         breaks = np.union1d(breaks, reversals(rate))
-    line(axis, series.value, breaks, RELATIVE)
-    for value in every.value[every.stamp == instant]:
-        axis.plot(value.real, value.imag, 'D', color=GREEN, markersize=6, fillstyle='none')
+    line(axis, locus.value, breaks, RELATIVE)
+    for z in series.value[series.stamp == instant]:
+        axis.plot(z.real, z.imag, 'D', color=GREEN, markersize=6, fillstyle='none')
         axis.annotate(
-            f'to {other.name}',
-            (value.real, value.imag),
+            f'to {reference.name}',
+            (z.real, z.imag),
             (6, -11),
             textcoords='offset points',
             color=GREEN,
@@ -206,56 +246,46 @@ def _draw_relative(
 
 
 def _draw_pole(axis: Any, body: Body, pole: str, instant: int) -> None:
+    """Draw a pole with its ellipse of two standard deviations."""
     from matplotlib.patches import Ellipse
 
     if pole not in body.series:
         return
-    series = body.series[pole]
+    series, (marker, size) = body.series[pole], POLES[pole]
     for k in np.flatnonzero(series.stamp == instant):
-        value, covariance = series.value[k], series.covariance[k]
-        marker, size = POLES[pole]
+        x, y, covariance = series.value[k].real, series.value[k].imag, series.covariance[k]
         fill = BLACK if pole == 'icr' else 'none'
-        axis.plot(
-            value.real, value.imag, marker, color=BLACK, markerfacecolor=fill, markersize=size
-        )
+        axis.plot(x, y, marker, color=BLACK, markerfacecolor=fill, markersize=size)
         if np.isfinite(covariance).all():
             variances, directions = np.linalg.eigh(covariance)
             width, height = 4 * np.sqrt(np.maximum(variances, 0))
             tilt = np.degrees(np.arctan2(directions[1, 0], directions[0, 0]))
-            axis.add_patch(
-                Ellipse(
-                    (value.real, value.imag),
-                    width,
-                    height,
-                    angle=tilt,
-                    facecolor=(0, 0, 0, 0.12),
-                    edgecolor=BLACK,
-                    linewidth=0.7,
-                )
-            )
+            style = {'facecolor': (0, 0, 0, 0.12), 'edgecolor': BLACK, 'linewidth': 0.7}
+            axis.add_patch(Ellipse((x, y), width, height, angle=tilt, **style))
 
 
-def _draw_velocity(axis: Any, body: Body, view: View, instant: int) -> None:
-    """An arrow along u, not to scale, with the speed in words; none for an ICR at rest."""
-    icr, u = body.series.get('icr'), body.series.get('icr_velocity')
-    if icr is None or u is None:
+def _draw_icr_velocity(axis: Any, body: Body, view: View, instant: int) -> None:
+    """Draw an arrow of constant length along the ICR velocity, with the speed as text."""
+    icr, velocity = body.series.get('icr'), body.series.get('icr_velocity')
+    if icr is None or velocity is None:
         return
-    tail, velocity = icr.value[icr.stamp == instant], u.value[u.stamp == instant]
-    if not (len(tail) and len(velocity) and velocity[0]):
+    tails, vectors = icr.value[icr.stamp == instant], velocity.value[velocity.stamp == instant]
+    if not (len(tails) and len(vectors) and vectors[0]):
         return
     curvature = body.series.get('centrode_curvature')
     if curvature is not None and instant not in curvature.stamp:
         text = 'ICR not seen to move'
     else:
-        text = f'$|u|$ = {np.abs(velocity[0]):.3g} m/s'
-        length = 0.2 * max((view.high - view.low).real, (view.high - view.low).imag)
-        head = tail[0] + length * velocity[0] / np.abs(velocity[0])
+        speed = np.abs(vectors[0])
+        text = f'$|u|$ = {speed:.3g} m/s'
+        head = tails[0] + 0.2 * view.size * vectors[0] / speed
         axis.annotate(
             '',
             (head.real, head.imag),
-            (tail[0].real, tail[0].imag),
+            (tails[0].real, tails[0].imag),
             arrowprops={'arrowstyle': '-|>', 'color': BLACK, 'linewidth': 1.5},
             annotation_clip=False,
             clip_on=True,
         )
-    axis.text(0.02, 0.98, text, transform=axis.transAxes, va='top', fontsize='small', bbox=HALO)
+    corner: dict[str, Any] = {'transform': axis.transAxes, 'va': 'top', 'fontsize': 'small'}
+    axis.text(0.02, 0.98, text, bbox=LABEL_BOX, **corner)

@@ -1,35 +1,36 @@
-"""What the parts of a picture of results share: colors, signs of poles, lines that stop at gaps."""
+"""Colors, line styles and shapes that the pictures share."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kinpole_ros.bags import BagError
+from kinpole_ros.bags import BagError, in_place_of
 from kinpole_ros.packages import install_command
-from kinpole_ros.tools.plot._read import Body
+from kinpole_ros.tools.plot._results import Body
 
-# Longer than this many periods without a sample is a gap, not a lost frame.
+# An interval of this many periods without a sample is a gap, not a lost frame.
 _GAP = 2.5
 BLACK, BLUE, GREEN, GRAY = '#000000', '#0060a8', '#00785a', '#777777'
-# Each fits around the one before: where poles meet, all are still seen.
+# Markers and sizes; each surrounds the one before, so that poles at one point are all visible.
 POLES = {'icr': ('o', 6.0), 'iap': ('^', 9.0), 'ijp': ('s', 11.0)}
-# Widths and shades differ too: dashes of the second turn fill the gaps of the first.
+# The centrodes differ in width and shade too, since the second turn fills the gaps between dashes.
 PATH: dict[str, Any] = {'color': '#a0a0a0', 'linestyle': ':', 'linewidth': 1.2}
 FIXED: dict[str, Any] = {'color': '#7db4e6', 'linestyle': '-', 'linewidth': 3.5}
 MOVING: dict[str, Any] = {'color': '#a83200', 'linestyle': '--', 'linewidth': 1.3}
 RELATIVE: dict[str, Any] = {'color': GREEN, 'linestyle': '-.', 'linewidth': 0.7}
 BAND: dict[str, Any] = {'color': BLUE, 'alpha': 0.3, 'linewidth': 0.8}
-TRUTH: dict[str, Any] = {'color': BLACK, 'linewidth': 0.7}
-ERROR: dict[str, Any] = {'color': BLACK, 'linewidth': 0.7}
+THIN: dict[str, Any] = {'color': BLACK, 'linewidth': 0.7}
 ESTIMATE: dict[str, Any] = {'color': '#4c9be0', 'linewidth': 2.6}
 LINK: dict[str, Any] = {'facecolor': '#f2d9a0', 'edgecolor': '#8a6d00', 'linewidth': 1.2}
-OTHER: dict[str, Any] = {'facecolor': '#eeeeee', 'edgecolor': '#b0b0b0', 'linewidth': 0.8}
-HALO: dict[str, Any] = {'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.75, 'pad': 1.0}
+OTHER_LINK: dict[str, Any] = {'facecolor': '#eeeeee', 'edgecolor': '#b0b0b0', 'linewidth': 0.8}
+LABEL_BOX: dict[str, Any] = {'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.75, 'pad': 1.0}
 
 
 def picture_format(output: str | Path) -> str:
-    """Return the format that a file's ending names; BagError for none, or without matplotlib."""
+    """Return the format that a file's ending names; raise BagError for none, or no matplotlib."""
     try:
         from matplotlib.backend_bases import FigureCanvasBase
     except ImportError as error:
@@ -43,26 +44,72 @@ def picture_format(output: str | Path) -> str:
     return kind
 
 
+@contextmanager
+def saved_figure(output: str | Path, size: tuple[float, float], dpi: int) -> Iterator[Any]:
+    """Yield a figure of a size in inches, and save it; raise BagError if that is impossible."""
+    kind = picture_format(output)
+    import warnings
+
+    from matplotlib.figure import Figure
+
+    # Without pyplot, whose state belongs to the caller.
+    figure = Figure(figsize=size, layout='constrained')
+    yield figure
+    with in_place_of(output) as part, warnings.catch_warnings():
+        # A letter that the font lacks is drawn as a box.
+        warnings.filterwarnings('ignore', 'Glyph .* missing from', UserWarning)
+        figure.savefig(part, format=kind, dpi=dpi)
+
+
 def breaks_of(body: Body, stamp: np.ndarray) -> np.ndarray:
-    """Indices after which a line through `stamp` has to stop: nothing is known in between."""
+    """Return the indices after which a line through `stamp` is interrupted by a gap."""
     period = np.median(np.diff(body.stamp)) if len(body.stamp) > 1 else np.inf
     return np.flatnonzero(np.diff(stamp) > _GAP * period)
 
 
 def reversals(rate: np.ndarray) -> np.ndarray:
-    """Indices after which the rate changes sign: there the ICR passes through infinity."""
+    """Return the indices after which a rate changes sign: there the ICR goes through infinity."""
     return np.flatnonzero(np.diff(np.sign(rate)) != 0)
 
 
 def broken(values: np.ndarray, breaks: np.ndarray) -> tuple[np.ndarray, list[int]]:
-    """The values with NaN at each break, and where in them values stand alone."""
+    """Return the values with NaN at each break, and the indices of isolated values."""
     values = np.insert(values, np.unique(breaks) + 1, np.nan)
     gap = np.concatenate([[True], np.isnan(values), [True]])
-    alone = ~gap[1:-1] & gap[:-2] & gap[2:]
-    return values, np.flatnonzero(alone).tolist()
+    isolated = ~gap[1:-1] & gap[:-2] & gap[2:]
+    return values, np.flatnonzero(isolated).tolist()
 
 
 def line(axis: Any, points: np.ndarray, breaks: np.ndarray, style: dict[str, Any]) -> None:
-    """A line through complex points that stops at breaks."""
-    points, alone = broken(points, breaks)
-    axis.plot(points.real, points.imag, marker='.', markersize=3, markevery=alone, **style)
+    """Draw a line through complex points that stops at breaks."""
+    points, isolated = broken(points, breaks)
+    axis.plot(points.real, points.imag, marker='.', markersize=3, markevery=isolated, **style)
+
+
+def hull(points: np.ndarray) -> np.ndarray:
+    """Return the corners of the convex hull of complex points, counterclockwise (Andrew 1979)."""
+    ordered = sorted({(float(z.real), float(z.imag)) for z in points if np.isfinite(z.real)})
+    if len(ordered) < 3:
+        return np.array([complex(*p) for p in ordered])
+
+    def half(path: list[tuple[float, float]]) -> list[tuple[float, float]]:
+        corners: list[tuple[float, float]] = []
+        for x, y in path:
+            while len(corners) > 1:
+                (ax, ay), (bx, by) = corners[-2:]
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0:
+                    break
+                corners.pop()
+            corners.append((x, y))
+        return corners[:-1]
+
+    return np.array([complex(*p) for p in half(ordered) + half(ordered[::-1])])
+
+
+def draw_ground(axis: Any, z: complex, size: float) -> None:
+    """Draw the symbol of a pin on the ground: a triangle on hatching."""
+    foot = np.array([z, z + size * (-0.8 - 1.3j), z + size * (0.8 - 1.3j), z])
+    axis.plot(foot.real, foot.imag, color='black', linewidth=1.2, zorder=5, gid='linkage')
+    for k in range(-3, 4):
+        ends = z + size * np.array([0.4 * k - 1.3j, 0.4 * k - 0.35 - 1.75j])
+        axis.plot(ends.real, ends.imag, color='black', linewidth=0.9, zorder=5, gid='linkage')

@@ -1,15 +1,8 @@
-"""
-A report of a recording to look through: one HTML file that needs no network and no program.
+"""A report of a recording: one HTML file that needs no network and no other program."""
 
-The page is in page/, as it is read; the figures are put into it here.
-"""
-
-import html
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,10 +12,11 @@ from kinpole_ros.files import printable
 from kinpole_ros.linkage.theory import DeviationSummary
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import theory_of
-from kinpole_ros.tools.report._pack import embedded, pack
+from kinpole_ros.tools.report._page import page
+from kinpole_ros.tools.report._page_data import pack
 from kinpole_ros.tools.report._prepare import Points, prepared
 from kinpole_ros.tools.report._record import Collector, Record, joints_of
-from kinpole_ros.tools.report._results import has_results, read_record, words_of
+from kinpole_ros.tools.report._result_bag import has_results, parse_status, read_record
 from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.plane import XY, plane_of
 
@@ -32,43 +26,22 @@ __all__ = [
     'joints_of',
     'pack',
     'page',
+    'parse_status',
     'prepared',
     'report',
     'settings_for',
-    'words_of',
 ]
 
-_PAGE = Path(__file__).parent / 'page'
-# In this order: each uses those before it.
-_SCRIPTS = (
-    'data',
-    'geometry',
-    'marks',
-    'motion',
-    'moving',
-    'stage',
-    'charts',
-    'table',
-    'strips',
-    'polygons',
-    'input',
-    'live',
-    'solver',
-    'edit',
-    'page',
-)
-# Nothing may be loaded from anywhere; a live page has its stream.
-_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
-# More instants than these are no clearer on a screen; with more bodies than three they are fewer,
-# so that the page stays below some 4 MB.
+# More instants are no clearer on a screen. With more than three bodies there are fewer, which keeps
+# the page below about 4 MB.
 _MOST_INSTANTS, _MOST_POSES = 10_000, 30_000
 
 
 def settings_for(settings: Settings, scene: str | None) -> Settings:
     """
-    These settings with a scene to be compared with, if any.
+    Return the settings with a scene to compare with, if any.
 
-    Its bodies are tracked where the settings name none. Raises SceneError.
+    If the settings name no bodies, those of the scene are tracked. Raises SceneError.
     """
     if not scene:
         return settings
@@ -84,16 +57,38 @@ def report(
     settings: Settings,
     topic: str | None = None,
     progress: Callable[[float], None] | None = None,
-    tell: Callable[[str], None] | None = None,
+    on_assumption: Callable[[str], None] | None = None,
     source: str | Path | None = None,
 ) -> Record:
     """
-    Write the report of a bag to `output`, an .html file; returns what is in it.
+    Write the report of a bag.
 
-    A bag of results is shown as it is, unless a `topic` of markers is named; markers are replayed
-    with `settings` first, and `tell` is called with what the replay assumed. `source` is the file
-    that the bag was made of, if any: the page names it. Raises BagError when
-    there is nothing to show, or `output` cannot be written.
+    Parameters
+    ----------
+    bag : str or path
+        A bag of results, or of markers, which is replayed first.
+    output : str or path
+        The .html file.
+    settings : Settings
+        The parameters of the replay.
+    topic : str, optional
+        The topic of markers; with it, results in the bag are ignored.
+    progress : callable, optional
+        Called with the fraction done.
+    on_assumption : callable, optional
+        Called with what the replay assumed.
+    source : str or path, optional
+        The file that the bag was made of, which the page names.
+
+    Returns
+    -------
+    Record
+        What the page shows.
+
+    Raises
+    ------
+    BagError
+        If there is nothing to show, or `output` cannot be written.
     """
     theory: list[DeviationSummary] = []
     if topic is None and has_results(bag):
@@ -104,7 +99,22 @@ def report(
             )
         record, notes = read_record(bag, _most_instants, progress)
     else:
-        record, notes, theory = _replayed(bag, settings, topic, progress, tell, source or bag)
+        collector = Collector(_most_instants(len(settings.bodies)), theory_of(settings))
+        result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)
+        notes = warnings_of(result, settings)
+        if assumption := assumed_body(len(result.identities), settings, source or bag):
+            notes.insert(0, assumption)
+            if on_assumption is not None:
+                on_assumption(assumption)
+        if result.truncated is not None:
+            notes.append(str(result.truncated))
+        if not collector.total:
+            raise BagError(f'{source or bag}: {notes[-1] if notes else "no results"}')
+        plane = result.space.plane or plane_of(settings.plane) or XY
+        along = plane.name[:1], plane.name[1:2]
+        if plane.axes is None:
+            along = _axis_name(plane.basis[0], 'e1'), _axis_name(plane.basis[1], 'e2')
+        record, theory = collector.record(along), result.scene_deviations
     data = {
         **pack(record),
         'title': printable(Path(source or bag).resolve().name),
@@ -117,62 +127,17 @@ def report(
         ],
         'made': f'kinpole {__version__}',
     }
-    _write(output, page(data))
+    with in_place_of(output) as part:
+        part.write_text(page(data), encoding='utf-8')
     return record
 
 
-def _replayed(
-    bag: str | Path,
-    settings: Settings,
-    topic: str | None,
-    progress: Callable[[float], None] | None,
-    tell: Callable[[str], None] | None,
-    source: str | Path,
-) -> tuple[Record, list[str], list[DeviationSummary]]:
-    collector = Collector(_most_instants(len(settings.bodies)), theory_of(settings))
-    result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)
-    notes = warnings_of(result, settings)
-    if assumption := assumed_body(len(result.identities), settings, source):
-        notes.insert(0, assumption)
-        if tell is not None:
-            tell(assumption)
-    if result.truncated is not None:
-        notes.append(str(result.truncated))
-    if not collector.total:
-        raise BagError(f'{source}: {notes[-1] if notes else "no results"}')
-    plane = result.space.plane or plane_of(settings.plane) or XY
-    along = (plane.name[0], plane.name[1])
-    if plane.axes is None:
-        along = (_axis_name(plane.basis[0], 'e1'), _axis_name(plane.basis[1], 'e2'))
-    return collector.record(along), notes, result.scene_deviations
-
-
-def _axis_name(axis: np.ndarray, otherwise: str) -> str:
-    """The axis of the frame that a unit vector (3,) is within 15 deg of, if there is one."""
+def _axis_name(axis: np.ndarray, default: str) -> str:
+    """Return the coordinate axis within 15 deg of a unit vector (3,), if there is one."""
     nearest = int(np.abs(axis).argmax())
     if abs(axis[nearest]) < np.cos(np.radians(15)):
-        return otherwise
+        return default
     return f'≈ {"−" if axis[nearest] < 0 else ""}{"xyz"[nearest]}'
-
-
-def page(data: dict[str, Any]) -> str:
-    """
-    The whole page of what `pack` makes, and of what `report` adds to it.
-
-    If `data` has `live` instead, the page of a stream of events beside it.
-    """
-    live = 'live' in data
-    wanted = {'live': live, 'solver': 'edit' in data, 'edit': 'edit' in data}
-    scripts = [name for name in _SCRIPTS if wanted.get(name, True)]
-    parts = {
-        'POLICY': f"{_POLICY}; connect-src 'self'" if live else _POLICY,
-        'TITLE': html.escape(printable(data['title'])),
-        'STYLE': (_PAGE / 'style.css').read_text(encoding='utf-8'),
-        'SCRIPT': '\n'.join((_PAGE / f'{name}.js').read_text(encoding='utf-8') for name in scripts),
-        'DATA': embedded(data),
-    }
-    text = (_PAGE / 'page.html').read_text(encoding='utf-8')
-    return re.sub('@([A-Z]+)@', lambda place: parts[place[1]], text)
 
 
 def _most_instants(bodies: int) -> int:
@@ -185,9 +150,3 @@ def _about(record: Record) -> str:
     thinned = '' if count == record.total else f' of {record.total}'
     rate = f' at {(record.total - 1) / seconds:.4g} Hz' if seconds > 0 else ''
     return f'{count}{thinned} instants in {seconds:.4g} s{rate}'
-
-
-def _write(output: str | Path, text: str) -> None:
-    """In place of what is there only when it is whole."""
-    with in_place_of(output) as part:
-        part.write_text(text, encoding='utf-8')

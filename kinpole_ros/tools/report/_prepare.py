@@ -1,4 +1,4 @@
-"""From any file that can be read to a bag and its parameters, with what was assumed on the way."""
+"""A bag and its parameters from any file of points, with the assumptions that were made."""
 
 import shlex
 import tempfile
@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kinpole_ros.bags import BagError, Imported, import_points, topics
-from kinpole_ros.tools.report._results import has_results
+from kinpole_ros.tools.report._result_bag import has_results
 from kinpole_ros.tracking.parameters import Settings, load_settings
 
-# These are bags, whatever is wrong with them.
-_BAGS = ('.mcap', '.db3', '.bag')
-_NAMED = 4  # bodies that are named in a line
+# Files with these endings are bags, even if they cannot be read.
+_BAG_ENDINGS = ('.mcap', '.db3', '.bag')
+_MOST_NAMES = 4  # bodies that are named in a line
 
 
 class Points(NamedTuple):
-    """What a file of points may not say: frames per second, m per unit, whether y points down."""
+    """What a file of points may lack: frames per second, m per unit, and whether y points down."""
 
     rate: float | None
     scale: float | None
@@ -25,7 +25,7 @@ class Points(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """A bag, the settings to replay it with, and lines on what was assumed, with how to change."""
+    """A bag, the settings to replay it with, and the assumptions, with the options to change."""
 
     bag: str
     settings: Settings
@@ -42,24 +42,24 @@ def prepared(
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[Prepared]:
     """
-    Import `file` where it is no bag, and find its bodies where `settings` name none.
+    Import `file` if it is no bag, and find its bodies if `settings` name none.
 
-    `changes` are parameters given besides. What is made on the way is removed at the end. Raises
-    BagError for a file that cannot be read; bodies that are not found are said in a line.
+    `changes` are parameters that override those found. Temporary files are removed at the end.
+    Raises BagError for a file that cannot be read; if no bodies are found, an assumption says so.
     """
     assumed: list[str] = []
     with tempfile.TemporaryDirectory(prefix='kinpole_') as folder:
         bag = file
         if not _is_bag(file):
             bag = str(Path(folder) / f'{Path(file).stem}.mcap')
-            done = import_points(file, bag, points.rate, points.scale, points.y_down)
-            assumed.append(_about_import(done))
-        is_open = settings.bodies == Settings().bodies
-        if is_open and (topic is not None or not has_results(bag)):
-            found, lines = _discovered(file, bag, topic, Path(folder) / 'rig.yaml', progress)
+            imported = import_points(file, bag, points.rate, points.scale, points.y_down)
+            assumed.append(_import_text(imported))
+        has_bodies = settings.bodies != Settings().bodies
+        if not has_bodies and (topic is not None or not has_results(bag)):
+            rig, lines = _discover(file, bag, topic, Path(folder) / 'rig.yaml', progress)
             assumed += lines
-            if found is not None:
-                settings = load_settings(found, changes=changes)
+            if rig is not None:
+                settings = load_settings(rig, changes=changes)
                 assumed.append(
                     f'window {settings.window:g} s, lag {settings.lag:g} s, noise estimated from '
                     'the markers; to change: --set window:=0.2 --set lag:=0.1'
@@ -68,7 +68,7 @@ def prepared(
 
 
 def _is_bag(file: str) -> bool:
-    if not Path(file).is_file() or Path(file).suffix.lower() in _BAGS:
+    if not Path(file).is_file() or Path(file).suffix.lower() in _BAG_ENDINGS:
         return True
     try:
         topics(file)
@@ -77,37 +77,37 @@ def _is_bag(file: str) -> bool:
     return True
 
 
-def _about_import(done: Imported) -> str:
-    notes = ''.join(f'; {note}' for note in done.notes)
+def _import_text(imported: Imported) -> str:
+    notes = ''.join(f'; {note}' for note in imported.notes)
     return (
-        f'file: {done.frames} frames of {len(done.markers)} markers ({done.format}, 1 unit = '
-        f'{done.scale:g} m){notes}; to change: --scale, --rate, --y-down'
+        f'file: {imported.frames} frames of {len(imported.markers)} markers ({imported.format}, '
+        f'1 unit = {imported.scale:g} m){notes}; to change: --scale, --rate, --y-down'
     )
 
 
-def _discovered(
+def _discover(
     file: str,
     bag: str,
     topic: str | None,
     rig: Path,
     progress: Callable[[float], None] | None,
 ) -> tuple[Path | None, list[str]]:
-    """The parameter file that discover writes, None where it finds nothing, and lines on it."""
+    """Write the parameter file of discover; return it, None if it finds nothing, and lines."""
     from kinpole_ros.tools.discover import discover_rig
 
     try:
         lines = discover_rig(bag, topic, output=rig, progress=progress)
     except BagError as error:
         return None, [f'bodies: not found: {str(error).removeprefix(f"{bag}: ")}']
-    said = dict(line.split(':', 1) for line in lines[:4])
+    values = {name: text.strip() for name, text in (line.split(':', 1) for line in lines[:4])}
     bodies = load_settings(rig).bodies
     names = [f'{name} of {len(markers)} markers' for name, markers in bodies.items()]
-    more = f' and {len(names) - _NAMED} more' if len(names) > _NAMED else ''
+    rest = f' and {len(names) - _MOST_NAMES} more' if len(names) > _MOST_NAMES else ''
     command = f'kinpole discover {shlex.quote(file if file == bag else "BAG")} --output rig.yaml'
     first = '' if file == bag else 'kinpole import FILE --output BAG, then '
     return rig, [
-        f'plane: {said["plane"].strip()}; to change: --set plane:=xy',
-        f'unit: {said["unit"].strip()}; names: {said["names"].strip()}; to change: --set scale:=1',
-        f'bodies: {", ".join(names[:_NAMED])}{more}, found from the motion; to change: {first}'
+        f'plane: {values["plane"]}; to change: --set plane:=xy',
+        f'unit: {values["unit"]}; names: {values["names"]}; to change: --set scale:=1',
+        f'bodies: {", ".join(names[:_MOST_NAMES])}{rest}, found from the motion; to change: {first}'
         f'{command}, edit it, and give --config rig.yaml',
     ]

@@ -1,8 +1,8 @@
 """
-What a report shows: figures of all bodies at the same instants, as plain arrays.
+The results that a report shows: quantities of all bodies at the same instants, as arrays.
 
-They come from the estimates of a replay or from the messages of a result bag. The page knows
-neither of the two.
+They come from the estimates of a replay, from the messages of a bag of results, or from a solved
+scene; the page does not know which.
 """
 
 from collections.abc import Iterator
@@ -11,17 +11,24 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from kinpole_ros.linkage.theory import Theory
-from kinpole_ros.tools.report._theory import theory_rates
-from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate, measured_pairs
+from kinpole_ros.mechanism import LinkageError
+from kinpole_ros.planar import fit_pose
+from kinpole_ros.tracking.estimate import (
+    POLE_NAMES,
+    RATE_NAMES,
+    Estimate,
+    Vectors,
+    measured_pairs,
+)
 
-# By subject, a body or (j, i), and by figure: arrays (T, ...), NaN where undetermined.
+# By subject, a body or a pair (j, i), and by quantity: arrays (T, ...), NaN where undetermined.
 Columns: TypeAlias = dict[tuple[str | tuple[str, str], str], np.ndarray]
-# Drawn as a pin: a relative center that strays by less than this part of both bodies' sizes.
-_PIN = 0.05
+# A relative center that moves less than this fraction of the size of both bodies is a pin.
+_PIN_DEVIATION = 0.05
 
 
 class Joint(NamedTuple):
-    """A pin of two bodies, `at` complex, m, in their frames; of one body, with the ground."""
+    """A pin of two bodies, `at` complex, m, in their frames; of one body, on the ground."""
 
     bodies: tuple[str, ...]
     at: tuple[complex, ...]
@@ -29,14 +36,14 @@ class Joint(NamedTuple):
 
 class Record(NamedTuple):
     """
-    T instants, `stamp` (T,) ns, of a recording that had `total`.
+    T instants, `stamp` (T,) ns, of a recording of `total` instants.
 
-    `columns` has of a body: `position` and `velocity` of its origin, complex, m; `angle`, rad;
-    `missing`, why nothing is known ('' where something is); its rates, poles, `icr_velocity` and
-    `centrode_curvature`, each with `_sigma`, or `_covariance` (T, 2, 2), and where known with
-    `_withheld`, the reason why it is undetermined; rates with `_theory` where a scene says what
-    they should be; of (j, i) `icr` with `icr_covariance`.
-    `sizes` are diameters, m, and `outlines` markers (n,) in the frame of a body from an instant on.
+    `columns` has, of a body: `position` and `velocity` of its origin, complex, m; `angle`, rad;
+    `missing`, the reason why it has no results ('' where it has); its rates, poles, `icr_velocity`
+    and `centrode_curvature`, each with `_sigma` or `_covariance` (T, 2, 2), and with `_withheld`,
+    the reason why it is undetermined, where that is known; rates with `_theory` from a scene; of a
+    pair (j, i) `icr` with `icr_covariance`.
+    `sizes` are diameters, m, and `outlines` markers (n,) in the frame of a body from an index on.
     """
 
     stamp: np.ndarray
@@ -49,40 +56,36 @@ class Record(NamedTuple):
 
 
 class Collector:
-    """
-    Takes estimates as they come, and keeps `most` instants at most, evenly.
-
-    With a `theory` also what that says of the rates.
-    """
+    """Collects estimates in a record of at most `most` instants, evenly spaced."""
 
     def __init__(self, most: int, theory: Theory | None = None) -> None:
         self._theory = theory
         self.total = 0
-        self._most, self._step, self._kept = most, 1, 0
+        self._most, self._step, self._count = most, 1, 0
         self._blocks: list[Columns] = []
         self._bodies: tuple[str, ...] = ()
 
     def add(self, estimate: Estimate) -> None:
-        """Take T more instants."""
+        """Append the instants of an estimate."""
         self._bodies = estimate.bodies
-        kept = slice(-self.total % self._step, None, self._step)
+        sampled = slice(-self.total % self._step, None, self._step)
         self.total += len(estimate)
-        columns = _columns(estimate)
+        columns = _estimate_columns(estimate)
         if self._theory is not None:
             for body, rates in theory_rates(self._theory, estimate).items():
                 for name, values in zip(RATE_NAMES[: len(rates)], rates, strict=True):
                     columns[body, f'{name}_theory'] = values
-        block = {key: values[kept] for key, values in columns.items()}
+        block = {key: values[sampled] for key, values in columns.items()}
         self._blocks.append(block)
-        self._kept += len(block['', 'stamp'])
-        while self._kept > self._most:
-            self._blocks = [{key: v[::2] for key, v in _concatenated(self._blocks).items()}]
-            self._kept = len(self._blocks[0]['', 'stamp'])
+        self._count += len(block['', 'stamp'])
+        while self._count > self._most:
+            self._blocks = [{key: v[::2] for key, v in _concatenate(self._blocks).items()}]
+            self._count = len(self._blocks[0]['', 'stamp'])
             self._step *= 2
 
     def record(self, along: tuple[str, str]) -> Record:
-        """What was kept; there must be an instant."""
-        columns = _concatenated(self._blocks)
+        """Return the record; there must be an instant."""
+        columns = _concatenate(self._blocks)
         stamp, run = columns.pop(('', 'stamp')), columns.pop(('', 'run'))
         sizes, outlines = {}, {}
         for body in self._bodies:
@@ -92,13 +95,13 @@ class Collector:
         return Record(stamp, self.total, self._bodies, columns, sizes, outlines, along)
 
 
-def _concatenated(blocks: list[Columns]) -> Columns:
+def _concatenate(blocks: list[Columns]) -> Columns:
     return {key: np.concatenate([block[key] for block in blocks]) for key in blocks[0]}
 
 
-def _columns(estimate: Estimate) -> Columns:
-    """All that a record holds, and `shape`, `size`, `run`, `stamp`, which it holds otherwise."""
-    found: Columns = {
+def _estimate_columns(estimate: Estimate) -> Columns:
+    """Return the columns of a record, and `shape`, `size`, `run` and `stamp`."""
+    columns: Columns = {
         ('', 'stamp'): estimate.stamp,
         ('', 'run'): np.full(len(estimate), estimate.run),
     }
@@ -111,76 +114,115 @@ def _columns(estimate: Estimate) -> Columns:
         vectors['icr_velocity'] = estimate.icr_velocity
     with np.errstate(invalid='ignore'):
         for b, body in enumerate(estimate.bodies):
-            found[body, 'missing'] = estimate.missing[:, b].astype(object)
-            found[body, 'position'] = estimate.origin(0)[:, b]
-            found[body, 'position_sigma'] = np.sqrt(estimate.position_covariance[0, 0, :, b])
-            found[body, 'velocity'] = estimate.origin(1)[:, b]
-            found[body, 'angle'] = estimate.angle[0, :, b]
-            found[body, 'angle_sigma'] = np.sqrt(estimate.angle_covariance[0, 0, :, b])
-            found[body, 'shape'] = estimate.shape[:, b]
-            found[body, 'size'] = estimate.size[:, b]
+            columns[body, 'missing'] = estimate.missing[:, b].astype(object)
+            columns[body, 'position'] = estimate.origin(0)[:, b]
+            columns[body, 'position_sigma'] = np.sqrt(estimate.position_covariance[0, 0, :, b])
+            columns[body, 'velocity'] = estimate.origin(1)[:, b]
+            columns[body, 'angle'] = estimate.angle[0, :, b]
+            columns[body, 'angle_sigma'] = np.sqrt(estimate.angle_covariance[0, 0, :, b])
+            columns[body, 'shape'] = estimate.shape[:, b]
+            columns[body, 'size'] = estimate.size[:, b]
             for name, number in numbers.items():
-                known = number.determined[:, b]
-                found[body, name] = np.where(known, number.value[:, b], np.nan)
+                determined = number.determined[:, b]
+                columns[body, name] = np.where(determined, number.value[:, b], np.nan)
                 sigma = np.sqrt(number.variance[:, b])
-                found[body, f'{name}_sigma'] = np.where(known, sigma, np.nan)
+                columns[body, f'{name}_sigma'] = np.where(determined, sigma, np.nan)
             for name, vector in vectors.items():
-                known = vector.determined[:, b]
-                found[body, name] = np.where(known, vector.value[:, b], np.nan)
-                covariance = np.where(known[:, None, None], vector.covariance[:, b], np.nan)
-                found[body, f'{name}_covariance'] = covariance
-            for name, why in reasons.items():
-                own = np.where(estimate.missing[:, b] == '', why[:, b], '')
-                found[body, f'{name}_withheld'] = own.astype(object)
-        center = estimate.relative_icr
+                _add_point(columns, body, name, vector, b)
+            for name, reason in reasons.items():
+                withheld = np.where(estimate.missing[:, b] == '', reason[:, b], '')
+                columns[body, f'{name}_withheld'] = withheld.astype(object)
+        centers = estimate.relative_icr
         for k, (i, j) in enumerate(measured_pairs(len(estimate.bodies))):
-            known = center.determined[:, k]
-            pair = estimate.bodies[j], estimate.bodies[i]
-            found[pair, 'icr'] = np.where(known, center.value[:, k], np.nan)
-            covariance = np.where(known[:, None, None], center.covariance[:, k], np.nan)
-            found[pair, 'icr_covariance'] = covariance
-    return found
+            _add_point(columns, (estimate.bodies[j], estimate.bodies[i]), 'icr', centers, k)
+    return columns
+
+
+def _add_point(
+    columns: Columns, subject: str | tuple[str, str], name: str, vector: Vectors, k: int
+) -> None:
+    """Add column `k` of points or vectors (T, ...) with their covariances."""
+    determined = vector.determined[:, k]
+    columns[subject, name] = np.where(determined, vector.value[:, k], np.nan)
+    covariance = np.where(determined[:, None, None], vector.covariance[:, k], np.nan)
+    columns[subject, f'{name}_covariance'] = covariance
 
 
 def _outlines(run: np.ndarray, shape: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-    """The markers (n,) as last learned, from the first instant of each run on."""
+    """Yield the start of each run, and the markers (n,) as estimated last in it."""
     starts = np.flatnonzero(np.diff(run, prepend=run[:1] - 1))
     for start, end in zip(starts.tolist(), [*starts[1:].tolist(), len(run)], strict=True):
-        known = np.isfinite(shape[start:end]).any(axis=1).nonzero()[0]
-        if len(known):
-            last = shape[start + known[-1]]
+        estimated = np.isfinite(shape[start:end]).any(axis=1).nonzero()[0]
+        if len(estimated):
+            last = shape[start + estimated[-1]]
             yield start, last[np.isfinite(last)]
 
 
+def theory_rates(theory: Theory, estimate: Estimate) -> dict[str, np.ndarray]:
+    """
+    Return the rates of a scene's bodies that follow from the measured angle of its driver.
+
+    Angular velocity (rad/s) and its derivatives, by body (order, T), without those of the driver
+    itself. They are NaN where the scene has no such position; there are none if the driver is not
+    the angle of a tracked body.
+    """
+    if not theory.driver:
+        return {}
+    own, _, markers, points = theory.places[theory.driver]
+    shape = estimate.shape[:, own, markers]
+    turn = fit_pose(shape, points, np.isfinite(shape).astype(float)).angle
+    mechanism = theory.scene.mechanism
+    start = float(mechanism.drivers[0].motion(np.zeros(1))[0, 0])
+    inputs = np.zeros((5, len(estimate)))
+    inputs[: estimate.order + 1] = estimate.angle[:, :, own]
+    inputs[0] = start + (inputs[0] + turn - start + np.pi) % (2 * np.pi) - np.pi
+    measured = np.isfinite(inputs).all(axis=0)
+    numbers = {body: row[1] for body, row in theory.places.items() if body != theory.driver}
+    rates = {body: np.full((estimate.order, len(estimate)), np.nan) for body in numbers}
+    if not measured.any():
+        return rates
+    try:
+        motion = mechanism.at_inputs(inputs[:, None, measured], None)
+    except LinkageError:
+        return rates
+    correct = np.arange(1, estimate.order + 1)[:, None] < motion.sound
+    for body, number in numbers.items():
+        values = motion.angle[1 : estimate.order + 1, number]
+        rates[body][:, measured] = np.where(correct & motion.regular, values, np.nan)
+    return rates
+
+
 def joints_of(record: Record) -> list[Joint]:
-    """Pins: poles that rest on the ground, and relative centers that rest in both bodies."""
-    found = []
+    """Return pins: poles at rest on the ground, and relative centers at rest in both bodies."""
+    joints = []
     for body in record.bodies:
-        icr, u = (record.columns.get((body, name)) for name in ('icr', 'icr_velocity'))
-        if icr is None or u is None:
+        icr, velocity = (record.columns.get((body, name)) for name in ('icr', 'icr_velocity'))
+        if icr is None or velocity is None:
             continue
-        rests = (u == 0) & np.isfinite(icr)
-        if 2 * np.count_nonzero(rests) > np.count_nonzero(np.isfinite(icr)):
-            pin = complex(np.median(icr[rests].real), np.median(icr[rests].imag))
-            found.append(Joint((body,), (pin,)))
+        at_rest = (velocity == 0) & np.isfinite(icr)
+        if 2 * np.count_nonzero(at_rest) > np.count_nonzero(np.isfinite(icr)):
+            pin = complex(np.median(icr[at_rest].real), np.median(icr[at_rest].imag))
+            joints.append(Joint((body,), (pin,)))
     for m, k in measured_pairs(len(record.bodies)):
-        i, j = record.bodies[m], record.bodies[k]
-        center = record.columns.get(((j, i), 'icr'))
-        covariance = record.columns.get(((j, i), 'icr_covariance'))
-        if center is None or covariance is None or not np.isfinite(center).any():
-            continue
-        spread = np.trace(covariance, axis1=1, axis2=2)
-        # Without covariances all count alike.
-        spread = np.where(np.isfinite(center) & np.isnan(spread), 0.0, spread)
-        best = spread <= np.nanmedian(spread)
-        places = []
-        for body in (j, i):
-            position, angle = record.columns[body, 'position'], record.columns[body, 'angle']
-            seen = ((center - position) * np.exp(-1j * angle))[best]
-            seen = seen[np.isfinite(seen)]
-            if not len(seen) or np.sqrt(np.var(seen)) > _PIN * record.sizes[body]:
-                break
-            places.append(complex(seen.mean()))
-        else:
-            found.append(Joint((j, i), tuple(places)))
-    return found
+        pair = record.bodies[k], record.bodies[m]
+        points = [_point_at_rest(record, pair, body) for body in pair]
+        if all(point is not None for point in points):
+            joints.append(Joint(pair, tuple(point for point in points if point is not None)))
+    return joints
+
+
+def _point_at_rest(record: Record, pair: tuple[str, str], body: str) -> complex | None:
+    """Return the mean relative center in the frame of a body; None if it moves there."""
+    center = record.columns.get((pair, 'icr'))
+    covariance = record.columns.get((pair, 'icr_covariance'))
+    if center is None or covariance is None or not np.isfinite(center).any():
+        return None
+    variance = np.trace(covariance, axis1=1, axis2=2)
+    # Without covariances all centers have the same weight.
+    variance = np.where(np.isfinite(center) & np.isnan(variance), 0.0, variance)
+    position, angle = record.columns[body, 'position'], record.columns[body, 'angle']
+    points = (center - position) * np.exp(-1j * angle)
+    points = points[np.isfinite(points) & (variance <= np.nanmedian(variance))]
+    if not len(points) or np.sqrt(np.var(points)) > _PIN_DEVIATION * record.sizes[body]:
+        return None
+    return complex(points.mean())

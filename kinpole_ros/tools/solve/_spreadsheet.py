@@ -1,4 +1,4 @@
-"""The analysis of a scene as a CSV table: a row for each position."""
+"""The analysis of a scene as a CSV table with one row per position."""
 
 import csv
 from collections.abc import Mapping
@@ -15,18 +15,20 @@ from kinpole_ros.mechanism import (
     transmission_angles,
     why_no_reactions,
 )
-from kinpole_ros.tools.solve._solved import (
-    Solved,
-    acting,
+from kinpole_ros.tools.solve._solution import (
+    Solution,
+    acting_loads,
     advantages,
     centers_of,
-    lengths,
     point_motions,
+    variable_lengths,
 )
+
+_ORDERS = ('', '_velocity', '_acceleration', '_jerk', '_snap')
 
 
 class _Columns(dict[str, np.ndarray]):
-    """Columns by name, of which no other takes the place: body a_b, and the point b of body a."""
+    """Columns by name; body a_b and the point b of body a must not have the same one."""
 
     def __setitem__(self, name: str, values: np.ndarray) -> None:
         if name in self and not np.allclose(self[name], values, rtol=1e-9, equal_nan=True):
@@ -35,72 +37,73 @@ class _Columns(dict[str, np.ndarray]):
             )
         super().__setitem__(name, values)
 
+    def set_point(self, name: str, points: np.ndarray, suffix: str = '') -> None:
+        """Set the columns of both coordinates of complex points."""
+        self[f'{name}_x{suffix}'], self[f'{name}_y{suffix}'] = points.real, points.imag
 
-def write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> None:
-    """
-    One row per position, SI units; empty cells for what is not determined.
 
-    Raises SceneError where names would give two columns one name.
+def write_table(path: Path, solution: Solution, centers: bool, statics: bool) -> None:
     """
+    Write one row per position, in SI units; cells that are not determined are empty.
+
+    Raises SceneError if names would give two columns one name.
+    """
+    scene, motion, mechanism = solution.scene, solution.motion, solution.scene.mechanism
     columns = _Columns()
-    if solved.times is not None:
-        columns['t'] = solved.times
-    orders = ('', '_velocity', '_acceleration', '_jerk', '_snap')
-    for k, driver in enumerate(solved.scene.mechanism.drivers):
-        columns[driver.name] = solved.inputs[k]
-    for b, body in enumerate(solved.scene.mechanism.bodies):
-        for k, name in enumerate(orders):
-            columns[f'{body}_x{name}'] = solved.motion.position[k, b].real
-            columns[f'{body}_y{name}'] = solved.motion.position[k, b].imag
-            columns[f'{body}_angle{name}'] = solved.motion.angle[k, b]
-    for name, n in lengths(solved.scene).items():
-        for k, what in enumerate(orders):
-            columns[f'{name}{what}'] = solved.motion.values[k, n]
-    for point, places in point_motions(solved).items():
-        name = point.replace('.', '_')
-        for k, what in enumerate(orders[:4]):
-            columns[f'{name}_x{what}'] = places[k].real
-            columns[f'{name}_y{what}'] = places[k].imag
-    found_poles = poles(solved.scene.mechanism, solved.motion)
-    for b, body in enumerate(solved.scene.mechanism.bodies):
-        for what in ('icr', 'iap', 'ijp', 'isp'):
-            points = getattr(found_poles, what)[b]
-            columns[f'{body}_{what}_x'], columns[f'{body}_{what}_y'] = points.real, points.imag
-        columns[f'{body}_icr_velocity_x'] = found_poles.velocity[b].real
-        columns[f'{body}_icr_velocity_y'] = found_poles.velocity[b].imag
-        columns[f'{body}_centrode_curvature'] = found_poles.curvature[b]
-    for (name, _), values in advantages(solved).items():
-        columns[f'advantage_{name.replace("the force at ", "force_").replace(".", "_")}'] = values
-    for names, angles in transmission_angles(solved.scene.mechanism, solved.values).items():
+    if solution.times is not None:
+        columns['t'] = solution.times
+    for k, driver in enumerate(mechanism.drivers):
+        columns[driver.name] = solution.inputs[k]
+    for b, body in enumerate(mechanism.bodies):
+        for k, order in enumerate(_ORDERS):
+            columns.set_point(body, motion.position[k, b], order)
+            columns[f'{body}_angle{order}'] = motion.angle[k, b]
+    for name, n in variable_lengths(scene).items():
+        for k, order in enumerate(_ORDERS):
+            columns[f'{name}{order}'] = motion.values[k, n]
+    for name, points in point_motions(solution).items():
+        for z, order in zip(points, _ORDERS, strict=False):
+            columns.set_point(name.replace('.', '_'), z, order)
+    found = poles(mechanism, motion)
+    for b, body in enumerate(mechanism.bodies):
+        for name in ('icr', 'iap', 'ijp', 'isp'):
+            columns.set_point(f'{body}_{name}', getattr(found, name)[b])
+        columns.set_point(f'{body}_icr_velocity', found.velocity[b])
+        columns[f'{body}_centrode_curvature'] = found.curvature[b]
+    for (name, _), gains in advantages(solution).items():
+        columns[f'advantage_{name.replace("the force at ", "force_").replace(".", "_")}'] = gains
+    for names, angles in transmission_angles(mechanism, solution.values).items():
         columns[f'transmission_angle_{"_".join(names)}'] = angles
     if centers:
-        found = centers_of(solved)
-        for c, (i, j) in enumerate(found.pairs):
-            name = f'center_{found.bodies[i]}_{found.bodies[j]}'
-            columns[f'{name}_x'] = found.points[c].real
-            columns[f'{name}_y'] = found.points[c].imag
+        known = centers_of(solution)
+        for (i, j), points in zip(known.pairs, known.points, strict=True):
+            columns.set_point(f'center_{known.bodies[i]}_{known.bodies[j]}', points)
     if statics:
-        loads = acting(solved).all
-        if solved.scene.held_by:
-            size, load = holding(solved.scene.mechanism, solved.values, loads, solved.scene.held_by)
-            columns['held_by'] = size
-            loads = [*loads, load]
-        borne = efforts(solved.scene.mechanism, solved.values, loads)
-        for k, driver in enumerate(solved.scene.mechanism.drivers):
-            columns[f'{driver.name}_effort'] = borne.effort[k]
-        if not why_no_reactions(solved.scene.mechanism):
-            forces = reactions(solved.scene.mechanism, solved.values, loads)
-            for j, joint in enumerate(forces.joints):
-                columns[f'{joint}_force_x'] = forces.force[j].real
-                columns[f'{joint}_force_y'] = forces.force[j].imag
-                columns[f'{joint}_moment'] = forces.moment[j]
+        _add_statics(columns, solution)
     write_columns(path, columns)
 
 
+def _add_statics(columns: _Columns, solution: Solution) -> None:
+    scene, mechanism = solution.scene, solution.scene.mechanism
+    loads = acting_loads(solution).all
+    if scene.held_by:
+        columns['held_by'], load = holding(mechanism, solution.values, loads, scene.held_by)
+        loads = [*loads, load]
+    for driver, effort in zip(
+        mechanism.drivers, efforts(mechanism, solution.values, loads).effort, strict=True
+    ):
+        columns[f'{driver.name}_effort'] = effort
+    if not why_no_reactions(mechanism):
+        found = reactions(mechanism, solution.values, loads)
+        for joint, force, moment in zip(found.joints, found.force, found.moment, strict=True):
+            columns.set_point(f'{joint}_force', force)
+            columns[f'{joint}_moment'] = moment
+
+
 def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Columns (T,) by name; empty cells for what is not finite."""
+    """Write columns (T,) by name; cells that are not finite are empty."""
     with path.open('w', newline='', encoding='utf-8') as file:
-        rows = csv.writer(file)
-        rows.writerow(columns)
+        writer = csv.writer(file)
+        writer.writerow(columns)
         for row in zip(*columns.values(), strict=True):
-            rows.writerow([repr(float(cell)) if np.isfinite(cell) else '' for cell in row])
+            writer.writerow([repr(float(cell)) if np.isfinite(cell) else '' for cell in row])

@@ -18,89 +18,110 @@ from kinpole_ros.mechanism import (
     scene_text,
     tolerances_of,
 )
-from kinpole_ros.tools.solve._lines import head_lines, table_lines
-from kinpole_ros.tools.solve._solved import Solved, driver_unit, everywhere, shown, writing
+from kinpole_ros.tools.solve._solution import (
+    Solution,
+    driver_text,
+    driver_unit,
+    open_output,
+    over_full_motion,
+)
 from kinpole_ros.tools.solve._spreadsheet import write_columns
+from kinpole_ros.tools.solve._text import Row, head_lines, table_lines
 
-# Positions over the range.
 _POSITIONS = 121
-# Where nothing is said: of lengths, m, and of angles, rad.
-_USUAL = {'length': 1e-4, 'angle': np.radians(0.1)}
-# A line of `kinpole fit`.
-_FITTED = re.compile(r'^(\S+(?: [xy])?) +\S+ (m|deg), deviation ([\d.e+-]+);', re.M)
-# The widest band that is drawn is less than this share of the largest path.
-_BAND = 0.3
-# Errors that are named as the largest of a quantity.
-_NAMED = 3
-_UNITS = {'angle': ('deg', 180 / np.pi), 'angular velocity': ('rad/s', 1.0)}
+# Standard deviations of lengths, m, and angles, rad, if none are given.
+_DEFAULT = {'length': 1e-4, 'angle': np.radians(0.1)}
+# A line that `kinpole fit` prints.
+_FIT_LINE = re.compile(r'^(\S+(?: [xy])?) +\S+ (m|deg), deviation ([\d.e+-]+);', re.M)
+# The widest band in the picture is below this fraction of the largest path.
+_BAND_WIDTH = 0.3
+# Errors that are listed as the largest contributions to a quantity.
+_CONTRIBUTIONS = 3
+# Quantities with a standard deviation below this, in their unit, are constant.
+_CONSTANT = 1e-9
 
 
 def tolerances(
     scene: str,
-    said: Sequence[str] = (),
+    texts: Sequence[str] = (),
     samples: int = 1000,
     table: str | None = None,
     picture: str | None = None,
     page: str | None = None,
 ) -> list[str]:
     """
-    The errors of a scene's points, angles and centers as lines to print.
+    Compute the errors of a scene's points, angles and centers.
 
-    `said` are NAME=DEVIATION, play:PIN=RADIUS and files with what `kinpole fit` printed; also
-    writes a CSV `table`, a `picture` and an HTML `page`. Raises SceneError and LinkageError.
+    Parameters
+    ----------
+    scene : str
+        The file, or the name of a scene that comes with kinpole.
+    texts : sequence of str
+        NAME=DEVIATION, play:PIN=RADIUS, and files with the output of `kinpole fit`.
+    samples : int
+        Number of linkages with random errors; 0 for the first order alone.
+    table, picture, page : str, optional
+        CSV table, picture and HTML page to write.
+
+    Returns
+    -------
+    list of str
+        Lines to print.
+
+    Raises
+    ------
+    SceneError, LinkageError
+        If the scene or the tolerances cannot be used, or a file cannot be written.
     """
     loaded = load_scene(scene)
-    errors, notes = _errors(loaded, said)
+    errors, notes = _errors(loaded, texts)
     if not errors:
         raise SceneError('no dimension has an error: give --tolerances length=0.1mm')
-    solved = everywhere(loaded, _POSITIONS)
-    found = propagate_tolerances(
-        scene_text(scene), loaded, errors, solved.values, solved.rates, samples
+    solution = over_full_motion(loaded, _POSITIONS)
+    spread = propagate_tolerances(
+        scene_text(scene), loaded, errors, solution.values, solution.rates, samples
     )
     lines = [*head_lines(loaded), *notes, '', *_error_lines(errors)]
-    lines += ['', *_spread_lines(solved, found, errors)]
+    lines += ['', *_spread_lines(solution, spread, errors)]
     if table:
-        with writing(table) as part:
-            _write_table(part, solved, found)
+        with open_output(table) as part:
+            _write_table(part, solution, spread)
         lines.append(f'written to {table}')
     if picture:
-        with writing(picture) as part:
-            _draw(part, Path(picture).suffix.lstrip('.'), solved, found)
+        with open_output(picture) as part:
+            _draw(part, Path(picture).suffix.lstrip('.'), solution, spread)
         lines.append(f'written to {picture}')
     if page:
         from kinpole_ros.tools.solve._page import write_page
 
-        with writing(page) as part:
-            write_page(part, solved, solved.at(0), _columns(found))
+        with open_output(page) as part:
+            write_page(part, solution, solution.at(0), _record_columns(spread))
         lines.append(f'written to {page}')
     return lines
 
 
-def _errors(scene: Scene, said: Sequence[str]) -> tuple[list[Tolerance], list[str]]:
-    """The errors that are said, or the usual ones, with a line that says so."""
+def _errors(scene: Scene, texts: Sequence[str]) -> tuple[list[Tolerance], list[str]]:
+    """Return the errors that are given, or the default ones with a note."""
+    if not texts:
+        note = 'no --tolerances: each length is taken to be off by 0.1 mm, each angle by 0.1 deg'
+        return tolerances_of(scene, _DEFAULT, {}), [note]
     deviations: dict[str, float] = {}
     play: dict[str, float] = {}
-    for words in said:
-        name, equals, value = words.partition('=')
+    angles = {'angle', *(row.name for row in scene.equations.dimensions if row.kind == 'angle')}
+    for text in texts:
+        name, equals, value = text.partition('=')
         if not equals:
-            deviations |= _fitted(words)
+            deviations |= _fit_deviations(text)
         elif name.startswith('play:'):
-            play[name.removeprefix('play:')] = quantity(f'--tolerances {words!r}', value, 'length')
+            play[name.removeprefix('play:')] = quantity(f'--tolerances {text!r}', value, 'length')
         else:
-            kind = 'angle' if name == 'angle' or _is_angle(scene, name) else 'length'
-            deviations[name] = quantity(f'--tolerances {words!r}', value, kind)
-    if said:
-        return tolerances_of(scene, deviations, play), []
-    note = 'no --tolerances: each length is taken to be off by 0.1 mm, each angle by 0.1 deg'
-    return tolerances_of(scene, _USUAL, {}), [note]
+            kind = 'angle' if name in angles else 'length'
+            deviations[name] = quantity(f'--tolerances {text!r}', value, kind)
+    return tolerances_of(scene, deviations, play), []
 
 
-def _is_angle(scene: Scene, name: str) -> bool:
-    return any(row.name == name and row.kind == 'angle' for row in scene.equations.dimensions)
-
-
-def _fitted(path: str) -> dict[str, float]:
-    """Deviations that `kinpole fit` printed into a file, by name."""
+def _fit_deviations(path: str) -> dict[str, float]:
+    """Return the standard deviations in a file with the output of `kinpole fit`, by name."""
     try:
         text = Path(path).read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError):
@@ -108,129 +129,141 @@ def _fitted(path: str) -> dict[str, float]:
             f'--tolerances {path!r}: give NAME=0.1mm, play:PIN=0.05mm, or a file with what '
             '`kinpole fit` printed'
         ) from None
-    found = {
+    deviations = {
         name: float(deviation) * (1.0 if unit == 'm' else np.pi / 180)
-        for name, unit, deviation in _FITTED.findall(text)
+        for name, unit, deviation in _FIT_LINE.findall(text)
     }
-    if not found:
+    if not deviations:
         raise SceneError(f'{path} has no line of `kinpole fit` with a deviation')
-    return found
+    return deviations
 
 
 def _error_lines(errors: Sequence[Tolerance]) -> list[str]:
-    rows: list[list[str | float]] = []
+    rows: list[Row] = []
     for error in errors:
-        angle = not error.is_play and error.path[-1] in ('angle', 'along', 'turned')
-        size, unit = (180 / np.pi, 'deg') if angle else (1e3, 'mm')
-        rows.append([error.name, error.deviation * size, unit])
+        is_angle = not error.is_play and error.path[-1] in ('angle', 'along', 'turned')
+        scale, unit = (180 / np.pi, 'deg') if is_angle else (1e3, 'mm')
+        rows.append([error.name, error.deviation * scale, unit])
     return table_lines(['dimension', 'standard deviation', ''], rows)
 
 
-def _spread_lines(solved: Solved, found: ToleranceSpread, errors: Sequence[Tolerance]) -> list[str]:
-    """A row for each quantity: deviations over the range, and where they come from."""
-    rows: list[list[str | float]] = []
-    sampled = _sampled(found)
-    for q, (name, what) in enumerate(found.names):
-        unit, size = _UNITS.get(what, ('mm', 1e3))
-        deviation = found.deviation[q] * size
-        if not np.isfinite(deviation).any() or np.nanmax(deviation) < 1e-9:
+def _unit_of(kind: str) -> tuple[str, float]:
+    """Return the unit in which a kind of quantity is shown, and how many of them are 1 in SI."""
+    return {'angle': ('deg', 180 / np.pi), 'angular velocity': ('rad/s', 1.0)}.get(
+        kind, ('mm', 1e3)
+    )
+
+
+def _spread_lines(
+    solution: Solution, spread: ToleranceSpread, errors: Sequence[Tolerance]
+) -> list[str]:
+    """Return a row for each quantity: standard deviations over the range, and contributions."""
+    rows: list[Row] = []
+    sampled = _sampled(spread)
+    for q, (name, kind) in enumerate(spread.names):
+        unit, scale = _unit_of(kind)
+        deviation = spread.deviation[q] * scale
+        if not np.nanmax(deviation, initial=0.0) >= _CONSTANT:
             continue
         worst = int(np.nanargmax(deviation))
-        shares = (found.parts[:, q] ** 2).mean(axis=1, where=np.isfinite(found.parts[:, q]))
-        order = np.argsort(-shares)[:_NAMED]
+        shares = (spread.parts[:, q] ** 2).mean(axis=1, where=np.isfinite(spread.parts[:, q]))
+        order = np.argsort(-shares)[:_CONTRIBUTIONS]
         shares /= shares.sum()
         main = ', '.join(f'{errors[k].name} {shares[k]:.0%}' for k in order if shares[k] > 0.005)
-        at = float(solved.times[worst]) if solved.times is not None else 0.0
-        where = shown(solved.scene, 0, solved.inputs[0, worst], 4) if at == 0.0 else f'{at:.4g} s'
-        row: list[str | float] = [f'{name} {what}', unit, float(np.nanmedian(deviation))]
-        row += [float(deviation[worst]), where]
+        time = float(solution.times[worst]) if solution.times is not None else 0.0
+        at = driver_text(solution.scene, 0, solution.inputs[0, worst], 4)
+        row: Row = [f'{name} {kind}', unit, float(np.nanmedian(deviation))]
+        row += [float(deviation[worst]), f'{time:.4g} s' if time else at]
         if sampled is not None:
-            row += [float(sampled[0][q, worst] * size), *(sampled[1][:, q, worst] * size)]
+            row += [float(sampled[0][q, worst] * scale), *(sampled[1][:, q, worst] * scale)]
         rows.append([*row, main])
     head = ['quantity', 'unit', 'median', 'largest', 'at']
     head += ['sampled', '2.5%', '97.5%'] if sampled is not None else []
     return table_lines([*head, 'mostly from'], rows)
 
 
-def _sampled(found: ToleranceSpread) -> tuple[np.ndarray, np.ndarray] | None:
-    """Standard deviations (Q, T) and 95% bands (2, Q, T) less the value, of the samples."""
-    if len(found.samples) < 2:
+def _sampled(spread: ToleranceSpread) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return standard deviations (Q, T) and 95% bands (2, Q, T) about the value, of the samples."""
+    if len(spread.samples) < 2:
         return None
-    off = found.samples - found.value
-    return off.std(axis=0, ddof=1), np.percentile(off, [2.5, 97.5], axis=0)
+    errors = spread.samples - spread.value
+    return errors.std(axis=0, ddof=1), np.percentile(errors, [2.5, 97.5], axis=0)
 
 
-def _write_table(path: Path, solved: Solved, found: ToleranceSpread) -> None:
+def _write_table(path: Path, solution: Solution, spread: ToleranceSpread) -> None:
     columns: dict[str, np.ndarray] = {}
-    if solved.times is not None:
-        columns['t'] = solved.times
-    for k, driver in enumerate(solved.scene.mechanism.drivers):
-        columns[driver.name] = solved.inputs[k]
-    sampled = _sampled(found)
-    for q, words in enumerate(found.names):
+    if solution.times is not None:
+        columns['t'] = solution.times
+    for k, driver in enumerate(solution.scene.mechanism.drivers):
+        columns[driver.name] = solution.inputs[k]
+    sampled = _sampled(spread)
+    for q, words in enumerate(spread.names):
         name = '_'.join(words).replace('.', '_').replace(' ', '_')
-        columns[f'value_{name}'] = found.value[q]
-        columns[f'sigma_{name}'] = found.deviation[q]
+        columns[f'value_{name}'] = spread.value[q]
+        columns[f'sigma_{name}'] = spread.deviation[q]
         if sampled is not None:
             columns[f'sampled_sigma_{name}'] = sampled[0][q]
-            columns[f'sampled_low_{name}'] = found.value[q] + sampled[1][0, q]
-            columns[f'sampled_high_{name}'] = found.value[q] + sampled[1][1, q]
+            columns[f'sampled_low_{name}'] = spread.value[q] + sampled[1][0, q]
+            columns[f'sampled_high_{name}'] = spread.value[q] + sampled[1][1, q]
     write_columns(path, columns)
 
 
-def _draw(path: Path, kind: str, solved: Solved, found: ToleranceSpread) -> None:
-    """Paths of points with their bands, and deviations over the range; dots are of the samples."""
+def _draw(path: Path, kind: str, solution: Solution, spread: ToleranceSpread) -> None:
+    """Draw paths with bands, and standard deviations over the range; dots are of the samples."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 8), layout='constrained')
     grid = figure.add_gridspec(3, 2, width_ratios=(1.1, 1))
-    _draw_paths(figure.add_subplot(grid[:, 0]), found)
-    at, label = solved.times, 'time (s)'
+    _draw_paths(figure.add_subplot(grid[:, 0]), spread)
+    at, label = solution.times, 'time (s)'
     if at is None:
-        unit, size = driver_unit(solved.scene, 0)
-        at, label = solved.inputs[0] / size, f'{solved.scene.mechanism.drivers[0].name} ({unit})'
-    sampled = _sampled(found)
+        unit, size = driver_unit(solution.scene, 0)
+        at, label = (
+            solution.inputs[0] / size,
+            f'{solution.scene.mechanism.drivers[0].name} ({unit})',
+        )
+    sampled = _sampled(spread)
     for k, kinds in enumerate((('x', 'y'), ('angle',), ('ICR x', 'ICR y'))):
         axis = figure.add_subplot(grid[k, 1])
-        unit, size = _UNITS.get(kinds[0], ('mm', 1e3))
-        for q, (name, what) in enumerate(found.names):
-            deviation = found.deviation[q] * size
-            if what not in kinds or not np.nanmax(deviation, initial=0.0) > 1e-9:
+        unit, scale = _unit_of(kinds[0])
+        for q, (name, quantity_kind) in enumerate(spread.names):
+            deviation = spread.deviation[q] * scale
+            if quantity_kind not in kinds or not np.nanmax(deviation, initial=0.0) > _CONSTANT:
                 continue
-            dashes = '--' if what[-1] == 'y' else '-'
-            (line,) = axis.plot(at, deviation, dashes, label=f'{name} {what}', linewidth=1.2)
+            dashes = '--' if quantity_kind[-1] == 'y' else '-'
+            label_text = f'{name} {quantity_kind}'
+            (line,) = axis.plot(at, deviation, dashes, label=label_text, linewidth=1.2)
             if sampled is not None:
-                axis.plot(at[::8], sampled[0][q][::8] * size, '.', color=line.get_color())
+                axis.plot(at[::8], sampled[0][q][::8] * scale, '.', color=line.get_color())
         axis.set(ylabel=f'deviation ({unit})', xlabel=label, yscale='log' if k == 2 else 'linear')
         axis.grid(alpha=0.3)
         if axis.lines:
             axis.legend(fontsize=6, ncols=3)
-    name = solved.scene.name
-    title = f'{name}: standard deviations, to first order' + (', dots: samples' if sampled else '')
+    dots = '' if sampled is None else ', dots: samples'
+    title = f'{solution.scene.name}: standard deviations, to first order{dots}'
     figure.suptitle(title, parse_math=False)
     figure.savefig(path, format=kind, dpi=150)
 
 
-def _draw_paths(axis: Any, found: ToleranceSpread) -> None:
-    """Paths of points, and to both sides two deviations across them, times a round number."""
-    rows = {words: q for q, words in enumerate(found.names)}
+def _draw_paths(axis: Any, spread: ToleranceSpread) -> None:
+    """Draw paths of points with bands of two standard deviations, magnified by a power of ten."""
+    index = {words: q for q, words in enumerate(spread.names)}
     paths: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-    for name in (name for name, what in found.names if what == 'x'):
-        x, y = rows[name, 'x'], rows[name, 'y']
-        z = found.value[x] + 1j * found.value[y]
-        way = np.gradient(z)
-        if np.nanmax(np.abs(way), initial=0.0) < 1e-9:
+    for name in (name for name, kind in spread.names if kind == 'x'):
+        x, y = index[name, 'x'], index[name, 'y']
+        z = spread.value[x] + 1j * spread.value[y]
+        direction = np.gradient(z)
+        if np.nanmax(np.abs(direction), initial=0.0) < 1e-9:
             continue
-        across = 1j * np.exp(1j * np.angle(way))
-        parts = found.parts[:, x] * across.real + found.parts[:, y] * across.imag
-        paths[name] = z, 2 * across * np.sqrt((parts**2).sum(axis=0))
+        normal = 1j * np.exp(1j * np.angle(direction))
+        across = spread.parts[:, x] * normal.real + spread.parts[:, y] * normal.imag
+        paths[name] = z, 2 * normal * np.sqrt((across**2).sum(axis=0))
     extent = max((np.nanmax(np.abs(z - np.nanmean(z))) for z, _ in paths.values()), default=1.0)
     widest = max((np.nanmax(np.abs(band)) for _, band in paths.values()), default=0.0)
-    times = 10.0 ** np.floor(np.log10(_BAND * extent / widest)) if widest else 1.0
+    times = 10.0 ** np.floor(np.log10(_BAND_WIDTH * extent / widest)) if widest else 1.0
     for name, (z, band) in paths.items():
         (line,) = axis.plot(z.real, z.imag, label=name)
-        one, other = z + times * band, (z - times * band)[::-1]
-        edge = np.concatenate((one, other))
+        edge = np.concatenate((z + times * band, (z - times * band)[::-1]))
         edge = edge[np.isfinite(edge)]
         axis.fill(edge.real, edge.imag, color=line.get_color(), alpha=0.2, linewidth=0)
     axis.set(xlabel='x (m)', ylabel='y (m)', aspect='equal')
@@ -239,13 +272,14 @@ def _draw_paths(axis: Any, found: ToleranceSpread) -> None:
         axis.legend(fontsize=8)
 
 
-def _columns(found: ToleranceSpread) -> Mapping[tuple[str, str], Any]:
-    """Deviations and covariances of bodies as a report has them."""
-    rows = {words: q for q, words in enumerate(found.names)}
+def _record_columns(spread: ToleranceSpread) -> Mapping[tuple[str, str], Any]:
+    """Return standard deviations and covariances of bodies as a report has them."""
+    index = {words: q for q, words in enumerate(spread.names)}
     columns: dict[tuple[str, str], np.ndarray] = {}
-    for body in dict.fromkeys(name for name, what in found.names if what == 'angle'):
-        columns[body, 'angle_sigma'] = found.deviation[rows[body, 'angle']]
-        columns[body, 'angular_velocity_sigma'] = found.deviation[rows[body, 'angular velocity']]
-        parts = found.parts[:, [rows[body, 'ICR x'], rows[body, 'ICR y']]]
+    for body in dict.fromkeys(name for name, kind in spread.names if kind == 'angle'):
+        for kind in ('angle', 'angular velocity'):
+            name = f'{kind.replace(" ", "_")}_sigma'
+            columns[body, name] = spread.deviation[index[body, kind]]
+        parts = spread.parts[:, [index[body, 'ICR x'], index[body, 'ICR y']]]
         columns[body, 'icr_covariance'] = np.einsum('eat,ebt->tab', parts, parts)
     return columns

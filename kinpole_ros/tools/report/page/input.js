@@ -1,60 +1,52 @@
-// ---- Keys, pointers and fingers ----
+// ---- Keys, mouse and touch ----
 
-const MEANINGS = {
-  icr: 'ICR: the point of the body at rest, about which it turns at this instant',
-  iap: 'IAP: the point without acceleration',
-  ijp: 'IJP: the point without jerk',
-  isp: 'ISP: the point without snap',
-  relative: 'relative center: the point at which two bodies move alike; the pin, where there is one',
-  fixed: 'fixed centrode: where the ICR goes in the plane',
-  moving: 'moving centrode: where it goes in the body; rolls on the fixed one without slip',
-};
+const PACES = [0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1, 2, 5, 10];
 
-function onKey(event, actions, stopped) {
-  const { page, data, play, whole } = actions;
+function onKey(event, actions) {
+  const { page, data, play, stopAt } = actions;
   if (event.altKey || event.ctrlKey || event.metaKey) return;
-  // A slider or a list that has the focus keeps its own keys.
-  const own = /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName);
-  if (own && event.key !== ' ') return;
+  // A slider or list with the focus keeps its own keys.
+  const isField = /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName);
+  if (isField && event.key !== ' ') return;
   const step = event.shiftKey ? 10 : 1;
-  const faster = (by) => {
-    const at = PACES.indexOf(page.pace) + by;
-    actions.setPace(PACES[Math.min(PACES.length - 1, Math.max(0, at))]);
+  const changePace = (by) => {
+    const index = PACES.indexOf(page.pace) + by;
+    actions.setPace(PACES[Math.min(PACES.length - 1, Math.max(0, index))]);
   };
   const keys = {
     ' ': () => play(!page.playing),
-    ArrowLeft: () => stopped(page.k - step),
-    ArrowRight: () => stopped(page.k + step),
-    Home: () => stopped(0),
-    End: () => stopped(data.n - 1),
-    '+': () => faster(1),
-    '=': () => faster(1),
-    '-': () => faster(-1),
-    f: whole,
-    l: () => by('live').click(),
+    ArrowLeft: () => stopAt(page.k - step),
+    ArrowRight: () => stopAt(page.k + step),
+    Home: () => stopAt(0),
+    End: () => stopAt(data.n - 1),
+    '+': () => changePace(1),
+    '=': () => changePace(1),
+    '-': () => changePace(-1),
+    f: actions.showAll,
+    l: () => byId('live').click(),
   };
-  const body = by('bodies').children[Number(event.key) - 1];
-  if (body) body.click();
+  const bodyButton = byId('bodies').children[Number(event.key) - 1];
+  if (bodyButton) bodyButton.click();
   else if (keys[event.key]) keys[event.key]();
   else return;
-  // A button with the focus is not pressed by the space that plays.
+  // Otherwise the space would also press a button with the focus.
   event.preventDefault();
 }
 
-// Drag and tap move the cursor; ctrl and wheel show less or more time about it.
-function onChart(plot, { data, page, zoom }, stopped) {
+// In a chart, drag and tap move the cursor; ctrl and wheel zoom about it.
+function listenToChart(plot, { data, page, zoom, stopAt }) {
   const timeAt = (event) => {
     const box = plot.getBoundingClientRect();
-    const part = (event.clientX - box.left - LEFT) / (box.width - LEFT - RIGHT);
-    return page.range[0] + Math.min(1, Math.max(0, part)) * (page.range[1] - page.range[0]);
+    const share = (event.clientX - box.left - LEFT) / (box.width - LEFT - RIGHT);
+    return page.range[0] + Math.min(1, Math.max(0, share)) * (page.range[1] - page.range[0]);
   };
-  const follow = (event) => stopped(instantAt(data, timeAt(event)));
+  const moveCursor = (event) => stopAt(instantAt(data, timeAt(event)));
   plot.addEventListener('pointerdown', (event) => {
     plot.setPointerCapture(event.pointerId);
-    follow(event);
+    moveCursor(event);
   });
   plot.addEventListener('pointermove', (event) => {
-    if (plot.hasPointerCapture(event.pointerId)) follow(event);
+    if (plot.hasPointerCapture(event.pointerId)) moveCursor(event);
   });
   plot.addEventListener('dblclick', () => zoom(data.begin, data.end));
   plot.addEventListener('wheel', (event) => {
@@ -66,50 +58,98 @@ function onChart(plot, { data, page, zoom }, stopped) {
   }, { passive: false });
 }
 
-function closer(stage, redraw, factor, at = null) {
+// Enlarges the stage about a point in pixels, or about its middle.
+function enlarge({ stage, redraw }, factor, at = null) {
   const { view, sizes } = stage;
   const [u, v] = at ? [at[0] - sizes.width / 2, sizes.height / 2 - at[1]] : [0, 0];
   view.x += (u / view.scale) * (1 - 1 / factor);
   view.y += (v / view.scale) * (1 - 1 / factor);
   view.scale *= factor;
   view.held = true;
-  redraw('rest');
+  redraw('all');
 }
 
-// Drag moves the picture, wheel and pinch bring it closer.
-function onStage(element, { stage, redraw, whole }) {
+// On the stage, drag moves the picture, wheel and pinch enlarge it.
+function listenToStage(element, actions) {
+  const { view } = actions.stage;
   const fingers = new Map();
-  const place = (event) => {
+  const position = (event) => {
     const box = element.getBoundingClientRect();
     return [event.clientX - box.left, event.clientY - box.top];
   };
-  const spread = () => {
-    const [[ax, ay], [bx, by_]] = [...fingers.values()];
-    return { at: [(ax + bx) / 2, (ay + by_) / 2], apart: Math.hypot(ax - bx, ay - by_) };
+  const pinch = () => {
+    const [[ax, ay], [bx, by]] = [...fingers.values()];
+    return { at: [(ax + bx) / 2, (ay + by) / 2], distance: Math.hypot(ax - bx, ay - by) };
   };
   element.addEventListener('pointerdown', (event) => {
     if (event.target.closest('button')) return;
     element.setPointerCapture(event.pointerId);
-    fingers.set(event.pointerId, place(event));
+    fingers.set(event.pointerId, position(event));
   });
   element.addEventListener('pointermove', (event) => {
     if (!fingers.has(event.pointerId)) return;
-    const [before, [px, py]] = [fingers.size > 1 && spread(), fingers.get(event.pointerId)];
-    const [x, y] = place(event);
+    const [before, [px, py]] = [fingers.size > 1 && pinch(), fingers.get(event.pointerId)];
+    const [x, y] = position(event);
     fingers.set(event.pointerId, [x, y]);
-    const part = 1 / fingers.size;
-    stage.view.x -= (part * (x - px)) / stage.view.scale;
-    stage.view.y += (part * (y - py)) / stage.view.scale;
-    stage.view.held = true;
-    if (before) closer(stage, redraw, spread().apart / (before.apart || 1), spread().at);
-    redraw('rest');
+    const pixels = view.scale * fingers.size;
+    view.x -= (x - px) / pixels;
+    view.y += (y - py) / pixels;
+    view.held = true;
+    if (before) enlarge(actions, pinch().distance / (before.distance || 1), pinch().at);
+    actions.redraw('all');
   });
   for (const end of ['pointerup', 'pointercancel']) {
     element.addEventListener(end, (event) => fingers.delete(event.pointerId));
   }
   element.addEventListener('wheel', (event) => {
     event.preventDefault();
-    closer(stage, redraw, Math.exp(-event.deltaY * 0.0015), place(event));
+    enlarge(actions, Math.exp(-event.deltaY * 0.0015), position(event));
   }, { passive: false });
-  element.addEventListener('dblclick', whole);
+  element.addEventListener('dblclick', actions.showAll);
+}
+
+function listen(actions) {
+  const { page, data, play, stopAt, stage, charts } = actions;
+  byId('play').onclick = () => play(!page.playing);
+  byId('back').onclick = () => stopAt(page.k - 1);
+  byId('ahead').onclick = () => stopAt(page.k + 1);
+  byId('scrub').oninput = (event) => stopAt(Number(event.target.value));
+  byId('pace').onchange = (event) => actions.setPace(Number(event.target.value));
+  byId('whole').onclick = actions.showAll;
+  byId('closer').onclick = () => enlarge(actions, 1.4);
+  byId('farther').onclick = () => enlarge(actions, 1 / 1.4);
+  const zoomBy = (factor) => () => {
+    page.turnsPages = false;
+    const [[from, to], t] = [page.range, data.t[page.k]];
+    const at = from <= t && t <= to ? t : (from + to) / 2;
+    actions.zoom(at - (at - from) * factor, at + (to - at) * factor);
+  };
+  byId('shorter').onclick = zoomBy(0.5);
+  byId('longer').onclick = zoomBy(2);
+  document.addEventListener('keydown', (event) => onKey(event, actions));
+  for (const plot of charts.plots) listenToChart(plot, actions);
+  listenToStage(byId('stage'), actions);
+  new ResizeObserver(() => {
+    stage.fit();
+    actions.redraw('all');
+  }).observe(byId('stage'));
+  // The page is printed as it is at the cursor, in high resolution. It is drawn at once, since a
+  // browser does not wait for animation frames.
+  const setPrinting = (printing) => {
+    page.printing = printing;
+    stage.fit();
+    charts.draw();
+  };
+  addEventListener('beforeprint', () => setPrinting(true));
+  addEventListener('afterprint', () => setPrinting(false));
+  matchMedia('print').addEventListener('change', (event) => setPrinting(event.matches));
+  addEventListener('hashchange', () => goToAddress(actions));
+}
+
+// An address that ends in #t=1.25 shows that instant.
+function goToAddress({ data, stopAt }) {
+  const time = Number(/[#&]t=([-+.\de]+)/.exec(location.hash)?.[1] ?? NaN);
+  if (!isFinite(time)) return false;
+  stopAt(instantAt(data, time));
+  return true;
 }

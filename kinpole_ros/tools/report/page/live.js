@@ -1,24 +1,24 @@
-// ---- Live: a stream of figures in place of a record ----
+// ---- The live page: a stream of frames in place of a record ----
 
-// Instants that are kept, and the time (s) that charts show of them.
-const [KEPT, SPAN] = [300, 10];
-// What is not shown until the reader wants it.
-const CHOSEN = [...RATES.slice(1), 'icr_velocity', 'centrode_curvature'];
-const UNASKED = [...POLES.slice(1), ...CHOSEN, 'relative'];
-// Instants after which the picture is made to hold all that moved, and figures and charts are drawn:
-// nobody reads more of these in a second.
-const [LEARN_EVERY, READ_EVERY] = [15, 3];
-// Less time than this (s) without a frame is no gap in a line: the page or its way was slow.
-const LATE = 0.1;
+// Frames that are kept, and the time (s) that the charts show.
+const [FRAMES, SPAN] = [300, 10];
+// Charts that can be hidden, and layers and charts that are hidden at first.
+const OPTIONAL_CHARTS = [...RATES.slice(1), 'icr_velocity', 'centrode_curvature'];
+const HIDDEN_LIVE = [...POLES.slice(1), ...OPTIONAL_CHARTS, 'relative'];
+// Every so many frames the stage is fitted to the motion, and numbers and charts are drawn: nobody
+// reads more of these in a second.
+const [FIT_EVERY, CHARTS_EVERY] = [15, 3];
+// Intervals below this (s) are no gaps in a line: the page or the network was slow.
+const LEAST_PERIOD = 0.1;
 
 function watch() {
   const { dataset } = document.documentElement;
   dataset.live = 'waiting';
-  by('title').textContent = 'kinpole view';
+  byId('title').textContent = 'kinpole view';
   let [actions, data, source] = [null, null, null];
   let [following, count] = [true, 0];
-  by('live').onclick = () => follow(!following);
-  // A page that nobody sees asks for nothing.
+  byId('live').onclick = () => follow(!following);
+  // A hidden page reads nothing.
   document.addEventListener('visibilitychange', connect);
   connect();
 
@@ -26,7 +26,7 @@ function watch() {
     if (following === on) return;
     following = on;
     if (on) actions?.play(false);
-    by('live').setAttribute('aria-pressed', on);
+    byId('live').setAttribute('aria-pressed', on);
     connect();
   }
 
@@ -37,132 +37,132 @@ function watch() {
     source = new EventSource('stream');
     source.addEventListener('rig', (event) => onRig(JSON.parse(event.data)));
     source.addEventListener('frame', (event) => onFrame(JSON.parse(event.data)));
-    source.onopen = () => tell('');
+    source.onopen = () => showState('');
     source.onerror = ({ target }) => {
-      tell('disconnected, trying again; where kinpole view was started anew, open the address it prints');
-      // A refusal is for good, for the browser.
-      if (target.readyState === 2) setTimeout(() => target === source && connect(), 1000);
+      showState('disconnected, trying again; where kinpole view was started anew, open the address it prints');
+      // The browser does not retry after a refusal.
+      if (target.readyState === EventSource.CLOSED) {
+        setTimeout(() => target === source && connect(), 1000);
+      }
     };
   }
 
-  const tell = (text) => { by('state').textContent = text; };
+  const showState = (text) => { byId('state').textContent = text; };
 
   function onRig(rig) {
     if (rig.waiting) {
-      by('about').textContent = rig.waiting;
+      byId('about').textContent = rig.waiting;
       return;
     }
-    const names = JSON.stringify([rig.title, rig.bodies.map(({ name }) => name), rig.figures, rig.pairs]);
-    if (!actions) begin(rig, names);
-    if (names !== data.names) {
-      // Another rig is another page.
+    const key = JSON.stringify([rig.title, rig.bodies.map(({ name }) => name), rig.figures, rig.pairs]);
+    if (!actions) begin(rig, key);
+    if (key !== data.key) {
+      // Another rig needs a new page.
       source.close();
       location.reload();
       return;
     }
     const { about, joints, notes, along } = rig;
     Object.assign(data, { about, joints, notes, along });
-    tellAbout(data);
+    showAbout(data);
     for (const { name, size, outline, withheld } of rig.bodies) {
-      const outlines = outline ? [[0, outline]] : [];
-      Object.assign(data.byName[name], { size, outlines });
-      // Frames say it of their own instant; the diagnostics, once a second, lag behind.
-      if (!data.byName[name].saysWhy) giveReasons(data.byName[name], withheld);
+      const body = data.byName[name];
+      Object.assign(body, { size, outlines: outline ? [[0, outline]] : [] });
+      // Reasons in frames are newer than those of the diagnostics, once a second.
+      if (!body.framesHaveReasons) setReasons(body, withheld);
     }
-    drawNotes(by('notes'), data);
-    actions.stage.learn();
-    actions.redraw('rest');
+    drawNotes(byId('notes'), data);
+    actions.stage.updateMotion();
+    actions.redraw('all');
   }
 
-  function begin(rig, names) {
-    data = { ...prepare(emptyRecord(rig)), names, begin: -SPAN };
-    by('title').textContent = rig.title;
+  function begin(rig, key) {
+    data = { ...prepare(emptyRecord(rig)), key, begin: -SPAN };
+    byId('title').textContent = rig.title;
     dataset.live = 'yes';
-    actions = makePage(data, UNASKED, () => follow(false));
-    actions.page.k = KEPT - 1;
-    actions.whole();
+    actions = makePage(data, HIDDEN_LIVE, () => follow(false));
+    actions.page.k = FRAMES - 1;
+    actions.showAll();
     dataset.ready = 'yes';
   }
 
   function onFrame(frame) {
     if (!data) return;
-    append(data, frame);
+    appendFrame(data, frame);
     data.bodies.forEach((body, b) => {
-      body.saysWhy = Boolean(frame.reasons[b]);
-      if (body.saysWhy) giveReasons(body, frame.reasons[b]);
+      body.framesHaveReasons = Boolean(frame.reasons[b]);
+      if (body.framesHaveReasons) setReasons(body, frame.reasons[b]);
     });
     const { page, stage, redraw } = actions;
-    const width = Math.min(SPAN, page.range[1] - page.range[0]) || SPAN;
-    page.range = [data.end - width, data.end];
-    page.k = KEPT - 1;
-    if (count % LEARN_EVERY === 0) stage.learn();
-    redraw(count++ % READ_EVERY ? 'pose' : 'rest');
-    // For whoever measures how late it is.
+    const length = Math.min(SPAN, page.range[1] - page.range[0]) || SPAN;
+    page.range = [data.end - length, data.end];
+    page.k = FRAMES - 1;
+    if (count % FIT_EVERY === 0) stage.updateMotion();
+    redraw(count++ % CHARTS_EVERY ? 'instant' : 'all');
+    // To measure the delay of the page.
     requestAnimationFrame(() => { dataset.published = frame.published; });
   }
 }
 
-function giveReasons(body, reasons) {
-  const spells = Object.entries(reasons).map(([figure, why]) => [figure, [[0, KEPT, why]]]);
-  const { '': missing = [], ...withheld } = Object.fromEntries(spells);
-  Object.assign(body, { missing, withheld });
+function setReasons(body, reasons) {
+  const { '': all, ...others } = reasons;
+  body.missing = all === undefined ? [] : [[0, FRAMES, all]];
+  body.withheld = Object.fromEntries(
+    Object.entries(others).map(([name, reason]) => [name, [[0, FRAMES, reason]]]));
 }
 
-const OF_POINT = ['x', 'y', 'a', 'b', 'd'];
+const POINT_COLUMNS = ['x', 'y', 'a', 'b', 'd'];
 
-function partsOf(figure) {
-  if (POLES.includes(figure)) return OF_POINT;
-  return figure === 'icr_velocity' ? ['x', 'y', 'sigma'] : ['value', 'sigma'];
+function columnNames(quantity) {
+  if (POLES.includes(quantity)) return POINT_COLUMNS;
+  return quantity === 'icr_velocity' ? ['x', 'y', 'sigma'] : ['value', 'sigma'];
 }
 
-// A record of a rig in which nothing is known yet.
+// The record of a rig without any results.
 function emptyRecord(rig) {
-  const none = () => new Array(KEPT).fill(null);
-  const columns = (...names) => Object.fromEntries(names.map((name) => [name, none()]));
+  const none = () => new Array(FRAMES).fill(null);
+  const columns = (names) => Object.fromEntries(names.map((name) => [name, none()]));
   const bodies = rig.bodies.map(({ name }) => {
-    const body = { name, outlines: [], missing: [], withheld: {}, theory: {},
-      ...columns('x', 'y', 'angle', 'vx', 'vy'), angular_velocity: columns('value', 'sigma') };
-    for (const figure of rig.figures) {
-      body[figure] = columns(...partsOf(figure));
-    }
-    return body;
+    const quantities = ['angular_velocity', ...rig.figures].map((one) => [one, columns(columnNames(one))]);
+    return { name, outlines: [], missing: [], withheld: {}, theory: {},
+      ...columns(['x', 'y', 'angle', 'vx', 'vy']), ...Object.fromEntries(quantities) };
   });
-  const pairs = rig.pairs.map((pair) => ({ bodies: pair, icr: columns(...OF_POINT) }));
-  // Times rise, also of what is not known.
+  const pairs = rig.pairs.map((pair) => ({ bodies: pair, icr: columns(POINT_COLUMNS) }));
+  // Times increase, also without results.
   const t = none().map((_, k) => k * 1e-9);
   return { live: true, t, along: rig.along, bodies, pairs, joints: [], notes: [], deviations: [] };
 }
 
-// One more instant, and the oldest gone. Stamps that jump begin anew.
-function append(data, { t, bodies, pairs }) {
+// Appends a frame and drops the oldest one; a jump of the stamps drops all.
+function appendFrame(data, { t, bodies, pairs }) {
   const last = data.n - 1;
-  const anew = !(t > data.t[last] && t < data.t[last] + SPAN);
+  const jumps = !(t > data.t[last] && t < data.t[last] + SPAN);
   for (const column of columnsIn(data)) {
-    if (anew) column.fill(NaN);
+    if (jumps) column.fill(NaN);
     else column.copyWithin(0, 1);
     column[last] = NaN;
   }
-  if (anew) data.t.forEach((_, k) => { data.t[k] = t - (last - k) * 1e-9; });
+  if (jumps) data.t.forEach((_, k) => { data.t[k] = t - (last - k) * 1e-9; });
   data.t[last] = t;
-  data.known = anew ? 1 : Math.min(data.n, data.known + 1);
-  bodies.forEach((figures, b) => figures && put(data.bodies[b], figures, last));
-  data.pairs.forEach((pair, p) => {
-    const { j, i, icr, rate } = pair;
-    OF_POINT.forEach((part, n) => { icr[part][last] = pairs[p]?.[n] ?? NaN; });
-    rate.value[last] = j.angular_velocity.value[last] - i.angular_velocity.value[last];
-    rate.sigma[last] = Math.hypot(j.angular_velocity.sigma[last], i.angular_velocity.sigma[last]);
+  data.count = jumps ? 1 : Math.min(data.n, data.count + 1);
+  bodies.forEach((values, b) => values && setValues(data.bodies[b], values, last));
+  data.pairs.forEach(({ j, i, icr, rate }, p) => {
+    POINT_COLUMNS.forEach((name, n) => { icr[name][last] = pairs[p]?.[n] ?? NaN; });
+    const [one, other] = [j.angular_velocity, i.angular_velocity];
+    rate.value[last] = one.value[last] - other.value[last];
+    rate.sigma[last] = Math.hypot(one.sigma[last], other.sigma[last]);
   });
-  data.period = Math.max(LATE, periodOf(data.t.subarray(data.n - data.known)));
+  data.period = Math.max(LEAST_PERIOD, medianInterval(data.t.subarray(data.n - data.count)));
   [data.begin, data.end] = [t - SPAN, t];
 }
 
-function put(body, figures, k) {
-  for (const [name, found] of Object.entries(figures)) {
+function setValues(body, values, k) {
+  for (const [name, value] of Object.entries(values)) {
     const column = body[name];
-    if (column instanceof Float64Array) column[k] = found ?? NaN;
-    else if (column && found) {
-      partsOf(name).forEach((part, n) => { column[part][k] = found[n] ?? NaN; });
-      if (name === 'icr_velocity') column.value[k] = Math.hypot(found[0], found[1]);
+    if (column instanceof Float64Array) column[k] = value ?? NaN;
+    else if (column && value) {
+      columnNames(name).forEach((part, n) => { column[part][k] = value[n] ?? NaN; });
+      if (name === 'icr_velocity') column.value[k] = Math.hypot(value[0], value[1]);
     }
   }
 }

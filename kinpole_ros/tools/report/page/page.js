@@ -1,69 +1,81 @@
-// ---- The page: one state, what changes it, and what is then drawn again ----
+// ---- The page: its state, what changes it, and what is drawn again then ----
 
-const PACES = [0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1, 2, 5, 10];
-const by = (id) => document.getElementById(id);
+const MEANINGS = {
+  icr: 'ICR: the point of the body at rest, about which it turns at this instant',
+  iap: 'IAP: the point without acceleration',
+  ijp: 'IJP: the point without jerk',
+  isp: 'ISP: the point without snap',
+  relative: 'relative center: the point at which two bodies move alike; the pin, where there is one',
+  fixed: 'fixed centrode: where the ICR goes in the plane',
+  moving: 'moving centrode: where it goes in the body; rolls on the fixed one without slip',
+};
+// What is drawn again, from least to most: the moving part of the stage, the stage, what moves with
+// the cursor, everything.
+const REDRAWS = ['', 'instant', 'stage', 'cursor', 'all'];
 
-// `off` is what is not shown at first; `moved` is called when the reader moves the cursor.
-function makePage(data, off = HIDDEN, moved = () => {}) {
+const byId = (id) => document.getElementById(id);
+
+// `off` are the layers that are hidden at first; `onCursor` is called when the reader moves the cursor.
+function makePage(data, off = HIDDEN, onCursor = () => {}) {
   const page = {
     k: 0, playing: false, pace: 1, range: [data.begin, data.end], hidden: new Set(),
-    off: new Set(off), printing: false, turning: false,
+    off: new Set(off), printing: false, turnsPages: false,
   };
-  const stage = makeStage(by('stage'), page, data);
-  const [lines, strips] = [makeCharts, makeStrips].map((make) => make(by('charts'), page, data));
-  const charts = {
-    rest: () => [lines, strips].forEach((part) => part.rest()),
-    move: () => [lines, strips].forEach((part) => part.move()),
-    plots: [...lines.plots, ...strips.plots],
-  };
-  const table = makeTable(by('now'), page, data);
-  const polygons = data.live ? null : makePolygons(by('polygons'), page, data);
-  let waiting = '';
+  const stage = makeStage(byId('stage'), page, data);
+  const charts = makeCharts(byId('charts'), page, data);
+  const table = makeTable(byId('now'), page, data);
+  const polygons = data.live ? null : makePolygons(byId('polygons'), page, data);
+  let pending = '';
   let time = 0;
 
-  // Drawn again is what moves in the picture, for 'pose'; all of the picture, for 'shape'; for 'move'
-  // what moves with the cursor; for 'rest' all. Once a frame, however often asked for.
-  const parts = ['', 'pose', 'shape', 'move', 'rest'];
-  function redraw(what = 'move') {
-    if (!waiting) requestAnimationFrame(show);
-    if (parts.indexOf(what) > parts.indexOf(waiting)) waiting = what;
+  // Draws once per animation frame, however often it is called.
+  function redraw(what = 'cursor') {
+    if (!pending) requestAnimationFrame(draw);
+    if (REDRAWS.indexOf(what) > REDRAWS.indexOf(pending)) pending = what;
   }
 
-  function show() {
-    const what = waiting;
-    waiting = '';
-    if (what === 'move' || what === 'rest') {
-      charts[what]();
-      table.move();
+  function draw() {
+    const what = pending;
+    pending = '';
+    if (what === 'all') charts.draw();
+    if (what === 'cursor') charts.drawCursor();
+    if (what === 'all' || what === 'stage') stage.draw();
+    else stage.drawCursor();
+    if (what === 'all' || what === 'cursor') {
+      table.drawCursor();
+      polygons?.draw();
     }
-    stage[what === 'rest' || what === 'shape' ? 'rest' : 'move']();
-    if (what === 'move' || what === 'rest') polygons?.draw();
-    by('scrub').value = page.k;
-    by('clock').textContent = `t = ${data.t[page.k].toFixed(3)} s`;
+    byId('scrub').value = page.k;
+    byId('clock').textContent = `t = ${data.t[page.k].toFixed(3)} s`;
   }
 
   function goTo(k) {
-    moved();
+    onCursor();
     page.k = Math.min(data.n - 1, Math.max(0, k));
     time = data.t[page.k];
     const [from, to] = page.range;
-    // The charts show the time about the cursor.
+    // The charts always show the cursor.
     if (time < from || time > to) zoom(time - (to - from) / 2, time + (to - from) / 2);
     else redraw();
   }
 
+  function stopAt(k) {
+    play(false);
+    goTo(k);
+  }
+
   function play(on) {
     page.playing = on;
-    by('play').textContent = on ? 'pause' : 'play';
+    byId('play').textContent = on ? 'pause' : 'play';
     if (!on) return;
-    moved();
+    onCursor();
     let before = performance.now();
     const advance = (now) => {
       if (!page.playing) return;
       time += ((now - before) / 1000) * page.pace;
       before = now;
       const [from, to] = page.range;
-      if (time > to && page.turning) {
+      if (time > to && page.turnsPages) {
         time = to < data.end - data.period / 2 ? to : data.begin;
         zoom(time, time + to - from);
       } else if (time > to || time < from) time = from;
@@ -79,81 +91,83 @@ function makePage(data, off = HIDDEN, moved = () => {}) {
 
   function setPace(pace) {
     page.pace = pace;
-    by('pace').value = pace;
+    byId('pace').value = pace;
   }
 
-  // Shows so much time that its swings can be told apart, and the next when the cursor is through.
-  function open() {
-    whole();
-    const time = readableTime(data);
-    page.turning = time < data.end - data.begin;
-    zoom(data.begin, data.begin + time);
+  // Shows a readable length of time, and the next when the cursor reaches its end.
+  function showReadableTime() {
+    showAll();
+    const length = readableTime(data);
+    page.turnsPages = length < data.end - data.begin;
+    zoom(data.begin, data.begin + length);
   }
 
   function zoom(from, to) {
-    const width = Math.min(data.end - data.begin, Math.max(4 * data.period, to - from));
-    const start = Math.min(data.end - width, Math.max(data.begin, from));
-    page.range = [start, start + width];
-    tellRange();
-    redraw('rest');
+    const length = Math.min(data.end - data.begin, Math.max(4 * data.period, to - from));
+    const start = Math.min(data.end - length, Math.max(data.begin, from));
+    page.range = [start, start + length];
+    showRange();
+    redraw('all');
   }
 
-  function whole() {
+  function showAll() {
     page.range = [data.begin, data.end];
-    page.turning = false;
-    tellRange();
-    stage.whole();
-    redraw('rest');
+    page.turnsPages = false;
+    showRange();
+    stage.showAll();
+    redraw('all');
   }
 
-  // How much of the time the charts show, where it is not all.
-  function tellRange() {
-    const [[from, to], all] = [page.range, data.end - data.begin];
-    const part = !data.live && to - from < all - data.period / 2;
-    by('range').textContent = part
-      ? `${from.toFixed(1)} to ${to.toFixed(1)} of ${all.toFixed(1)} s; fit (f) shows all` : '';
+  // Says which part of the time the charts show.
+  function showRange() {
+    const [[from, to], length] = [page.range, data.end - data.begin];
+    const isPart = !data.live && to - from < length - data.period / 2;
+    byId('range').textContent = isPart
+      ? `${from.toFixed(1)} to ${to.toFixed(1)} of ${length.toFixed(1)} s; fit (f) shows all` : '';
   }
 
   function toggle(set, name, button) {
     if (!set.delete(name)) set.add(name);
     button.setAttribute('aria-pressed', !set.has(name));
-    redraw('rest');
+    redraw('all');
   }
 
-  const actions = { goTo, play, setPace, zoom, open, whole, toggle, redraw, page, stage, charts, data };
-  fillButtons(actions);
+  const actions = {
+    goTo, stopAt, play, setPace, zoom, showReadableTime, showAll, toggle, redraw,
+    page, stage, charts, data,
+  };
+  addButtons(actions);
   listen(actions);
   return actions;
 }
 
-function fillButtons({ page, data, toggle }) {
-  for (const body of data.bodies) {
-    const button = tag('button', undefined, { 'aria-pressed': true });
-    button.append(tag('i', undefined, { style: `background:${body.color}` }), body.name);
-    button.onclick = () => toggle(page.hidden, body.name, button);
-    by('bodies').append(button);
+function addButtons({ page, data, toggle }) {
+  const addToggle = (parent, set, name, attributes, ...content) => {
+    const pressed = { 'aria-pressed': !set.has(name), ...attributes };
+    const button = tag('button', undefined, pressed);
+    button.append(...content);
+    button.onclick = () => toggle(set, name, button);
+    byId(parent).append(button);
+  };
+  for (const { name, color } of data.bodies) {
+    addToggle('bodies', page.hidden, name, {}, tag('i', undefined, { style: `background:${color}` }), name);
   }
-  for (const [layer, words] of Object.entries(LAYERS)) {
+  for (const [layer, title] of Object.entries(LAYERS)) {
     if (POLES.includes(layer) && !data.bodies.some((body) => body[layer])) continue;
     if (layer === 'relative' && !data.pairs.length) continue;
-    const button = tag('button', undefined, { 'aria-pressed': !page.off.has(layer) });
-    button.innerHTML = sample(layer);
-    button.append(words);
-    button.onclick = () => toggle(page.off, layer, button);
-    by('layers').append(button);
+    addToggle('layers', page.off, layer, {}, layerIcon(layer), title);
   }
-  for (const name of data.live ? CHOSEN.filter((one) => data.bodies.some((b) => b[one])) : []) {
-    const button = tag('button', WORDS[name][2], { 'aria-pressed': !page.off.has(name), title: WORDS[name][0] });
-    button.onclick = () => toggle(page.off, name, button);
-    by('rates').append(button);
+  for (const name of data.live ? OPTIONAL_CHARTS.filter((one) => data.bodies.some((b) => b[one])) : []) {
+    const [title, , symbol] = QUANTITIES[name];
+    addToggle('rates', page.off, name, { title }, symbol);
   }
-  for (const pace of PACES) by('pace').append(tag('option', `${pace}×`, { value: pace }));
-  by('pace').value = 1;
-  by('scrub').max = data.n - 1;
+  for (const pace of PACES) byId('pace').append(tag('option', `${pace}×`, { value: pace }));
+  byId('pace').value = 1;
+  byId('scrub').max = data.n - 1;
 }
 
 // What a layer looks like in the picture.
-function sample(layer) {
+function layerIcon(layer) {
   const shapes = {
     outlines: '<rect x="1" y="3" width="16" height="8" rx="4" fill="#0072b233" stroke="#0072b2"/>',
     tracks: '<path d="M1 12Q7-4 17 8" fill="none" stroke="#0072b2" opacity=".5"/>',
@@ -169,104 +183,55 @@ function sample(layer) {
     velocities: '<path d="M1 11L12 4" stroke="#1c2127"/><path d="M17 1l-8 2 3 4z"/>',
     names: '<text x="2" y="12" font-size="12" font-weight="600">ab</text>',
   };
-  return `<svg viewBox="0 0 18 14" aria-hidden="true">${shapes[layer]}</svg>`;
+  const template = document.createElement('template');
+  template.innerHTML = `<svg viewBox="0 0 18 14" aria-hidden="true">${shapes[layer]}</svg>`;
+  return template.content;
 }
 
-function listen(actions) {
-  const { page, data, goTo, play, redraw, whole, stage } = actions;
-  const stopped = (k) => {
-    play(false);
-    goTo(k);
-  };
-  by('play').onclick = () => play(!page.playing);
-  by('back').onclick = () => stopped(page.k - 1);
-  by('ahead').onclick = () => stopped(page.k + 1);
-  by('scrub').oninput = (event) => stopped(Number(event.target.value));
-  by('pace').onchange = (event) => actions.setPace(Number(event.target.value));
-  by('whole').onclick = whole;
-  by('closer').onclick = () => closer(stage, redraw, 1.4);
-  by('farther').onclick = () => closer(stage, redraw, 1 / 1.4);
-  const less = (factor) => () => {
-    page.turning = false;
-    const [[from, to], t] = [page.range, data.t[page.k]];
-    const at = from <= t && t <= to ? t : (from + to) / 2;
-    actions.zoom(at - (at - from) * factor, at + (to - at) * factor);
-  };
-  by('shorter').onclick = less(0.5);
-  by('longer').onclick = less(2);
-  document.addEventListener('keydown', (event) => onKey(event, actions, stopped));
-  for (const plot of actions.charts.plots) onChart(plot, actions, stopped);
-  onStage(by('stage'), actions);
-  const again = () => {
-    stage.fit();
-    redraw('rest');
-  };
-  new ResizeObserver(again).observe(by('stage'));
-  // Printed as it stands at the cursor, finely, and at once: a browser does not wait for frames.
-  const printing = (on) => () => {
-    page.printing = on;
-    stage.fit();
-    actions.charts.rest();
-  };
-  addEventListener('beforeprint', printing(true));
-  addEventListener('afterprint', printing(false));
-  matchMedia('print').addEventListener('change', (event) => printing(event.matches)());
-  addEventListener('hashchange', () => toAddress(actions));
-}
-
-// An address that ends in #t=1.25 shows that instant.
-function toAddress({ data, play, goTo }) {
-  const time = Number(/[#&]t=([-+.\de]+)/.exec(location.hash)?.[1] ?? NaN);
-  if (!isFinite(time)) return false;
-  play(false);
-  goTo(instantAt(data, time));
-  return true;
-}
-
-const trouble = (text) => by('title').after(tag('p', text, { id: 'trouble' }));
+const showError = (text) => byId('title').after(tag('p', text, { id: 'trouble' }));
 
 async function start() {
   if (typeof DecompressionStream === 'undefined') {
-    trouble('This browser is too old to unpack the figures: Chrome 80, Firefox 113, Safari 16.4 '
+    showError('This browser is too old to unpack the figures: Chrome 80, Firefox 113, Safari 16.4 '
       + 'or newer can.');
     return;
   }
-  const raw = await inflate(by('data').textContent);
-  by('made').textContent = raw.made;
-  for (const layer of [...POLES, 'relative', 'fixed', 'moving']) {
+  const raw = await inflate(byId('data').textContent);
+  byId('made').textContent = raw.made;
+  for (const [layer, meaning] of Object.entries(MEANINGS)) {
     const mark = tag('dt');
-    mark.innerHTML = sample(layer);
-    by('marks').append(mark, tag('dd', MEANINGS[layer]));
+    mark.append(layerIcon(layer));
+    byId('marks').append(mark, tag('dd', meaning));
   }
   if (raw.live) watch();
   else show(prepare(raw));
 }
 
-function tellAbout({ about, notes }) {
-  by('about').textContent = about;
+function showAbout({ about, notes }) {
+  byId('about').textContent = about;
   if (!notes.length) return;
-  const words = notes.length > 1 ? `${notes.length} warnings` : '1 warning';
-  by('about').append(' · ', tag('a', words, { href: '#notes' }));
+  const text = notes.length > 1 ? `${notes.length} warnings` : '1 warning';
+  byId('about').append(' · ', tag('a', text, { href: '#notes' }));
 }
 
 function show(data) {
-  by('title').textContent = data.title;
-  tellAbout(data);
-  drawLacking(by('lacking'), data);
-  drawTheory(by('theory'), data);
-  drawNotes(by('notes'), data);
-  by('work').hidden = !data.work?.length;
-  by('work').querySelector('pre').textContent = (data.work || []).join('\n').trim();
-  if (data.solved) by('now').after(by('polygons'));
+  byId('title').textContent = data.title;
+  showAbout(data);
+  drawWithheld(byId('lacking'), data);
+  drawTheory(byId('theory'), data);
+  drawNotes(byId('notes'), data);
+  byId('work').hidden = !data.work?.length;
+  byId('work').querySelector('pre').textContent = (data.work || []).join('\n').trim();
+  if (data.solved) byId('now').after(byId('polygons'));
   const actions = makePage(data);
   if (data.edit) makeEditor(actions);
-  actions.open();
-  const still = matchMedia('(prefers-reduced-motion: reduce)').matches;
-  if (!toAddress(actions) && !still) actions.play(true);
+  actions.showReadableTime();
+  const reducesMotion = matchMedia('(prefers-reduced-motion: reduce)').matches;
+  if (!goToAddress(actions) && !reducesMotion) actions.play(true);
   document.documentElement.dataset.ready = 'yes';
 }
 
 start().catch((error) => {
-  trouble(`This page cannot be shown: ${error.message}. The file may be cut off; get it anew.`);
+  showError(`This page cannot be shown: ${error.message}. The file may be cut off; get it anew.`);
   throw error;
 });

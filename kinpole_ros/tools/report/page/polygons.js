@@ -1,25 +1,23 @@
-// ---- Velocity and acceleration polygons at the instant of the cursor ----
+// ---- Velocity and acceleration polygons at the cursor ----
 
 const POLYGONS = [['velocities', 'm/s'], ['accelerations', 'm/s²']];
 
-// Points of a body that have images: named ones of a scene, or its markers and pins.
+// Points of a body with images: named ones of a scene, or markers and pins.
 function imagePoints(data, body, k) {
   if (body.points) return body.points;
-  return anchors(data, body, outlineAt(body, k) ?? undefined).map(([u, v]) => ['', u, v]);
+  return drawnPoints(data, body, outlineAt(body, k)).map(([u, v]) => ['', u, v]);
 }
 
-// Velocities of a body's points, or accelerations, as [name, x, y]; none where they are not known.
+// Velocities (order 1) or accelerations of the points of a body, as [name, x, y], where determined.
 function imagesOf(data, body, k, order) {
   const [w, alpha] = RATES.map((name) => body[name]?.value[k]);
-  const [c, s] = [Math.cos(body.angle[k]), Math.sin(body.angle[k])];
-  const [px, py] = [body.iap?.x[k], body.iap?.y[k]];
-  return imagePoints(data, body, k).map(([name, u, v]) => {
-    const [x, y] = [c * u - s * v, s * u + c * v];
-    if (order === 1) return [name, body.vx[k] - w * y, body.vy[k] + w * x];
+  return imagePoints(data, body, k).map(([name, ...point]) => {
+    if (order === 1) return [name, ...velocityAt(body, k, point)];
     // From the acceleration pole.
-    const [dx, dy] = [body.x[k] + x - px, body.y[k] + y - py];
+    const [x, y] = pointAt(body, k, point);
+    const [dx, dy] = [x - body.iap?.x[k], y - body.iap?.y[k]];
     return [name, -w * w * dx - alpha * dy, alpha * dx - w * w * dy];
-  }).filter((image) => isFinite(image[1]) && isFinite(image[2]));
+  }).filter(([, x, y]) => isFinite(x) && isFinite(y));
 }
 
 function makePolygons(element, page, data) {
@@ -33,29 +31,24 @@ function makePolygons(element, page, data) {
     return { canvas, unit, order: n + 1 };
   });
 
-  function draw() {
-    for (const plot of plots) drawOne(plot);
-  }
-
-  function drawOne({ canvas, unit, order }) {
-    const { context, width, height } = fitted(canvas, page.printing);
+  function drawPolygon({ canvas, unit, order }) {
+    const { context, width, height } = emptyCanvas(canvas, page.printing);
     const shown = data.bodies.filter((body) => !page.hidden.has(body.name))
       .map((body) => [body, imagesOf(data, body, page.k, order)]);
-    const sizes = shown.flatMap(([, images]) => images.map(([, x, y]) => Math.hypot(x, y)));
-    const largest = Math.max(0, ...sizes);
+    const lengths = shown.flatMap(([, images]) => images.map(([, x, y]) => Math.hypot(x, y)));
+    const largest = Math.max(0, ...lengths);
     if (!(largest > 0)) return;
-    // The scale changes by steps, so that one sees the polygon change.
-    const most = 2 ** Math.ceil(Math.log2(largest));
-    const scale = (0.5 * Math.min(width, height) - 20) / most;
+    // The scale changes in steps, so that changes of the polygon are visible.
+    const range = 2 ** Math.ceil(Math.log2(largest));
+    const scale = (0.5 * Math.min(width, height) - 20) / range;
     const at = (x, y) => [width / 2 + x * scale, height / 2 - y * scale];
     const pole = at(0, 0);
     const named = [];
     for (const [body, images] of shown) {
       context.strokeStyle = context.fillStyle = body.color;
-      // The image of the body, similar to it.
-      const shape = hull(images.map(([, x, y]) => at(x, y)));
+      // The image of the body is similar to the body.
       context.beginPath();
-      shape.forEach(([x, y], n) => context[n ? 'lineTo' : 'moveTo'](x, y));
+      addLines(context, hull(images.map(([, x, y]) => at(x, y))));
       context.closePath();
       context.globalAlpha = 0.14;
       context.fill();
@@ -64,27 +57,24 @@ function makePolygons(element, page, data) {
       context.stroke();
       context.lineWidth = 1.1;
       for (const [name, x, y] of images) {
-        arrow(context, pole, [x * scale, -y * scale]);
+        drawArrow(context, pole, [x * scale, -y * scale]);
         if (name) named.push([name, ...at(x, y)]);
       }
     }
-    context.fillStyle = '#1c2127';
+    context.fillStyle = INK;
     context.beginPath();
     context.arc(...pole, 3, 0, 2 * Math.PI);
     context.fill();
-    nameImages(context, named, pole);
-    const { step } = ticks(0, most, 3);
-    context.strokeStyle = '#5b6570';
+    drawImageNames(context, named, pole);
+    const { step } = ticks(0, range, 3);
+    context.strokeStyle = GRAY;
     context.lineWidth = 1.3;
-    context.beginPath();
-    context.moveTo(8, height - 9);
-    context.lineTo(8 + step * scale, height - 9);
-    context.stroke();
-    say(context, `${tickWords(step, step)} ${unit}`, 14 + step * scale, height - 5, '#5b6570', 11);
+    strokeLines(context, [[8, height - 9], [8 + step * scale, height - 9]]);
+    drawText(context, `${tickText(step, step)} ${unit}`, 14 + step * scale, height - 5, GRAY, 11);
   }
 
-  // One name for points of one image, each once; those of the ground are at the pole.
-  function nameImages(context, named, pole) {
+  // Points with one image share a label; those of the ground are at the pole.
+  function drawImageNames(context, named, pole) {
     const groups = [{ x: pole[0], y: pole[1], names: new Set() }];
     for (const [name, x, y] of named) {
       const near = groups.find((group) => Math.hypot(group.x - x, group.y - y) < 9);
@@ -92,13 +82,13 @@ function makePolygons(element, page, data) {
       else groups.push({ x, y, names: new Set([name]) });
     }
     for (const { x, y, names } of groups) {
-      const text = [...names].join(', ');
-      const left = x < pole[0] - 1;
-      context.textAlign = left ? 'right' : 'left';
-      say(context, text, x + (left ? -5 : 5), y + (y > pole[1] ? 12 : -5), '#1c2127', 11.5);
+      const isLeft = x < pole[0] - 1;
+      context.textAlign = isLeft ? 'right' : 'left';
+      const [left, top] = [x + (isLeft ? -5 : 5), y + (y > pole[1] ? 12 : -5)];
+      drawText(context, [...names].join(', '), left, top, INK, 11.5);
     }
     context.textAlign = 'left';
   }
 
-  return { draw };
+  return { draw: () => plots.forEach(drawPolygon) };
 }

@@ -1,4 +1,4 @@
-// ---- The stage: the plane of the motion. What rests is on one canvas, what moves on another ----
+// ---- The stage: the plane of the motion. One canvas is static, the other moves with the cursor ----
 
 const LAYERS = {
   outlines: 'bodies', tracks: 'tracks', fixed: 'fixed centrode', moving: 'moving centrode',
@@ -6,179 +6,171 @@ const LAYERS = {
   velocities: 'velocities', names: 'names',
 };
 const HIDDEN = ['ijp', 'isp'];
+// Thickness of a bar, in sizes of the motion; of the largest velocity arrow, in sizes of the stage.
+const THICKNESS = 0.022;
 
+// What is drawn, and where: `view` is the center and the pixels per meter; `points` are those of each
+// body that have velocities; `fastest` is the speed of the longest arrow.
 function makeStage(element, page, data) {
   const [under, over] = element.querySelectorAll('canvas');
-  const view = { x: 0, y: 0, scale: 100 };
-  const shown = () => data.bodies.filter((body) => !page.hidden.has(body.name));
-  const on = (layer) => !page.off.has(layer);
-  let [jump, extent, thickness, points, fastest] = [null, 1, 1, [], 0];
-  let loci = new Map();
-  let sizes = null;
-  const moving = makeMoving({
-    page, data, view, shown, on, screen, toWorld, toScreen, lociOf,
-    get sizes() { return sizes; },
-    get points() { return points; },
-    get fastest() { return fastest; },
-    get thickness() { return thickness; },
-  });
-  learn();
+  const stage = {
+    page, data, view: { x: 0, y: 0, scale: 100 }, sizes: null, points: [], fastest: 0, thickness: 1,
+  };
+  const { view } = stage;
+  let [box, extent, paths] = [null, 1, new Map()];
+  stage.isOn = (layer) => !page.off.has(layer);
+  stage.shownBodies = () => data.bodies.filter((body) => !page.hidden.has(body.name));
+  const drawInstant = makeInstantDrawer(stage);
+  updateMotion();
 
-  // What the motion is like, as far as it is known; where it goes beyond all before, show all.
-  function learn() {
-    const known = jump && Object.values(jump).join();
-    jump = frame(data, jump);
-    extent = Math.hypot(jump.width, jump.height) || 1;
-    thickness = 0.022 * extent;
-    reshape();
-    fastest = Math.max(fastest, topSpeed(data, points));
-    if (sizes && !view.held && known !== Object.values(jump).join()) fit();
+  // Updates box, arrows and bars; the view changes where the motion leaves the box.
+  function updateMotion() {
+    const before = box && Object.values(box).join();
+    box = motionBox(data, box);
+    extent = Math.hypot(box.width, box.height) || 1;
+    stage.thickness = THICKNESS * extent;
+    updatePoints();
+    stage.fastest = Math.max(stage.fastest, topSpeed(data, stage.points));
+    if (stage.sizes && !view.held && before !== Object.values(box).join()) fit();
   }
 
-  // Bodies that have other points than before.
-  function reshape() {
-    points = data.bodies.map((body) => anchors(data, body));
+  function updatePoints() {
+    stage.points = data.bodies.map((body) => drawnPoints(data, body));
   }
 
-  // All of the motion that is known now.
-  function whole() {
-    [jump, fastest] = [null, 0];
-    learn();
+  // Forgets the motion before, and shows all that is known now.
+  function showAll() {
+    [box, stage.fastest] = [null, 0];
+    updateMotion();
     fit();
   }
 
   function fit() {
-    sizes = fitted(under, page.printing);
+    const sizes = stage.sizes = emptyCanvas(under, page.printing);
     view.held = false;
-    view.scale = 0.9 * Math.min(sizes.width / jump.width, sizes.height / jump.height);
-    view.x = jump.x + jump.width / 2;
-    view.y = jump.y + jump.height / 2;
-    rest();
+    view.scale = 0.9 * Math.min(sizes.width / box.width, sizes.height / box.height);
+    view.x = box.x + box.width / 2;
+    view.y = box.y + box.height / 2;
+    draw();
   }
 
-  function screen(x, y) {
-    const [across, up] = [(x - view.x) * view.scale, (y - view.y) * view.scale];
-    return [sizes.width / 2 + across, sizes.height / 2 - up];
-  }
+  stage.toScreen = (x, y) => {
+    const { width, height } = stage.sizes;
+    return [width / 2 + (x - view.x) * view.scale, height / 2 - (y - view.y) * view.scale];
+  };
 
-  function toWorld(context, turn = 0, x = 0, y = 0) {
-    const [c, s] = [view.scale * Math.cos(turn), view.scale * Math.sin(turn)];
-    const [left, top] = screen(x, y);
-    context.setTransform(1, 0, 0, 1, 0, 0);
-    context.scale(sizes.ratio, sizes.ratio);
-    context.transform(c, -s, -s, -c, left, top);
-  }
+  stage.toPlane = (left, top) => {
+    const { width, height } = stage.sizes;
+    return [view.x + (left - width / 2) / view.scale, view.y + (height / 2 - top) / view.scale];
+  };
 
-  function toScreen(context) {
-    context.setTransform(sizes.ratio, 0, 0, sizes.ratio, 0, 0);
-  }
+  // Lets the context draw in meters, in the frame of a body.
+  stage.useMeters = (context, angle = 0, x = 0, y = 0) => {
+    const [c, s] = [view.scale * Math.cos(angle), view.scale * Math.sin(angle)];
+    stage.usePixels(context);
+    context.transform(c, -s, -s, -c, ...stage.toScreen(x, y));
+  };
 
-  // Lines in the world, thinned for this scale: made anew when it changes.
-  function lociOf(body) {
-    if (!loci.has(body)) loci.set(body, lociPaths(data, body, points, (page.dragging ? 4 : 0.7) / view.scale, extent));
-    return loci.get(body);
-  }
+  stage.usePixels = (context) => {
+    const { ratio } = stage.sizes;
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  };
 
-  // What rests: the grid, tracks of markers, fixed centrodes.
-  function rest() {
-    sizes = fitted(under, page.printing);
-    if (data.live || data.edited || loci.scale !== view.scale) loci = Object.assign(new Map(), { scale: view.scale });
-    const { context } = sizes;
+  // Tracks and centrodes of a body, thinned for this scale.
+  stage.pathsOf = (body) => {
+    if (!paths.has(body)) {
+      const step = (page.dragging ? 4 : 0.7) / view.scale;
+      paths.set(body, motionPaths(data, body, step, extent));
+    }
+    return paths.get(body);
+  };
+
+  // Draws what is static: the grid, tracks of markers, fixed centrodes; then the instant.
+  function draw() {
+    stage.sizes = emptyCanvas(under, page.printing);
+    if (data.live || data.edited || paths.scale !== view.scale) {
+      paths = Object.assign(new Map(), { scale: view.scale });
+    }
+    const { context } = stage.sizes;
     drawGrid(context);
-    for (const body of shown()) {
-      toWorld(context);
-      context.lineJoin = 'round';
+    stage.useMeters(context);
+    context.lineJoin = 'round';
+    for (const body of stage.shownBodies()) {
       context.strokeStyle = body.color;
-      if (on('tracks')) {
+      if (stage.isOn('tracks')) {
         context.globalAlpha = 0.28;
         context.lineWidth = 0.9 / view.scale;
-        for (const path of lociOf(body).tracks) context.stroke(path);
+        for (const path of stage.pathsOf(body).tracks) context.stroke(path);
       }
-      if (on('fixed')) {
+      if (stage.isOn('fixed')) {
         context.globalAlpha = 0.42;
         context.lineWidth = 4 / view.scale;
-        context.stroke(lociOf(body).fixed);
+        context.stroke(stage.pathsOf(body).fixed);
       }
-      context.globalAlpha = 1;
     }
-    toScreen(context);
-    for (const joint of data.joints) {
-      const [body] = joint.bodies;
-      if (joint.bodies.length === 1 && !page.hidden.has(body)) drawGround(context, joint.at[0]);
+    context.globalAlpha = 1;
+    stage.usePixels(context);
+    for (const { bodies, at } of data.joints) {
+      if (bodies.length === 1 && !page.hidden.has(bodies[0])) drawGround(context, at[0]);
     }
-    move();
+    drawCursor();
   }
 
   function drawGrid(context) {
-    const { width, height } = sizes;
-    const [wide, high] = [width / view.scale, height / view.scale];
-    const { step, at } = ticks(view.x - wide / 2, view.x + wide / 2, width / 90);
-    context.font = '11px system-ui, sans-serif';
-    context.lineWidth = 1;
-    context.strokeStyle = '#edf0f2';
-    context.fillStyle = '#6a737c';
-    context.beginPath();
+    const { width, height } = stage.sizes;
+    const [halfWidth, halfHeight] = [width / view.scale / 2, height / view.scale / 2];
+    const { step, at } = ticks(view.x - halfWidth, view.x + halfWidth, width / 90);
     const rows = [];
-    for (let y = Math.ceil((view.y - high / 2) / step); y * step < view.y + high / 2; y++) {
-      rows.push(y * step);
+    for (let n = Math.ceil((view.y - halfHeight) / step); n * step < view.y + halfHeight; n++) {
+      rows.push(n * step);
     }
-    for (const x of at) {
-      const [left] = screen(x, 0);
-      context.moveTo(Math.round(left) + 0.5, 0);
-      context.lineTo(Math.round(left) + 0.5, height);
-    }
-    for (const y of rows) {
-      const [, top] = screen(0, y);
-      context.moveTo(0, Math.round(top) + 0.5);
-      context.lineTo(width, Math.round(top) + 0.5);
-    }
-    context.stroke();
+    const left = (x) => stage.toScreen(x, 0)[0];
+    const top = (y) => stage.toScreen(0, y)[1];
+    context.font = `11${FONT}`;
+    context.lineWidth = 1;
+    context.strokeStyle = GRID;
+    context.fillStyle = '#6a737c';
+    const sharp = (pixel) => Math.round(pixel) + 0.5;
+    strokeLines(
+      context,
+      ...at.map((x) => [[sharp(left(x)), 0], [sharp(left(x)), height]]),
+      ...rows.map((y) => [[0, sharp(top(y))], [width, sharp(top(y))]]),
+    );
+    const text = (value) => tickText(1e3 * value, 1e3 * step);
     context.textAlign = 'center';
-    const last = at.filter((x) => screen(x, 0)[0] < width - 72 && screen(x, 0)[0] > 30);
-    for (const x of last) context.fillText(tickWords(1e3 * x, 1e3 * step), screen(x, 0)[0], height - 6);
+    for (const x of at) {
+      if (left(x) > 30 && left(x) < width - 72) context.fillText(text(x), left(x), height - 6);
+    }
     context.textAlign = 'left';
     for (const y of rows) {
-      const top = screen(0, y)[1];
-      if (top > 34 && top < height - 20) context.fillText(tickWords(1e3 * y, 1e3 * step), 5, top - 3);
+      if (top(y) > 34 && top(y) < height - 20) context.fillText(text(y), 5, top(y) - 3);
     }
-    const names = data.along.join(', ');
     context.textAlign = 'right';
-    context.fillText(`${names} (mm)`, width - 6, height - 6);
+    context.fillText(`${data.along.join(', ')} (mm)`, width - 6, height - 6);
   }
 
-  // The sign of a pin on the ground: a triangle on hatching.
+  // The symbol of a pin on the ground: a triangle on hatching.
   function drawGround(context, [x, y]) {
-    const [left, top] = screen(x, y);
+    const [left, top] = stage.toScreen(x, y);
     const r = 9;
+    const at = (u, v) => [left + u * r, top + v * r];
     context.strokeStyle = '#3c444c';
     context.fillStyle = '#fff';
     context.lineWidth = 1.3;
     context.beginPath();
-    context.moveTo(left, top);
-    context.lineTo(left - 0.9 * r, top + 1.6 * r);
-    context.lineTo(left + 0.9 * r, top + 1.6 * r);
+    addLines(context, [at(0, 0), at(-0.9, 1.6), at(0.9, 1.6)]);
     context.closePath();
     context.fill();
-    context.moveTo(left - 1.6 * r, top + 1.6 * r);
-    context.lineTo(left + 1.6 * r, top + 1.6 * r);
-    for (let k = -1.5; k < 1.6; k += 0.6) {
-      context.moveTo(left + k * r, top + 1.6 * r);
-      context.lineTo(left + (k - 0.4) * r, top + 2.2 * r);
-    }
+    addLines(context, [at(-1.6, 1.6), at(1.6, 1.6)]);
+    for (let k = -1.5; k < 1.6; k += 0.6) addLines(context, [at(k, 1.6), at(k - 0.4, 2.2)]);
     context.stroke();
   }
 
-  // What moves, at the instant of the cursor.
-  function move() {
-    const { context } = fitted(over, page.printing);
-    moving.draw(context, page.k);
+  function drawCursor() {
+    const { context } = emptyCanvas(over, page.printing);
+    drawInstant(context, page.k);
     page.drawOver?.(context);
   }
 
-  // The place in the plane that is at so many pixels.
-  const plane = (left, top) => [
-    view.x + (left - sizes.width / 2) / view.scale, view.y + (sizes.height / 2 - top) / view.scale,
-  ];
-
-  return { fit, whole, learn, reshape, rest, move, view, screen, plane, get sizes() { return sizes; } };
+  return Object.assign(stage, { fit, showAll, updateMotion, updatePoints, draw, drawCursor });
 }

@@ -1,0 +1,182 @@
+"""
+Offsets of the fields in the serialized bytes of messages of markers and poses.
+
+A message may come from anywhere, so the sizes in it are followed through the bytes before memory is
+taken for what they claim. Offsets are counted from the start of the message.
+"""
+
+import struct
+from typing import NamedTuple
+
+from kinpole_ros.messages._cdr import HEAD, LITTLE
+from kinpole_ros.messages._types import INPUT_TYPE_NAMES, MessageError
+
+# Objects that rclpy would make of a message; beyond, they take 5 s and hundreds of MB. A marker
+# takes as long as 16 points.
+_MAX_OBJECTS = 1 << 18
+_MARKER = 16
+_ORDERS = {b'\x00\x00': '>', LITTLE: '<'}
+
+
+class Items(NamedTuple):
+    """A sequence or string: offset of its first item, and number of items."""
+
+    start: int
+    number: int
+
+
+class MarkerOffsets(NamedTuple):
+    """Offsets of the fields of a Marker; at `number` are its id, type and action."""
+
+    stamp: int
+    frame_id: Items
+    ns: Items
+    number: int
+    pose: int
+    points: Items
+
+
+class PoseOffsets(NamedTuple):
+    """Offsets of poses: of one with a child_frame_id, or of several without."""
+
+    stamp: int
+    frame_id: Items
+    child: Items
+    poses: Items
+
+
+class MessageOffsets:
+    """
+    The offsets in one message of markers or poses of the type `kind`, a key of INPUT_TYPES.
+
+    `size` is that of the message in bytes, `order` its byte order as `struct` names it. `sizes` are
+    the offsets of the lengths of all sequences and strings. A Marker or MarkerArray has `markers`,
+    the other types a `stamp`, a `frame_id` and `items`: poses, or the data of a cloud. `poses` has
+    the poses of bodies. `layout` are first and last offsets of the fields of a cloud that describe
+    its data.
+
+    Raises MessageError for a message that is cut off, or that holds more than 16,384 markers or
+    262,144 poses or points.
+    """
+
+    def __init__(self, kind: str, data: bytes) -> None:
+        self.sizes: list[int] = []
+        self.markers: list[MarkerOffsets] = []
+        self.poses: list[PoseOffsets] = []
+        self.stamp = 0
+        self.frame_id = self.items = Items(0, 0)
+        self.layout: list[tuple[int, int]] = []
+        order = _ORDERS.get(data[:2])
+        if order is None or len(data) < HEAD:
+            raise MessageError(
+                f'{len(data)} bytes are no {INPUT_TYPE_NAMES[kind]}: they do not start as plain '
+                'CDR; see that the sender sends that and that nothing is damaged'
+            )
+        self.order, self.size = order, len(data)
+        self._objects = 0
+        self._data = data
+        self._unpack_length = struct.Struct(f'{order}I').unpack_from
+        self._at = HEAD
+        try:
+            getattr(self, f'_{kind}')()
+        except struct.error:
+            self._at = len(data) + 1
+        if self._at > len(data):
+            raise MessageError(
+                f'{len(data)} bytes are no {INPUT_TYPE_NAMES[kind]}: the sizes in them claim more; '
+                'see that the sender sends whole messages and that nothing is damaged'
+            )
+        if self._objects > _MAX_OBJECTS:
+            raise MessageError(
+                f'{len(data)} bytes of {INPUT_TYPE_NAMES[kind]} are too much: more than '
+                f'{_MAX_OBJECTS // _MARKER} markers, or {_MAX_OBJECTS} poses, points and colors; '
+                'send them as a PointCloud2'
+            )
+
+    def _marker_array(self) -> None:
+        for _ in range(self._length()):
+            self._marker()
+            if self._objects > _MAX_OBJECTS:
+                return
+
+    def _marker(self) -> None:
+        """Pass the fields of a visualization_msgs/msg/Marker in order."""
+        self._objects += _MARKER
+        stamp, frame_id = self._header()
+        ns = self._sequence(1)
+        number = self._skip(12, 4)  # id, type, action
+        pose = self._skip(56, 8)
+        self._skip(24 + 16 + 8 + 1)  # scale, color, lifetime, frame_locked
+        points = self._sequence(24, 8)
+        self._sequence(16, 4)  # colors
+        self._sequence(1)  # texture_resource
+        self._header()  # texture: its header, format and data
+        self._sequence(1)
+        self._sequence(1)
+        self._sequence(8, 4)  # uv_coordinates
+        self._sequence(1)  # text
+        self._sequence(1)  # mesh_resource
+        self._sequence(1)  # mesh_file: filename and data
+        self._sequence(1)
+        self._skip(1)  # mesh_use_embedded_materials
+        self.markers.append(MarkerOffsets(stamp, frame_id, ns, number, pose, points))
+
+    def _pose_array(self) -> None:
+        self.stamp, self.frame_id = self._header()
+        self.items = self._sequence(56, 8)
+
+    def _pose_stamped(self) -> None:
+        stamp, frame_id = self._header()
+        poses = Items(self._skip(56, 8), 1)
+        self.poses.append(PoseOffsets(stamp, frame_id, Items(0, 0), poses))
+
+    def _body_poses(self) -> None:
+        self._pose_array()
+        self.poses.append(PoseOffsets(self.stamp, self.frame_id, Items(0, 0), self.items))
+
+    def _tf(self) -> None:
+        for _ in range(self._length()):
+            self._objects += _MARKER
+            if self._objects > _MAX_OBJECTS:
+                return
+            stamp, frame_id = self._header()
+            child = self._sequence(1)
+            poses = Items(self._skip(56, 8), 1)
+            self.poses.append(PoseOffsets(stamp, frame_id, child, poses))
+
+    def _point_cloud2(self) -> None:
+        self.stamp, self.frame_id = self._header()
+        self._describe(8, 4)  # height, width
+        for _ in range(self._length()):
+            name = self._sequence(1)
+            self.layout.append((name.start, name.start + name.number))
+            self._describe(5, 4)  # offset, datatype
+            self._describe(4, 4)  # count
+        self._describe(1)  # is_bigendian
+        self._describe(8, 4)  # point_step, row_step
+        self.items = self._sequence(1)
+        self._skip(1)  # is_dense
+
+    def _header(self) -> tuple[int, Items]:
+        return self._skip(8, 4), self._sequence(1)
+
+    def _describe(self, size: int, align: int = 1) -> None:
+        start = self._skip(size, align)
+        self.layout.append((start, start + size))
+
+    def _skip(self, size: int, align: int = 1) -> int:
+        start = self._at + (HEAD - self._at) % align
+        self._at = start + size
+        return start
+
+    def _length(self) -> int:
+        start = self._skip(4, 4)
+        self.sizes.append(start)
+        return int(self._unpack_length(self._data, start)[0])
+
+    def _sequence(self, size: int, align: int = 1) -> Items:
+        """Skip a sequence of items of this size; an empty one is not aligned to its items."""
+        count = self._length()
+        if size > 1:
+            self._objects += count
+        return Items(self._skip(count * size, align if count else 1), count)

@@ -1,0 +1,319 @@
+"""
+Play a bag over DDS: a small `ros2 bag play` for machines with rclpy and no ROS installation.
+
+In a loop the stamps of each pass follow those of the one before.
+"""
+
+import math
+import re
+import time
+from array import array
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock as ClockMessage
+from std_msgs.msg import Header
+
+from kinpole_ros.bags import BagError, BagMessage, message_class, read_messages, topics
+from kinpole_ros.messages import fields, ns_to_stamp, stamp_to_ns
+from kinpole_ros.ros.executor import check_domain, reason_of
+from kinpole_ros.ros.private import RCLError
+
+_POLL_INTERVAL = 0.01  # s, while waiting for subscribers
+_ACKNOWLEDGMENT_WAIT = Duration(seconds=0.1)
+_DEPTH = 1000  # messages
+
+
+def play(
+    bag: str | Path,
+    only: list[str] | None = None,
+    speed: float = 1.0,
+    wait: float = 10.0,
+    progress: Callable[[float], None] | None = None,
+    loop: bool = False,
+    clock: float | None = None,
+    subscribers: int = 1,
+) -> int:
+    """
+    Publish the messages of a bag at the pace at which they were recorded, times `speed`.
+
+    Parameters
+    ----------
+    bag : str or Path
+        The bag.
+    only : list of str, optional
+        Topics; by default all but the exact answers of `simulate`.
+    speed : float
+        Factor of the pace.
+    wait : float
+        s: the longest wait for subscribers.
+    progress : callable, optional
+        Called with the fraction done.
+    loop : bool
+        Play again until Ctrl-C. The stamps, and the time on /clock, of each pass follow those of
+        the one before by one interval.
+    clock : float, optional
+        Hz: publish the time of the bag on /clock so often, for nodes with use_sim_time.
+    subscribers : int
+        How many subscribers of each topic to wait for. At the end it waits until reliable ones have
+        all messages.
+
+    Returns
+    -------
+    int
+        The number of messages.
+
+    Raises
+    ------
+    BagError
+        As reading does, and for a speed or clock that is not more than 0.
+    """
+    if not (math.isfinite(speed) and speed > 0):
+        raise BagError(f'--speed is {speed}; it must be more than 0')
+    if clock is not None and not (math.isfinite(clock) and clock > 0):
+        raise BagError(f'--clock is {clock}; it must be more than 0 Hz')
+    types = topics(bag)
+    if clock is not None:
+        types.pop('/clock', None)
+    only = [with_slash(name) for name in only or []]
+    ordinary = [name for name in types if '/truth/' not in name]
+    for name in only:
+        if name not in types:
+            raise BagError(f'{bag}: no topic {name}; it holds {", ".join(sorted(ordinary))}')
+    chosen = {name: types[name] for name in only or ordinary}
+    context = own_context()
+    node = Node('kinpole_player', context=context)
+    try:
+        try:
+            publishers = _make_publishers(node, chosen, is_strict=bool(only))
+            clocks = None if clock is None else node.create_publisher(ClockMessage, '/clock', 1)
+        except NameValidationException as error:
+            reason = ' '.join(str(error).rstrip(' ^\n').split())
+            raise BagError(f'{bag}: {reason}; name other topics with --topic') from None
+        _wait_for_subscribers(node, publishers, wait, subscribers)
+        pace = _Pace(speed, clocks, clock)
+        count = _publish(bag, publishers, pace, progress, loop, context.ok)
+        for publisher in publishers.values():
+            # Step by step, so that Ctrl-C ends it where a reader no longer reads.
+            while not publisher.wait_for_all_acked(_ACKNOWLEDGMENT_WAIT):
+                pass
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+    return count
+
+
+def _make_publishers(node: Node, types: Mapping[str, str], is_strict: bool) -> dict[str, Publisher]:
+    """Make a publisher for each topic; one of an unknown type is an error if `is_strict`."""
+    publishers = {}
+    for name, kind in types.items():
+        try:
+            cls = message_class(kind)
+        except BagError as error:
+            if is_strict:
+                raise
+            node.get_logger().warning(f'{name} is not played: {error}')
+            continue
+        publishers[name] = node.create_publisher(cls, name, QoSProfile(depth=_DEPTH))
+    return publishers
+
+
+def _wait_for_subscribers(
+    node: Node, publishers: Mapping[str, Publisher], wait: float, subscribers: int
+) -> None:
+    deadline = time.monotonic() + wait
+    while time.monotonic() < deadline and node.context.ok():
+        if all(p.get_subscription_count() >= subscribers for p in publishers.values()):
+            break
+        time.sleep(_POLL_INTERVAL)
+    if node.context.ok():
+        counts = {name: p.get_subscription_count() for name, p in publishers.items()}
+        if unheard := [name for name, count in counts.items() if not count]:
+            node.get_logger().warning(f'nobody listens to {", ".join(unheard)}')
+
+
+def _publish(
+    bag: str | Path,
+    publishers: Mapping[str, Publisher],
+    pace: '_Pace',
+    progress: Callable[[float], None] | None,
+    loop: bool,
+    is_running: Callable[[], bool],
+) -> int:
+    """Publish the messages; return their number."""
+    shift = LoopShift()
+    count = 0
+    while is_running():
+        count_before = count
+        for message in read_messages(bag, list(publishers), progress):
+            pace.wait(message.log_time + shift.log_offset)
+            if not is_running():
+                break
+            publisher = publishers[message.topic]
+            publisher.publish(shift.shifted(message, publisher.msg_type) if loop else message.data)
+            count += 1
+        if not loop or count == count_before:
+            break
+        shift.begin_next_loop()
+    return count
+
+
+class _Pace:
+    """
+    The pace of a bag, times `speed`.
+
+    With `clocks` its time is published `rate` times a second of wall time.
+    """
+
+    def __init__(self, speed: float, clocks: Publisher | None, rate: float | None) -> None:
+        self._speed = speed
+        self._clocks = clocks
+        self._period = math.inf if rate is None else 1 / rate
+        self._clock_due = 0.0
+        self._start = time.monotonic()
+        self._first: int | None = None
+
+    def wait(self, log_time: int) -> None:
+        """Wait until a message of this log time, ns, is due."""
+        first = self._first = log_time if self._first is None else self._first
+        while True:
+            passed = time.monotonic() - self._start
+            remaining = (log_time - first) * 1e-9 / self._speed - passed
+            if self._clocks is not None and passed >= self._clock_due:
+                # No later than the message that is due next.
+                now = min(first + int(passed * self._speed * 1e9), log_time)
+                self._clocks.publish(ClockMessage(clock=ns_to_stamp(now)))
+                self._clock_due = passed + self._period
+            if remaining <= 0:
+                return
+            time.sleep(min(remaining, self._period))
+
+
+def with_slash(topic: str) -> str:
+    """Return a topic, or the beginning of one, with the slash that it may lack."""
+    return topic if topic.startswith('/') else f'/{topic}'
+
+
+def own_context() -> rclpy.Context:
+    """Start ROS in a context of its own; BagError where it cannot start."""
+    context = rclpy.Context()
+    with bag_errors():
+        check_domain()
+        rclpy.init(args=[], context=context)
+    return context
+
+
+@contextmanager
+def bag_errors() -> Iterator[None]:
+    """Report that ROS cannot start, as for a wrong ROS_DOMAIN_ID, as a BagError."""
+    try:
+        yield
+    except RCLError as error:
+        raise BagError(f'ROS cannot start in this environment: {reason_of(error)}') from None
+
+
+class LoopShift:
+    """
+    Shifts the stamps of the messages of a bag in all loops but the first.
+
+    In the first loop the times of the messages are noted. From them follows how much later each
+    loop begins than the one before, by the stamps of headers and by log times.
+    """
+
+    def __init__(self) -> None:
+        self._stamps: dict[str, array[int]] = {}
+        self._log_times: dict[str, array[int]] = {}
+        self._loops = 0
+        self._stamp_length = self._log_length = 0
+
+    @property
+    def log_offset(self) -> int:
+        """How much later than its log time a message of this loop is due, ns."""
+        return self._loops * self._log_length
+
+    def begin_next_loop(self) -> None:
+        """End a loop."""
+        if not self._loops:
+            self._stamp_length = _loop_length(self._stamps)
+            self._log_length = _loop_length(self._log_times)
+        self._loops += 1
+
+    def shifted(self, message: BagMessage, cls: type) -> Any:
+        """Return what to publish: the bytes, or a message with the stamps of this loop."""
+        read = _read(message.data, cls)
+        if not self._loops:
+            self._note_times(message, read)
+            return message.data
+        if read is None:
+            return message.data
+        for header in headers(read):
+            stamp = stamp_to_ns(header.stamp)
+            # 0 means no stamp, unless the clock of the bag begins at 0.
+            if stamp or not message.log_time:
+                header.stamp = ns_to_stamp(stamp + self._loops * self._stamp_length)
+        return read
+
+    def _note_times(self, message: BagMessage, read: Any) -> None:
+        self._log_times.setdefault(message.topic, array('q')).append(message.log_time)
+        stamps = (stamp_to_ns(header.stamp) for header in headers(read))
+        # A header inside may have no stamp, as that of the texture of a marker.
+        stamp = min(filter(None, stamps), default=0)
+        if stamp or not message.log_time:
+            self._stamps.setdefault(message.topic, array('q')).append(stamp)
+
+
+def _loop_length(times: Mapping[str, Sequence[int]]) -> int:
+    """The span of the times of all topics plus a median interval of the busiest topic, ns."""
+    if not times:
+        return 0
+    # The markers of one frame may come as one message each, with one stamp.
+    busiest = np.unique(max(times.values(), key=len))
+    interval = np.median(np.diff(busiest)) if len(busiest) > 1 else 0
+    return max(map(max, times.values())) - min(map(min, times.values())) + int(interval)
+
+
+def headers(message: Any) -> Iterator[Header]:
+    """Yield all headers in a message, also those inside its fields."""
+    if message is None:
+        return
+    cls: Any = type(message)
+    for name, is_list in _header_fields(cls):
+        value = getattr(message, name)
+        for item in value if is_list else (value,):
+            if isinstance(item, Header):
+                yield item
+            else:
+                yield from headers(item)
+
+
+@cache
+def _header_fields(cls: Any) -> list[tuple[str, bool]]:
+    """Return the fields of a message class that hold headers, and whether each is a list."""
+    names = []
+    for name, kind in fields(cls).items():
+        base = re.sub(r'[\[<].*', '', kind)
+        item: Any = message_class(base) if '/' in base else None
+        if item is Header or (item is not None and _header_fields(item)):
+            names.append((name, base != kind))
+    return names
+
+
+def _read(data: bytes, cls: type) -> Any:
+    """Read a message that has headers; None for others, and for bytes that cannot be read."""
+    if not _header_fields(cls):
+        return None
+    try:
+        return deserialize_message(data, cls)
+    except (RuntimeError, ValueError):
+        return None

@@ -1,0 +1,199 @@
+"""Record topics into a bag: a small `ros2 bag record` for rclpy without a ROS installation."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import rclpy
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import (
+    DurabilityPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
+from rclpy.subscription import Subscription
+
+from kinpole_ros.bags import RECORDER, BagError, BagWriter, message_class, type_name
+from kinpole_ros.ros.executor import SubscriptionGroup, make_executor, start_ros
+from kinpole_ros.ros.player import bag_errors, with_slash
+from kinpole_ros.ros.private import received_at, take
+
+_FLUSH_INTERVAL = 1.0  # s: what a kill may lose of a recording
+_DISCOVERY_INTERVAL = 0.1  # s
+_DEPTH = 1000  # messages
+_PATIENCE = 5.0  # s without a topic, after which a recorder warns
+
+
+def record(output: str | Path, prefixes: list[str]) -> int:
+    """
+    Record all topics that begin with one of `prefixes` until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    output : str or Path
+        The bag to write. All but the last second of it is readable even after a kill.
+    prefixes : list of str
+        Beginnings of the names of topics.
+
+    Returns
+    -------
+    int
+        The number of messages.
+
+    Raises
+    ------
+    BagError
+        Where the output cannot be written, or is a file that is not empty: a recording cannot be
+        made again.
+    """
+    path = Path(output)
+    if path.is_file() and path.stat().st_size:
+        raise BagError(f'{output} is there already; name another file, or remove that one first')
+    with bag_errors():
+        stop_requested = start_ros([])
+    try:
+        with BagWriter(output, RECORDER) as writer:
+            recorder = Recorder(writer, prefixes)
+            executor = make_executor(recorder, recorder)
+            try:
+                while not stop_requested():
+                    executor.spin_once()
+                # Record what has arrived meanwhile.
+                recorder.take_messages()
+            finally:
+                executor.shutdown()
+                recorder.destroy_node()
+            return recorder.messages
+    finally:
+        rclpy.try_shutdown()
+
+
+class Recorder(Node):
+    """Records every topic under some prefixes, from its first publisher on."""
+
+    def __init__(self, writer: BagWriter, prefixes: list[str]) -> None:
+        super().__init__('kinpole_recorder')
+        self._writer = writer
+        self._prefixes = tuple(map(with_slash, prefixes))
+        # By topic: the type that is recorded, and other types that it was published as.
+        self._types: dict[str, set[str]] = {}
+        self._recorded: list[tuple[Subscription, Callable[..., None]]] = []
+        # Those with a publisher that offers less than was requested.
+        self._incompatible: set[Subscription] = set()
+        self.group = SubscriptionGroup()
+        self.messages = 0
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_DISCOVERY_INTERVAL, self._discover, clock=steady)
+        self.create_timer(_FLUSH_INTERVAL, writer.flush, clock=steady)
+        self._patience = self.create_timer(_PATIENCE, self._warn_of_silence, clock=steady)
+        self._discover()
+
+    @property
+    def subscriptions(self) -> list[Subscription]:
+        """The subscriptions that are recorded."""
+        return [subscription for subscription, _ in self._recorded]
+
+    def take_messages(self) -> None:
+        """Record the messages that wait."""
+        for subscription, save in self._recorded:
+            # A bounded number, so that a busy topic does not delay the others.
+            for data, info in take(subscription, _DEPTH):
+                save(data, received_at(info))
+
+    def _warn_of_silence(self) -> None:
+        self._patience.cancel()
+        silent = [p for p in self._prefixes if not any(name.startswith(p) for name in self._types)]
+        if silent:
+            names = ' or '.join(silent)
+            self.get_logger().warning(f'nobody publishes on a topic that begins with {names} yet')
+
+    def _discover(self) -> None:
+        """Subscribe to new topics, and see to topics with other types or less QoS."""
+        for name, types in self.get_topic_names_and_types():
+            # `types` are also those of subscribers, and so of this recorder.
+            is_recorded = name in self._types and len(types) == 1
+            if is_recorded or not name.startswith(self._prefixes):
+                continue
+            published = self.get_publishers_info_by_topic(name)
+            if not published:
+                continue
+            if name in self._types:
+                self._note_other_types(name, {o.topic_type for o in published})
+                continue
+            # A topic has one type in a bag.
+            kind = published[0].topic_type
+            self._types[name] = {kind}
+            try:
+                cls = message_class(kind)
+            except BagError as error:
+                self.get_logger().warning(f'{name} is not recorded: {error}')
+                continue
+            offers = [o.qos_profile for o in published if o.topic_type == kind]
+            self._subscribe(name, cls, _least_of(offers))
+        # The event of an incompatible publisher may come after it is gone.
+        for subscription, _ in list(self._recorded):
+            if subscription in self._incompatible:
+                self._request_less(subscription)
+
+    def _subscribe(self, name: str, cls: type, qos: QoSProfile) -> None:
+        save = self._saver(name, cls)
+        events = SubscriptionEventCallbacks(
+            incompatible_qos=lambda _: self._incompatible.add(subscription)
+        )
+        subscription: Subscription = self.create_subscription(
+            cls, name, save, qos, callback_group=self.group, event_callbacks=events, raw=True
+        )
+        self._recorded.append((subscription, save))
+
+    def _request_less(self, subscription: Subscription) -> None:
+        """Subscribe again with the QoS of a publisher that offers less than those before."""
+        name, cls, requested = (
+            subscription.topic_name,
+            subscription.msg_type,
+            subscription.qos_profile,
+        )
+        published, kind = self.get_publishers_info_by_topic(name), type_name(cls)
+        offers = [o.qos_profile for o in published if o.topic_type == kind]
+        lower = [
+            o for o in offers if qos_check_compatible(o, requested)[0] == QoSCompatibility.ERROR
+        ]
+        if not lower:  # not in the graph yet, or gone again
+            return
+        self.get_logger().info(f'{name} is recorded with less QoS from now on, as offered')
+        self.take_messages()
+        self._incompatible.remove(subscription)
+        self._recorded = [row for row in self._recorded if row[0] is not subscription]
+        self.destroy_subscription(subscription)
+        self._subscribe(name, cls, _least_of([requested, *lower]))
+
+    def _note_other_types(self, name: str, types: set[str]) -> None:
+        if new := types - self._types[name]:
+            self._types[name] |= new
+            listed = ', '.join(sorted(new))
+            self.get_logger().warning(
+                f'{name} is published as {listed} too, and that is not recorded: one bag has one '
+                'type for a topic; record anew'
+            )
+
+    def _saver(self, name: str, cls: type) -> Callable[..., None]:
+        def save(data: bytes, received: int | None = None) -> None:
+            # The time of arrival: messages of other topics may be taken before this one.
+            when = received or self.get_clock().now().nanoseconds
+            self._writer.write_raw(name, cls, data, when)
+            self.messages += 1
+
+        return save
+
+
+def _least_of(offers: Sequence[QoSProfile]) -> QoSProfile:
+    """Return the strictest QoS that all of the publishers offer."""
+    qos = QoSProfile(depth=_DEPTH)
+    if any(o.reliability == ReliabilityPolicy.BEST_EFFORT for o in offers):
+        qos.reliability = ReliabilityPolicy.BEST_EFFORT
+    if all(o.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers):
+        qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    return qos

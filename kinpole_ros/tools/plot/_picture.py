@@ -1,0 +1,161 @@
+"""
+The picture of a bag of results.
+
+Each body has a row: the linkage with both centrodes and the poles of one instant, the angular
+rates, and the motion of the ICR along the fixed centrode.
+"""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from kinpole_ros.tools.plot import _plane, _time
+from kinpole_ros.tools.plot._results import Results, Series, read_results, read_truth
+from kinpole_ros.tools.plot._style import (
+    BAND,
+    BLACK,
+    ESTIMATE,
+    FIXED,
+    GREEN,
+    LINK,
+    MOVING,
+    PATH,
+    POLES,
+    RELATIVE,
+    THIN,
+    saved_figure,
+)
+
+_MOST_BODIES = 4
+_READING = 0.9  # fraction of the time that reading takes
+_WIDTH, _ROW_HEIGHT, _DPI = 12.0, 4.3, 150  # inches; 1800 px wide
+_POLE_LABELS = {
+    'icr': 'ICR (velocity pole)',
+    'iap': 'IAP (acceleration pole)',
+    'ijp': 'IJP (jerk pole)',
+}
+
+
+def plot(
+    bag: str | Path,
+    output: str | Path,
+    progress: Callable[[float], None] | None = None,
+    truth: str | Path | None = None,
+) -> str:
+    """
+    Draw the results in a bag.
+
+    Parameters
+    ----------
+    bag : str or path
+        An .mcap or .db3 file, or a rosbag2 folder.
+    output : str or path
+        The picture; its ending is the format: png, pdf, svg or another one of matplotlib.
+    progress : callable, optional
+        Called with the fraction done.
+    truth : str or path, optional
+        The bag of `kinpole simulate` whose exact motion is drawn too.
+
+    Returns
+    -------
+    str
+        Where a truncated bag ends, '' for a complete bag.
+
+    Raises
+    ------
+    BagError
+        If the bag has no results, `output` cannot be written or matplotlib is missing.
+    """
+    reading = None if progress is None else lambda share: progress(_READING * share)
+    with saved_figure(output, (_WIDTH, 1), _DPI) as figure:
+        results = read_results(bag, reading)
+        exact = {} if truth is None else read_truth(truth, results)
+        # A file name need not be text.
+        name = os.fsencode(Path(bag).name).decode(errors='replace')
+        _draw(figure, name, results, exact)
+    if progress is not None:
+        progress(1.0)
+    return results.cut
+
+
+def _draw(figure: Any, bag: str, results: Results, exact: dict[str, dict[str, Series]]) -> None:
+    bodies = results.bodies[:_MOST_BODIES]
+    figure.set_size_inches(_WIDTH, 1.5 + _ROW_HEIGHT * len(bodies))
+    start = min(int(body.stamp[0]) for body in bodies)
+    end = max(int(body.stamp[-1]) for body in bodies)
+    scopes = [_plane.scope_of(body) for body in bodies]
+    instant = _plane.instant_of(scopes, (start + end) // 2)
+    omitted = ', '.join(body.name for body in results.bodies[_MOST_BODIES:])
+    figure.suptitle(
+        f'{bag}: {", ".join(body.name for body in bodies)}'
+        + (f' (not drawn: {omitted})' if omitted else '')
+        + f'\n{(end - start) * 1e-9:.3g} s from stamp {start * 1e-9:.3f} s'
+        + (', bag cut off' if results.cut else '')
+        + f'; poles and moving centrode at t = {(instant - start) * 1e-9:.3f} s',
+        parse_math=False,
+    )
+    columns: tuple[list[Any], ...] = ([], [], [])
+    grid = figure.add_gridspec(len(bodies), 3, width_ratios=[1.2, 1, 1])
+    figure.get_layout_engine().set(w_pad=0.12)
+    for row, scope in enumerate(scopes):
+        axis = figure.add_subplot(grid[row, 0])
+        _plane.draw_plane(axis, scope, instant, results)
+        axis.set(xlabel=f'{results.along[0]} (m)', ylabel=f'{results.along[1]} (m)')
+        columns[0].append(axis)
+        body, truth = scope.body, exact.get(scope.body.name, {})
+        all_panels = _time.rate_panels(body, truth), _time.centrode_panels(body, truth)
+        for column, panels in enumerate(all_panels, start=1):
+            inner = grid[row, column].subgridspec(
+                2 * len(panels), 1, height_ratios=[3.0, 1.0] * len(panels)
+            )
+            shared = None
+            for k, panel in enumerate(panels):
+                axis = shared = figure.add_subplot(inner[2 * k], sharex=shared)
+                strip = figure.add_subplot(inner[2 * k + 1], sharex=shared)
+                _time.draw_panel(axis, strip, body, panel, start, instant)
+                columns[column].append(axis)
+                axis.tick_params(labelbottom=False)
+                strip.tick_params(labelbottom=k == len(panels) - 1)
+                if end > start:
+                    axis.set_xlim(0, (end - start) * 1e-9)
+            strip.set_xlabel('t (s)')
+    for axes in columns:
+        figure.align_ylabels(axes)
+    _add_legend(figure, bool(results.relative), bool(exact))
+
+
+def _add_legend(figure: Any, relative: bool, exact: bool) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    def symbol(
+        marker: str, label: str, fill: str = BLACK, color: str = BLACK, size: float = 7
+    ) -> Any:
+        style: Any = {'marker': marker, 'markersize': size, 'color': color}
+        return Line2D([], [], linestyle='', label=label, markerfacecolor=fill, **style)
+
+    handles = [
+        Patch(label='the body, through its markers and pins', **LINK),
+        Line2D([], [], label='path of the origin', **PATH),
+        Line2D([], [], label='fixed centrode', **FIXED),
+        Line2D([], [], label='moving centrode', **MOVING),
+        symbol('+', "origin of the body's frame"),
+        *(
+            symbol(marker, _POLE_LABELS[pole], BLACK if pole == 'icr' else 'white')
+            for pole, (marker, _) in POLES.items()
+        ),
+        symbol('$\u2192$', 'direction of the ICR velocity u', size=13),
+        Patch(facecolor='#dddddd', edgecolor=BLACK, label='2σ of a pole'),
+        Line2D([], [], label='estimate', **ESTIMATE),
+        Patch(label='±2σ; below each curve at its own scale', **BAND),
+    ]
+    if relative:
+        handles += [
+            symbol('D', 'relative instant center', 'white', GREEN),
+            Line2D([], [], label='its locus', **RELATIVE),
+        ]
+    if exact:
+        handles.append(Line2D([], [], label='exact answer', **THIN))
+        handles.append(Line2D([], [], label='error, in the band', **THIN))
+    figure.legend(handles=handles, loc='outside lower center', ncol=4, frameon=False)

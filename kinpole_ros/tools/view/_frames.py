@@ -1,0 +1,152 @@
+"""
+The results of one instant, from a node's message for pages or its message `state`.
+
+Messages from the network may hold anything, so all values are checked.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from kinpole_ros.messages import String, deserialize_message, figures_of, read_state
+from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES
+
+_POSE = ('x', 'y', 'angle', 'vx', 'vy')
+# The number of values of a quantity; a point has its coordinates and its ellipse.
+_POINT = 5
+_SIZES = {
+    **dict.fromkeys((*RATE_NAMES, 'centrode_curvature'), 2),
+    **dict.fromkeys(POLE_NAMES, _POINT),
+    'icr_velocity': 3,
+}
+_END_OF_TIME = 1 << 63  # ns
+# Bodies, and pairs of bodies; finding joints among so many takes 0.03 s.
+_MOST_BODIES = 200
+_MOST_BYTES = 1 << 20  # five times a message of so many bodies
+
+
+class Rig(NamedTuple):
+    """What a node measures: bodies in its order, quantities of each, and pairs (j, i)."""
+
+    bodies: tuple[str, ...]
+    figures: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...]
+
+
+class Frame(NamedTuple):
+    """
+    One instant, `stamp` in ns, in a plane with axes of the names `along`.
+
+    `bodies` and `pairs` are as a page takes them, None where nothing is determined. By body,
+    `sizes` are in m, and `outlines` are markers (n, 2) in its frame, m. `reasons` say for each body
+    why quantities are not determined, '' for all of them; None if the node does not say it.
+    """
+
+    stamp: int
+    along: tuple[str, str]
+    rig: Rig
+    bodies: list[dict[str, Any] | None]
+    pairs: list[list[float] | None]
+    sizes: dict[str, float]
+    outlines: dict[str, list[list[float]]]
+    reasons: list[dict[str, str] | None]
+
+    def as_json(self, seconds: float, published: int) -> str:
+        """Return the frame as a page takes it; `published` is in ns."""
+        data = {
+            't': round(seconds, 6),
+            'published': published / 1e6,
+            'bodies': self.bodies,
+            'pairs': self.pairs,
+            'reasons': self.reasons,
+        }
+        return json.dumps(data, separators=(',', ':'), allow_nan=False)
+
+
+def frame_of_view(data: bytes) -> Frame:
+    """Return the frame in a node's message for pages; raise ValueError for anything else."""
+    _check_bytes(data)
+    try:
+        message = json.loads(deserialize_message(data, String).data)
+        bodies = message['bodies']
+        names = tuple(str(body['name']) for body in bodies)
+        pairs = tuple((str(j), str(i)) for j, i in (pair['bodies'] for pair in message['pairs']))
+        if max(len(names), len(pairs)) > _MOST_BODIES:
+            raise ValueError(
+                f'it has {len(names)} bodies and {len(pairs)} pairs of them; a page shows '
+                f'{_MOST_BODIES} of each at most'
+            )
+        if not {name for pair in pairs for name in pair} <= {*names}:
+            raise ValueError('a pair of unknown bodies')
+        first, second = message['along']
+        stamp = int(message['stamp'])
+        if not 0 <= stamp < _END_OF_TIME:
+            raise ValueError(f'{stamp} is no stamp')
+        visible = [body for body in bodies if 'x' in body]
+        return Frame(
+            stamp,
+            (str(first), str(second)),
+            Rig(names, tuple(name for name in _SIZES if name in message['figures']), pairs),
+            [_body(body) if 'x' in body else None for body in bodies],
+            [_quantity(pair['icr'], _POINT) for pair in message['pairs']],
+            {str(body['name']): _numbers([body['size']], 1)[0] for body in visible},
+            {str(body['name']): [_numbers(z, 2) for z in body['outline']] for body in visible},
+            [_reasons(body.get('reasons')) for body in bodies],
+        )
+    except (KeyError, TypeError, RecursionError, OverflowError) as error:
+        raise ValueError(f'no figures for a page ({error!r})') from None
+
+
+def frame_of_state(data: bytes, names: Sequence[str]) -> Frame:
+    """
+    Return the frame in a message `state`, whose bodies have the first of these names.
+
+    It has no outlines, pairs and reasons. Raises ValueError for anything else.
+    """
+    _check_bytes(data)
+    stamp, quantities = read_state(data)
+    position, angle, velocity = (quantities.pop(name) for name in ('position', 'angle', 'velocity'))
+    bodies = tuple(names[: len(position.value)])
+    if len(bodies) < len(position.value):
+        raise ValueError('no diagnostics have named its bodies yet')
+    if len(bodies) > _MOST_BODIES:
+        raise ValueError(f'it has {len(bodies)} bodies; a page shows {_MOST_BODIES} at most')
+    z, u = position.value, velocity.value
+    columns = [part.tolist() for part in (z.real, z.imag, angle.value, u.real, u.imag)]
+    figures = figures_of(quantities)
+    frames: list[dict[str, Any] | None] = []
+    for b, determined in enumerate(position.determined):
+        pose = {name: float(column[b]) for name, column in zip(_POSE, columns, strict=True)}
+        frames.append(pose | {name: figures[name][b] for name in figures} if determined else None)
+    rig = Rig(bodies, tuple(name for name in _SIZES if name in figures), ())
+    return Frame(stamp, ('x', 'y'), rig, frames, [], {}, {}, [None] * len(bodies))
+
+
+def _check_bytes(data: bytes) -> None:
+    if len(data) > _MOST_BYTES:
+        raise ValueError(f'it has {len(data)} bytes; a page takes {_MOST_BYTES} at most')
+
+
+def _reasons(value: Any) -> dict[str, str] | None:
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        raise ValueError(f'{value} in place of reasons')
+    return {'' if name == 'all' else str(name): str(reason) for name, reason in value.items()}
+
+
+def _body(body: Mapping[str, Any]) -> dict[str, Any]:
+    pose = dict(zip(_POSE, _numbers([body[name] for name in _POSE], 5), strict=True))
+    return pose | {name: _quantity(body.get(name), size) for name, size in _SIZES.items()}
+
+
+def _quantity(values: Sequence[Any] | None, size: int) -> list[float] | None:
+    return None if values is None else _numbers(values, size)
+
+
+def _numbers(values: Sequence[Any], size: int) -> list[float]:
+    numbers = [float(value) for value in values]
+    if len(numbers) != size or not all(map(math.isfinite, numbers)):
+        raise ValueError(f'{values} in place of {size} finite numbers')
+    return numbers

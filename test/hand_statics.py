@@ -1,0 +1,162 @@
+"""
+Reactions in the joints by giving way in one constraint at a time, as seed 003 teaches it.
+
+Each joint is put on a carriage that can slide on the body `one`. At unit rate of that slide, all
+drivers held, the loads do work that only the freed reaction balances. The motion is that of the
+vector loops of the linkage so changed, so this shares with `kinpole_ros.mechanism.reactions` the
+position and the axes of the joints only, and proves it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from kinpole_ros.mechanism._assembly import assemble
+from kinpole_ros.mechanism._joints import GROUND, Belt, Revolute, Rolling, Slot, Strut
+from kinpole_ros.mechanism._loops import LinkageError, reduce
+from kinpole_ros.mechanism._mechanism import Mechanism
+from kinpole_ros.mechanism._reactions import (
+    Reactions,
+    _Constraints,
+    _constraints,
+    _has_teeth,
+    _separating,
+)
+from kinpole_ros.mechanism._statics import (
+    Load,
+    at_rest,
+    check_loads,
+    driver_rows,
+    efforts,
+    move,
+    power_of,
+)
+from kinpole_ros.planar._plane import Complex, Real
+
+
+def balance(
+    rate: npt.ArrayLike, *loads: tuple[npt.ArrayLike, npt.ArrayLike]
+) -> npt.NDArray[np.float64]:
+    """
+    The effort at a port that moves at `rate` so that all powers add up to zero, seed 003.
+
+    Each of `loads` is (force, velocity), both complex, N and m/s, or (torque, angular velocity),
+    N m and rad/s. The effort is a force along `rate` in m/s, or a torque where it is in rad/s;
+    positive if it acts along the motion. NaN where the port stands still. Shapes (...).
+    """
+    power = sum(np.real(np.multiply(effort, np.conj(along))) for effort, along in loads)
+    moving = np.asarray(rate, float)
+    return np.asarray(-power / np.where(moving == 0, np.nan, moving))
+
+
+def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Reactions:
+    """
+    The same as of `reactions`, at the cost of a solution for each constraint.
+
+    Raises LinkageError for several positions of teeth with a pressure angle, whose line of action
+    differs from one to the next.
+    """
+    check_loads(mechanism, loads)
+    joints = mechanism.assembly.joints
+    if values.shape[1] > 1 and any(map(_has_teeth, joints)):
+        raise LinkageError('teeth with a pressure angle are freed at one position at a time')
+    system = _constraints(mechanism, values)
+    loads = list(loads)
+    teeth = np.zeros((len(joints), values.shape[1]))
+    for k, joint in enumerate(joints):
+        if _has_teeth(joint):
+            powers = _freed(mechanism, values, loads, system, k, system.axis[k])
+            teeth[k] = -powers.sum(axis=0)
+    separating = [
+        load
+        for k, joint in enumerate(joints)
+        if isinstance(joint, Rolling) and joint.pressure is not None
+        for load in _separating(joint, system, k, teeth[k])
+    ]
+    effort = efforts(mechanism, values, loads).effort
+    loads += separating
+    parts = np.zeros((3, *system.contact.shape))
+    for k, part in system.rows:
+        way = None if part == 2 else 1j**part * system.axis[k]
+        parts[part, k] = -_freed(mechanism, values, loads, system, k, way).sum(axis=0)
+    names, rows = mechanism.assembly.loops.variables, driver_rows(mechanism)
+    for k, joint in enumerate(joints):
+        if isinstance(joint, Rolling) and joint.pressure is not None:
+            parts[1, k] = np.abs(teeth[k]) * np.tan(joint.pressure)
+    held = at_rest(mechanism, values).determined
+    parts[:, :, ~held] = np.nan
+    for k, joint in enumerate(joints):
+        if isinstance(joint, Strut):
+            length = values[names.index(joint.name)]
+            for part, name, arm in ((0, joint.name, 1.0), (1, f'{joint.name}.angle', length)):
+                weight = rows[:, names.index(name)]
+                if weight.any():
+                    parts[part, k] += weight[weight != 0] @ effort[weight != 0] / arm
+    joint_names = tuple(joint.name for joint in joints)
+    return Reactions(joint_names, *parts, system.contact, system.axis, effort, held)
+
+
+def _freed(
+    mechanism: Mechanism,
+    values: Real,
+    loads: Sequence[Load],
+    system: _Constraints,
+    k: int,
+    way: Complex | None,
+) -> Real:
+    """Powers (loads, T) with joint k let go along `way` (T,), in the ground's axes, or to turn."""
+    old, count, drivers = mechanism.assembly, values.shape[1], len(mechanism.drivers)
+    # The hubs of a belt may move apart.
+    joints = [one._replace(carrier=None) if isinstance(one, Belt) else one for one in old.joints]
+    joint, bodies = joints[k], list(old.bodies)
+    # What is driven besides the drivers: at which rate, and variables with their weights.
+    freed: list[tuple[Real, dict[str, float]]]
+    slides, carriages = (f'{k} x', f'{k} y'), (f'{k} carriage x', f'{k} carriage y')
+    if way is None:
+        assert isinstance(joint, Slot)
+        joints[k] = joint._replace(turned=None)
+        freed = [(np.ones(count), {joint.other: 1.0, joint.one: -1.0})]
+    else:
+        joints[k] = joint._replace(one=carriages[1])
+        bodies += carriages
+        below = (joint.one, carriages[0])
+        for slide, one, other, turn in zip(slides, below, carriages, (0.0, np.pi / 2), strict=True):
+            joints.append(Slot(slide, one, 0j, turn, other, 0j, 0.0))
+        seen = way * np.exp(-1j * system.poses[joint.one].angle)
+        freed = [(seen.real, {slides[0]: 1.0}), (seen.imag, {slides[1]: 1.0})]
+    turned = [system.poses[joint.one].angle] * (len(bodies) - len(old.bodies))
+    for m, other_joint in enumerate(old.joints):
+        if m != k and _has_teeth(other_joint):
+            # Nothing but their push keeps teeth from going apart.
+            angle = system.poses[other_joint.one].angle
+            away = float(np.angle(1j * system.axis[m] * np.exp(-1j * angle))[0])
+            slide, carriage = f'{m} off', f'{m} off carriage'
+            joints.append(Slot(slide, other_joint.one, 0j, away, carriage, 0j, 0.0))
+            joints[m] = other_joint._replace(one=carriage)
+            bodies.append(carriage)
+            turned.append(angle)
+    new = assemble(bodies, joints)
+    names = new.loops.variables
+    kept = [names.index(name) for name in old.loops.variables]
+    here = np.zeros((len(names), count))
+    here[kept] = values
+    for name, angle in zip(bodies[len(old.bodies) :], turned, strict=True):
+        here[names.index(name)] = angle
+    rows = np.zeros((drivers + len(freed), len(names)))
+    rows[:drivers, kept] = driver_rows(mechanism)
+    rates = np.zeros((len(rows), count))
+    for row, (rate, weights) in enumerate(freed, start=drivers):
+        rates[row] = rate
+        for name in set(weights) - {GROUND}:
+            rows[row, names.index(name)] = weights[name]
+    if way is not None and not isinstance(joint, Revolute):
+        # A slide is now that on the carriage; drivers hold the whole.
+        slid = (way * system.axis[k].conj()).real
+        if isinstance(joint, Rolling) and joint.circle:
+            slid = -slid / (joint.circle + joint.radius)
+        rates[:drivers] = -rows[:drivers, [names.index(joint.name)]] * slid
+    moving = move(reduce(new.loops._replace(drives=rows)), new, here, rates)
+    # The carriages come last, and bear no load.
+    powers = [power_of(mechanism, load, moving) for load in loads]
+    return np.where(moving.determined, np.reshape(powers, (len(loads), count)), np.nan)

@@ -1,0 +1,190 @@
+"""Compiled poles, ICR velocities and curvatures equal those of numpy, and so do their gates."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from kinpole_ros import planar
+from kinpole_ros.planar._poles import pole, rotation
+from kinpole_ros.planar._uncertainty import covariance, mean_square, variance
+from kinpole_ros.tracking.quantities import (
+    CURVATURE,
+    DETERMINED,
+    FREE,
+    MOVES,
+    VELOCITY,
+    Motion,
+    compute_quantity,
+)
+
+pytestmark = pytest.mark.filterwarnings('error')
+
+QUANTITIES = {
+    **{f'pole of order {n}': n for n in range(1, 5)},
+    **{f'free pole of order {n}': FREE + n for n in range(1, 5)},
+    'velocity': VELOCITY,
+    'curvature': CURVATURE,
+}
+# The highest derivatives that each needs.
+NEEDED = {VELOCITY: 2, CURVATURE: 3}
+
+
+class Arrays(NamedTuple):
+    """The arguments of `Motion`."""
+
+    position: np.ndarray
+    angle: np.ndarray
+    position_covariance: np.ndarray
+    angle_covariance: np.ndarray
+    size: np.ndarray
+    pin: np.ndarray
+    pin_variance: np.ndarray
+
+
+def motion(orders: int, shape: tuple[int, ...], noise: float = 0.01) -> Arrays:
+    """Random motion up to some order, with every third body on a pin."""
+    rng = np.random.default_rng(orders)
+    position = rng.normal(size=(orders + 1, *shape, 2)).view(complex)[..., 0]
+    angle = rng.normal(scale=3.0, size=(orders + 1, *shape))
+    mixed = rng.normal(scale=noise, size=(2, *shape, orders + 1, orders + 1))
+    covariances = np.moveaxis(mixed @ mixed.swapaxes(-1, -2), (-2, -1), (1, 2))
+    pin = rng.normal(size=(*shape, 2)).view(complex)[..., 0]
+    pin = np.where(rng.random(shape) < 1 / 3, pin, np.nan)
+    pin_variance = np.where(np.isnan(pin), np.nan, noise**2)
+    return Arrays(position, angle, *covariances, 10 ** rng.uniform(-4, 1, shape), pin, pin_variance)
+
+
+class Expected(NamedTuple):
+    """A quantity: value, covariance (..., 2, 2), where it is determined, where the ICR moves."""
+
+    value: np.ndarray
+    spread: np.ndarray
+    determined: np.ndarray
+    moves: np.ndarray
+
+
+def pole_of_numpy(order: int, m: Arrays) -> Expected:
+    turn = a, by_angle = rotation(order, m.angle)
+    found = pole(order, m.position, m.angle, turn)
+    spread = covariance(found, m.position_covariance, m.angle_covariance)
+    noise = mean_square(by_angle, m.angle_covariance[1 : order + 1, 1 : order + 1])
+    near = np.abs(found.value - m.position[0]) < 1e3 * m.size
+    determined = (np.abs(a) / np.sqrt(noise) > 4) & near & np.isfinite(spread).all(axis=(-2, -1))
+    return Expected(found.value, spread, determined, np.zeros_like(determined))
+
+
+def on_pins(order: int, m: Arrays) -> Expected:
+    """The pole of an order, on the pin where there is one."""
+    free, pinned = pole_of_numpy(order, m), np.isfinite(m.pin)
+    variances = np.einsum('kk...->k...', m.angle_covariance[: order + 1, : order + 1])
+    turns = (np.abs(m.angle[1 : order + 1]) > 4 * np.sqrt(variances[1:])).any(axis=0)
+    on_pin = m.pin_variance[..., None, None] * np.eye(2)
+    return Expected(
+        np.where(pinned, m.pin, free.value),
+        np.where(pinned[..., None, None], on_pin, free.spread),
+        free.determined | (pinned & turns),
+        free.moves,
+    )
+
+
+def velocity_of_numpy(m: Arrays) -> Expected:
+    found, pinned, icr = planar.icr_velocity(m.position, m.angle), np.isfinite(m.pin), on_pins(1, m)
+    spread = covariance(found, m.position_covariance, m.angle_covariance)
+    value = np.where(pinned, 0.0, found.value)
+    spread = np.where(pinned[..., None, None], 0.0, spread)
+    known = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
+    deviation = np.sqrt(np.einsum('...ii->...', spread))
+    near = np.abs(icr.value - m.position[0]) < 1e3 * m.size
+    least = np.maximum(1.7 * deviation, 1e-6 * np.abs(m.angle[1]) * m.size)
+    return Expected(value, spread, icr.determined & known, near & (np.abs(value) > least))
+
+
+def curvature_of_numpy(m: Arrays) -> Expected:
+    found, u = planar.centrode_curvature(m.position, m.angle), velocity_of_numpy(m)
+    noise = variance(found, m.position_covariance, m.angle_covariance)
+    slowness = np.einsum('...ii->...', u.spread) / 2 / np.abs(u.value) ** 2
+    noise = noise + 18 * (found.value.real * slowness) ** 2
+    least = np.maximum(0.3 * np.abs(found.value), 1 / m.size)
+    turns = m.angle[1] ** 2 > 1.5**2 * m.angle_covariance[1, 1]
+    determined = u.moves & turns & np.isfinite(found.value) & (noise < least**2)
+    return Expected(found.value, noise[..., None, None] * np.ones((2, 2)), determined, u.moves)
+
+
+@np.errstate(divide='ignore', invalid='ignore', over='ignore')
+def of_numpy(what: int, m: Arrays) -> Expected:
+    if what == VELOCITY:
+        return velocity_of_numpy(m)
+    if what == CURVATURE:
+        return curvature_of_numpy(m)
+    return pole_of_numpy(what - FREE, m) if what > FREE else on_pins(what, m)
+
+
+def assert_equal(found: np.ndarray, expected: np.ndarray) -> None:
+    known = np.isfinite(expected)
+    assert (np.isfinite(found) == known).all()
+    np.testing.assert_allclose(found[known], expected[known], rtol=1e-9)
+
+
+@pytest.mark.parametrize('quantity', QUANTITIES)
+@pytest.mark.parametrize('noise', [1e-3, 0.3])
+def test_compiled_as_numpy(quantity: str, noise: float) -> None:
+    """Also of a body that does not turn, and of one of which nothing is known."""
+    what = QUANTITIES[quantity]
+    for orders in range(NEEDED.get(what, what % FREE), 5):
+        for shape in ((), (1, 1), (200, 3)):
+            m = motion(orders, shape, noise)
+            if len(shape) > 1 and shape[1] > 1:
+                m.angle[1:, :, 1] = 0.0
+                for array in m:
+                    array[..., 2] = np.nan
+            value, spread, flags = compute_quantity(what, Motion(*m))
+            expected = of_numpy(what, m)
+            assert_equal(value, expected.value)
+            if what == CURVATURE:
+                spread = spread[..., :1, :1] * np.ones((2, 2))
+            assert_equal(spread, expected.spread)
+            assert np.array_equal(flags & DETERMINED, expected.determined)
+            assert np.array_equal((flags & MOVES) > 0, expected.moves)
+
+
+@pytest.mark.parametrize('quantity', QUANTITIES)
+def test_gates_let_some_pass_and_withhold_others(quantity: str) -> None:
+    """Else the comparison above would compare nothing."""
+    flags = compute_quantity(QUANTITIES[quantity], Motion(*motion(4, (500, 3), 0.3)))[2]
+    assert 0.02 < np.mean(flags & DETERMINED) < 0.98
+
+
+def test_each_instant_by_itself() -> None:
+    """To the last digit: what is seen live is what a replay gives."""
+    m = motion(4, (40, 3))
+    for what in QUANTITIES.values():
+        whole = compute_quantity(what, Motion(*m))
+        for t in range(40):
+            one = compute_quantity(what, Motion(*(array[..., t, :] for array in m)))
+            for part, alone in zip(whole, one, strict=True):
+                assert np.array_equal(part[t], alone, equal_nan=True)
+
+
+def test_arrays_that_do_not_fit() -> None:
+    """Are refused: the library never reads beyond what it is given."""
+    m = motion(3, (5,))
+    for bad in (
+        {'position': m.position[:, 1:]},
+        {'position': m.position[1:]},
+        {'size': m.size[1:]},
+        {'pin': m.pin[1:]},
+    ):
+        with pytest.raises(ValueError, match='expected arrays of one shape'):
+            Motion(*m._replace(**bad))
+    for bad in (
+        {'position_covariance': m.position_covariance[1:]},
+        {'angle_covariance': m.angle_covariance[..., 1:]},
+    ):
+        with pytest.raises(ValueError, match='expected covariances of shape'):
+            Motion(*m._replace(**bad))
+    for what in (0, 4, 7, FREE, FREE + 5):
+        with pytest.raises(ValueError, match='expected derivatives up to order'):
+            compute_quantity(what, Motion(*m))
+    with pytest.raises(ValueError, match='expected derivatives up to order'):
+        compute_quantity(CURVATURE, Motion(*motion(2, (5,))))
