@@ -23,7 +23,7 @@ from kinpole_ros.planar._plane import Real
 FEWEST_SAMPLES = 7
 """Samples of the shortest window there is."""
 # Powers of the spectra, and the shortest length of each, samples.
-SPECTRA = ((1.4, 2.0), (1.0, 4.0))
+SPECTRA = ((2.0, 2.0), (1.4, 2.0), (1.0, 4.0))
 # How smooth the rough spectrum is, and its shortest length, samples.
 _ROUGH = ((3.5, 4.0),)
 # The longest length, windows. The next one is half as long, a quarter in the rough spectrum.
