@@ -14,7 +14,7 @@
 #define MOST_EVENTS 2
 /* Only windows are searched of which even the likeliest model has less evidence than a line by so
    many flat priors of a parameter. */
-#define WORTH 1
+#define WORTH 3
 /* How probable it is that a window has an event, of any order at any sample. */
 #define EVENT_PRIOR 0.05
 /* The logarithm of the part of all sizes that is as large as the one estimated. */
@@ -22,7 +22,7 @@
 /* A candidate has at least so much more evidence by the models that screen it. */
 #define LEAST_GAIN 8.0
 /* Candidates of another order have so much less evidence at most. */
-#define BEHIND 5.0
+#define BEHIND 3.0
 /* A second event that gains so much makes the set without it not count. */
 #define SURE_GAIN 25.0
 /* Events have so many samples on either side. */

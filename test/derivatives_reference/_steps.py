@@ -21,12 +21,12 @@ from kinpole_ros.planar._plane import Real
 # Steps of the motion itself, of its first and of its second derivative are looked for.
 _ORDERS = (0, 1, 2)
 # Flat priors of a parameter by which the likeliest model has less evidence than a line, or more.
-_WORTH = 1
+_WORTH = 3
 # How probable an event is, and the logarithm of the part of all sizes that is as large.
 _PRIOR, _SIZE_COST = 0.05, 2.4
 # Evidence that a candidate gains, by which it is at most behind another, and with which a second
 # event makes the set without it not count.
-_GAIN, _BEHIND, _SURE_GAIN = 8.0, 5.0, 25.0
+_GAIN, _BEHIND, _SURE_GAIN = 8.0, 3.0, 25.0
 # Evidence after the loss of which shorter lengths of a spectrum are left out.
 _DROP = 8.0
 # Samples on either side of an event.
