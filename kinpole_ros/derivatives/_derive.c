@@ -95,11 +95,11 @@ prepare(const Models *m, long long orders, const Samples *s, Work *w, Set *set)
     return DONE;
 }
 
-/* Find sets of steps that explain samples better than none do, and the evidence with each. The first
-   of `sets` is without steps, its evidence known. `number` is how many sets there are then. */
+/* Search a window for up to two events, and evaluate the models with them. The first of `sets` has
+   no events, and its evidence is known. `number` is the number of sets. See _steps.h. */
 static int
-find_sets(const Models *m, const Stencils *by, const Samples *s, const Work *w, long long orders, long long block,
-          Set *sets, int *number)
+search_events(const Models *m, const Stencils *by, const Samples *s, const Work *w,
+              long long orders, long long block, Set *sets, int *number)
 {
     long long cells = sets[0].cells, most = cells + MOST_STEPS, n = m->count;
     Screens screens[2];
@@ -138,18 +138,19 @@ find_sets(const Models *m, const Stencils *by, const Samples *s, const Work *w, 
             begin_screen(m, s, w, model[c], screens[slow].of + c);
             screen_steps(m, s, w, sets, screens[slow].of + c, spare);
         }
-        screens[slow].reached = 0;
+        screens[slow].has_sample_weights = 0;
         find_candidates(m, w, value, screens + slow, found);
     }
-    int first = find_best(found);
-    if (!(found[first].gain >= LEAST_GAIN))
+    int first = best_candidate(found);
+    if (!(found[first].gain >= MIN_GAIN))
         return DONE;
     for (int k = 0; k < ORDERS; k++) {
-        if (!(found[k].gain >= LEAST_GAIN) || found[k].value < found[first].value - BEHIND)
+        if (!(found[k].gain >= MIN_GAIN) ||
+            found[k].value < found[first].value - MAX_EVIDENCE_BEHIND)
             continue;
         Set *set = sets + ++*number - 1;
-        data = extend_set(m, sets, found + k, k, orders, block, data, set, spare);
-        find_spread(m, by, sets, found + k, k, w->off, spare, set);
+        data = add_event(m, sets, found + k, k, orders, block, data, set, spare);
+        add_place_covariance(m, by, sets, found + k, k, w->off, spare, set);
         if (k != first)
             find_evidence(m, s, w, set);
         else
@@ -160,16 +161,16 @@ find_sets(const Models *m, const Stencils *by, const Samples *s, const Work *w, 
     Screens *both = found[first].screens;
     for (int c = 0; c < 2; c++)
         screen_steps(m, s, w, one, both->of + c, spare);
-    both->reached = 0;
+    both->has_sample_weights = 0;
     find_candidates(m, w, 0.0, both, next);
-    int second = find_best(next);
-    if (next[second].gain >= LEAST_GAIN) {
-        extend_set(m, one, next + second, second, orders, block, data, two, spare);
-        find_spread(m, by, one, next + second, second, w->off, spare, two);
+    int second = best_candidate(next);
+    if (next[second].gain >= MIN_GAIN) {
+        add_event(m, one, next + second, second, orders, block, data, two, spare);
+        add_place_covariance(m, by, one, next + second, second, w->off, spare, two);
         find_evidence(m, s, w, two);
         ++*number;
     }
-    if (next[second].gain < SURE_GAIN)
+    if (next[second].gain < CERTAIN_GAIN)
         find_evidence(m, s, w, one);
     else
         sets[found[first].sample] = sets[--*number];
@@ -197,9 +198,9 @@ derive_even(Call *call, const Window *window, const Samples *s, Found *out)
     long long modes = window->orders * m.rows;
     Stencils by = {window->orders, window->at + (s->count - 1) / 2.0, stencils->numbers,
                    (const Lanes *)(stencils->numbers + modes)};
-    if (!window->exact && (sets[0].best[0] < -WORTH * call->flat ||
-                           sets[0].best[1] < -WORTH * call->flat * 2))
-        code = find_sets(&m, &by, s, &w, window->orders, window->block, sets, &number);
+    if (!window->exact && (sets[0].best[0] < -SEARCH_BELOW * call->flat ||
+                           sets[0].best[1] < -SEARCH_BELOW * call->flat * 2))
+        code = search_events(&m, &by, s, &w, window->orders, window->block, sets, &number);
     if (!code)
         differentiate(&m, &by, &w, sets, number, out);
     return code;

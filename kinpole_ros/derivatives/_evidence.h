@@ -1,33 +1,34 @@
 /*
- * The evidence of all models by even samples, and the mean and covariance of derivatives.
+ * Evidence of all models of a window of even samples, and mean and covariance of derivatives.
  *
- * A motion may have steps of its derivatives in the window. Steps, and samples that count for less
- * than others, are low-rank corrections of the models of an even and smooth window.
+ * Events, and samples with less than full weight, are columns: low-rank corrections of the models.
  *
- * LANES amplitudes of one process are a group, side by side in all arrays; a lane that is no model
- * has evidence -infinity. Each process has modes of its own, even and odd, the first of which are mean
+ * LANES amplitudes of one process are a group, side by side in all arrays. A lane without a model
+ * has evidence -infinity. Each process has its own modes, even and odd; the first of each are mean
  * and slope. The last process is rest, which has the mean only.
  */
 
 #define LANES 8
 #define PARTS (LANES / WIDTH)
-/* The noise as it was measured counts for so many samples. */
+/* The prior of the noise, in samples: a window has less information on it than its measurement. */
 #define KNOWN 300.0
-/* Models with less weight in covariances, or less probable than this do not count. */
+/* Models with a smaller weight in the covariance, or a smaller probability, are skipped: the result
+   changes by less than this. */
 #define LEAST_WEIGHT 1e-5
 #define LEAST_PROBABLE 1e-8
-/* Models with so much less evidence than others do not count. */
+/* Models this far below the best in log evidence are skipped: exp(-25) is below both. */
 #define FAR 50.0
-/* With steps, shorter lengths of a spectrum are left out after so much loss of evidence. */
-#ifndef DROP
-#define DROP 8.0
-#endif
+/* Loss of log evidence after which shorter lengths of a spectrum are skipped in sets with events:
+   their evidence is lower still. */
+#define DROP_EVIDENCE 8.0
 /* Derivatives by which samples are moved: as many as `slopes_of` of _models.py makes. */
 #define SLOPES 4
+/* Spectra at most. */
 #define MOST_KINDS 8
-/* The weight of the rough spectrum in covariances, over that of another, is at most this. */
+/* Largest weight of the rough spectrum in the covariance, over that of another spectrum. With 1,
+   88% of the cells cover over 97%. */
 #define ROUGH_SHARE 0.1
-/* Sets of steps that are compared, the empty one first, and the steps of one set. */
+/* Sets of events: none, one of each order, and two. Columns of two events. */
 #define MOST_SETS 6
 #define MOST_STEPS 6
 
@@ -135,25 +136,26 @@ typedef struct {
     double mean[3][MOST_ORDERS], covariance[2][MOST_ORDERS][MOST_ORDERS], freedom[2];
 } Found;
 
-/* What is computed of the samples of a window, whatever the steps: their modes, sums of squares, and
-   of these what models leave (3, groups). The other arrays are for one use. */
+/* Quantities of a window that do not depend on events: modes, sums of squares, and those that the
+   models leave (3, groups). The other arrays are scratch memory. */
 typedef struct {
     double known, seen[2], total[3];
     double *modes, *squares, *terms;
     Lanes *left, *off, *reach, *scaled, *along;
 } Work;
 
-/* A set of steps, and what models say of a window with these. Its columns are first the `cells`, the
-   samples that count for less than 1, and then the `steps`. Weights of columns, and the roots of what
-   these lack, are by angle and position, which are one part if they are equal. Of a step the weight
-   is 1, and the root the deviation of its prior. `prior` is the logarithm of that of all steps. */
+/* A set of events, and the models with its columns. The columns are the `cells` with weights below
+   1, and then the `steps`. `weight` and `root` of a column are by angle and position, which are one
+   part if they are equal: of a cell its weight, and the root of what that is below 1; of a step 1,
+   and the standard deviation of its prior. `prior` is the log prior of the events, and `spread` the
+   covariance that follows from their places. */
 typedef struct Set {
-    long long cells, steps, columns, parts, events, *at, *counts;
+    long long cells, steps, columns, parts, events, *at, *is_used;
     const struct Set *from;
     Step step[MOST_STEPS];
     double prior, best[2], spread[2][MOST_ORDERS][MOST_ORDERS];
     double *values, *folded, *vectors, *base, *weight, *root;
-    Lanes *evidence, *variance, *likely, *counting, *apart, *factors, *errors;
+    Lanes *evidence, *variance, *probability, *covariance_weight, *derivatives, *factors, *errors;
 } Set;
 
 static size_t
@@ -161,7 +163,7 @@ size_of_set(const Models *m, long long orders, long long columns, long long step
 {
     long long pairs = columns * (columns + 1) / 2;
     long long of_lanes = m->groups * (8 + 3 * orders + parts * pairs + 3 * columns);
-    long long of_numbers = steps * (m->count + 2 * m->half) + columns * m->rows + pairs + 8 * columns +
+    long long of_numbers = steps * (m->count + 2 * m->half) + columns * (m->rows + 8) + pairs +
                            m->groups;
     return 8 * (of_lanes * LANES + of_numbers);
 }
@@ -176,13 +178,13 @@ lay_out_set(const Models *m, long long orders, long long columns, long long step
     long long pairs = columns * (columns + 1) / 2;
     *set = (Set){.columns = columns, .parts = parts};
     TAKE(set->evidence, 2 * m->groups), TAKE(set->variance, 2 * m->groups);
-    TAKE(set->likely, 2 * m->groups), TAKE(set->counting, 2 * m->groups);
-    TAKE(set->apart, 3 * orders * m->groups), TAKE(set->factors, parts * pairs * m->groups);
+    TAKE(set->probability, 2 * m->groups), TAKE(set->covariance_weight, 2 * m->groups);
+    TAKE(set->derivatives, 3 * orders * m->groups), TAKE(set->factors, parts * pairs * m->groups);
     TAKE(set->errors, 3 * columns * m->groups);
     TAKE(set->values, steps * m->count), TAKE(set->folded, steps * 2 * m->half);
     TAKE(set->vectors, columns * m->rows);
     TAKE(set->base, pairs + 3 * columns), TAKE(set->weight, 2 * columns);
-    TAKE(set->root, 2 * columns), TAKE(set->at, columns), TAKE(set->counts, m->groups);
+    TAKE(set->root, 2 * columns), TAKE(set->at, columns), TAKE(set->is_used, m->groups);
     return data;
 }
 
@@ -256,7 +258,7 @@ find_modes(const Models *m, const double *folded, long long columns, long long b
     }
 }
 
-/* Compute the modes of samples, the sums of their squares, and what of these the models leave. */
+/* Compute the modes of samples, their sums of squares, and those that each model leaves. */
 static void
 find_squares(const Models *m, const Samples *s, Work *w)
 {
@@ -282,7 +284,7 @@ find_squares(const Models *m, const Samples *s, Work *w)
 }
 
 static inline double
-step_since(int order, double since)
+step_value(int order, double since)
 {
     static const double factorial[] = {1.0, 1.0, 2.0, 6.0};
     double power = since > 0.0 ? 1.0 / factorial[order] : 0.0;
@@ -299,7 +301,7 @@ find_values(const Step *step, long long count, long long block, double *values)
         values[t] = 0.0;
         for (long long k = 0; k < block; k++) {
             double offset = (k - (block - 1) / 2.0) / block;
-            values[t] += step_since(step->order, t + offset - step->place) / block;
+            values[t] += step_value(step->order, t + offset - step->place) / block;
         }
     }
 }
@@ -329,7 +331,7 @@ find_modes_of_cells(const Models *m, Set *set)
 
 /* Compute the covariance and residuals (pairs + 3 columns) of all columns without any motion. */
 static void
-find_columns(const Models *m, const Samples *s, Set *set)
+find_column_products(const Models *m, const Samples *s, Set *set)
 {
     long long number = set->columns, cells = set->cells, n = m->count, k = 0;
     for (long long i = 0; i < number + 3; i++)
@@ -444,7 +446,7 @@ find_evidence(const Models *m, const Samples *s, const Work *w, Set *set)
     double top[2] = {-INFINITY, -INFINITY};
     int dropped = 0;
     if (set->columns)
-        find_columns(m, s, set);
+        find_column_products(m, s, set);
     set->best[0] = set->best[1] = -INFINITY;
     for (long long g = 0; g < m->groups; g++) {
         Lanes left[3], less[3], logs[2];
@@ -483,17 +485,17 @@ find_evidence(const Models *m, const Samples *s, const Work *w, Set *set)
             }
             if (!rough)
                 set->best[c] = larger(set->best[c], most);
-            lower &= most < top[c] - DROP;
+            lower &= most < top[c] - DROP_EVIDENCE;
             top[c] = larger(top[c], most);
         }
         dropped = lower && m->kind[g * LANES] < m->kinds;
     }
 }
 
-/* Compute the probabilities of models with all sets of steps, and their weights in covariances. In
-   covariances evidence, and half of the prior of steps, count to the power of 1/2, and each spectrum,
-   with the line and rest, as much as the others: how harmonics fall below the noise is what samples
-   cannot tell. The rough spectrum, the last, counts less, by the root of its total. */
+/* Compute the probabilities of all models with all sets, and their weights in the covariance. These
+   are the square roots of the evidence, with half of the log prior of events. All spectra have the
+   same total, each with line and rest, because samples contain no information on harmonics below
+   the noise. The rough spectrum, the last, has less, by the root of its total. */
 static void
 weigh(const Models *m, int c, Set *sets, int number)
 {
@@ -521,18 +523,18 @@ weigh(const Models *m, int c, Set *sets, int number)
     double highest = larger(all, top[rough]);
     for (int n = 0; n < number; n++) {
         const double *evidence = (const double *)(sets[n].evidence + c * m->groups);
-        double *weight = (double *)(sets[n].counting + c * m->groups);
-        double *likely = (double *)(sets[n].likely + c * m->groups);
+        double *weight = (double *)(sets[n].covariance_weight + c * m->groups);
+        double *probability = (double *)(sets[n].probability + c * m->groups);
         /* NaN is to be seen, and not to be taken for models that do not count. */
         for (long long i = 0; i < models; i++) {
             double up = evidence[i] - sets[n].prior / 2;
             long long k = m->kind[i];
             weight[i] = up < top[k] - FAR ? 0.0 : exp((up - (k == rough ? highest : all)) / 2);
-            likely[i] = k == rough || evidence[i] < best - FAR ? 0.0 : exp(evidence[i] - best);
+            probability[i] = k == rough || evidence[i] < best - FAR ? 0.0 : exp(evidence[i] - best);
             total[k] += weight[i];
         }
     }
-    double common = 0.0, sum = 0.0, sure = 0.0, most = 0.0;
+    double common = 0.0, sum = 0.0, total_probability = 0.0, most = 0.0;
     for (long long k = 0; k < rough; k++) {
         total[k] += total[kinds];
         most = larger(most, total[k]);
@@ -544,31 +546,31 @@ weigh(const Models *m, int c, Set *sets, int number)
     double part = smaller(total[rough] / most * exp((highest - all) / 2), 1.0);
     total[rough] = total[rough] > 1e-300 ? ROUGH_SHARE * sqrt(part) / total[rough] : 0.0;
     for (int n = 0; n < number; n++) {
-        double *weight = (double *)(sets[n].counting + c * m->groups);
+        double *weight = (double *)(sets[n].covariance_weight + c * m->groups);
         for (long long i = 0; i < models; i++)
             sum += weight[i] *= total[m->kind[i]];
     }
     for (int pass = 0; pass < 2; pass++)
         for (int n = 0; n < number; n++) {
-            double *weight = (double *)(sets[n].counting + c * m->groups);
-            double *likely = (double *)(sets[n].likely + c * m->groups);
+            double *weight = (double *)(sets[n].covariance_weight + c * m->groups);
+            double *probability = (double *)(sets[n].probability + c * m->groups);
             for (long long i = 0; i < models && pass == 0; i++) {
                 weight[i] /= sum;
                 if (weight[i] < LEAST_WEIGHT)
                     weight[i] = 0.0;
-                if (likely[i] < LEAST_PROBABLE)
-                    likely[i] = 0.0;
-                sure += likely[i];
+                if (probability[i] < LEAST_PROBABLE)
+                    probability[i] = 0.0;
+                total_probability += probability[i];
             }
             for (long long i = 0; i < models && pass; i++)
-                likely[i] /= sure;
+                probability[i] /= total_probability;
         }
 }
 
-/* Correct the derivatives of a group's models (3, orders) for the columns, and their covariances. */
+/* Correct the derivatives of a group (3, orders) and their covariances for the columns. */
 static inline void
 correct(const Models *m, const Stencils *s, long long group, const Work *w, const Set *set,
-        const Lanes *noisy, Lanes *apart, Lanes *spread)
+        const Lanes *noisy, Lanes *derivatives, Lanes *spread)
 {
     long long orders = s->orders, number = set->columns, pairs = number * (number + 1) / 2;
     Lanes *all = w->reach + orders * number;
@@ -579,7 +581,7 @@ correct(const Models *m, const Stencils *s, long long group, const Work *w, cons
             const Step *step = set->step + x - set->cells;
             if (k <= step->order)
                 EACH all[k * number + x].part[h] -=
-                    step_since(step->order - k, s->at - step->place);
+                    step_value(step->order - k, s->at - step->place);
         }
     for (long long part = 0; part < set->parts; part++) {
         memcpy(w->reach, all, orders * number * sizeof(Lanes));
@@ -589,7 +591,7 @@ correct(const Models *m, const Stencils *s, long long group, const Work *w, cons
                   number, reach, over);
             for (int c = 0; c < 3; c++)
                 for (long long x = 0; x < number && (set->parts == 1 || part == (c > 0)); x++)
-                    apart[c * orders + k] = minus(apart[c * orders + k], over[x],
+                    derivatives[c * orders + k] = minus(derivatives[c * orders + k], over[x],
                                                   set->errors[(group * 3 + c) * number + x]);
             for (long long j = 0; j <= k; j++) {
                 Lanes more = all_lanes(0.0);
@@ -621,53 +623,54 @@ differentiate(const Models *m, const Stencils *s, const Work *w, Set *sets, int 
         int known = 0;
         for (int n = 0; n < number; n++) {
             Set *set = sets + n;
-            Lanes noisy[2], *apart = set->apart + g * 3 * orders;
+            Lanes noisy[2], *derivatives = set->derivatives + g * 3 * orders;
             double any = 0.0;
             for (int c = 0; c < 2; c++) {
-                noisy[c] = set->counting[c * m->groups + g];
-                any += sum_of(noisy[c]) + sum_of(set->likely[c * m->groups + g]);
+                noisy[c] = set->covariance_weight[c * m->groups + g];
+                any += sum_of(noisy[c]) + sum_of(set->probability[c * m->groups + g]);
                 /* The variance of a lane that is no model need not be a number. */
                 for (int i = 0; i < LANES; i++)
                     if (((double *)(noisy + c))[i] != 0.0)
                         ((double *)(noisy + c))[i] *=
                             ((double *)(set->variance + c * m->groups + g))[i];
             }
-            set->counts[g] = any != 0.0;
-            if (!set->counts[g])
+            set->is_used[g] = any != 0.0;
+            if (!set->is_used[g])
                 continue;
             if (!known) {
                 memset(without, 0, 3 * orders * sizeof(Lanes));
                 add_products(m, m->share, g, w->modes, 3, s->modes, orders, w->terms, without);
             }
             known = 1;
-            memcpy(apart, without, 3 * orders * sizeof(Lanes));
+            memcpy(derivatives, without, 3 * orders * sizeof(Lanes));
             for (int c = 0; c < 2; c++) {
                 Lanes all = m->freedom[g];
                 EACH all.part[h] += (double)set->events;
-                parameters[c] = plus(parameters[c], set->likely[c * m->groups + g], all);
+                parameters[c] = plus(parameters[c], set->probability[c * m->groups + g], all);
                 for (long long k = 0; k < square; k++)
                     spread[c * square + k] = plus(spread[c * square + k], noisy[c],
                                                   s->spread[g * square + k]);
             }
             if (set->columns)
-                correct(m, s, g, w, set, noisy, apart, spread);
+                correct(m, s, g, w, set, noisy, derivatives, spread);
             for (long long k = 0; k < 3 * orders; k++)
-                mean[k] = plus(mean[k], set->likely[(k >= orders) * m->groups + g], apart[k]);
+                mean[k] = plus(mean[k], set->probability[(k >= orders) * m->groups + g],
+                               derivatives[k]);
         }
     }
     for (long long k = 0; k < 3 * orders; k++)
         out->mean[k / orders][k % orders] = sum_of(mean[k]);
     for (int n = 0; n < number; n++)
         for (long long g = 0; g < m->groups; g++)
-            for (int c = 0; c < (sets[n].counts[g] ? 3 : 0); c++)
+            for (int c = 0; c < (sets[n].is_used[g] ? 3 : 0); c++)
                 for (long long k = 0; k < orders; k++) {
-                    Lanes *apart = sets[n].apart + (g * 3 + c) * orders, by;
-                    EACH apart[k].part[h] -= out->mean[c][k];
-                    by = scaled(product(sets[n].counting[(c > 0) * m->groups + g], apart[k]),
-                                c ? 0.5 : 1.0);
+                    Lanes *derivatives = sets[n].derivatives + (g * 3 + c) * orders, by;
+                    EACH derivatives[k].part[h] -= out->mean[c][k];
+                    by = sets[n].covariance_weight[(c > 0) * m->groups + g];
+                    by = scaled(product(by, derivatives[k]), c ? 0.5 : 1.0);
                     for (long long j = 0; j <= k; j++) {
                         Lanes *sum = spread + ((c > 0) * orders + k) * orders + j;
-                        *sum = plus(*sum, by, apart[j]);
+                        *sum = plus(*sum, by, derivatives[j]);
                     }
                 }
     for (int c = 0; c < 2; c++) {
@@ -679,7 +682,7 @@ differentiate(const Models *m, const Stencils *s, const Work *w, Set *sets, int 
         for (int n = 1; n < number; n++) {
             double weight = 0.0;
             for (long long g = 0; g < m->groups; g++)
-                weight += sum_of(sets[n].counting[c * m->groups + g]);
+                weight += sum_of(sets[n].covariance_weight[c * m->groups + g]);
             for (long long k = 0; k < square; k++)
                 out->covariance[c][k / orders][k % orders] +=
                     weight * sets[n].spread[c][k / orders][k % orders];
@@ -694,7 +697,7 @@ add_errors(const Models *m, const Work *w, const Set *set, double *wrong)
 {
     long long number = set->columns, pairs = number * (number + 1) / 2;
     for (long long g = 0; g < m->groups; g++)
-        for (int c = 0; c < (set->counts[g] ? 3 : 0); c++) {
+        for (int c = 0; c < (set->is_used[g] ? 3 : 0); c++) {
             long long part = set->parts > 1 && c > 0;
             const Lanes *factor = set->factors + (g * set->parts + part) * pairs;
             const Lanes *error = set->errors + (g * 3 + c) * number;
@@ -704,7 +707,7 @@ add_errors(const Models *m, const Work *w, const Set *set, double *wrong)
                 for (long long k = x + 1; k < number; k++)
                     own[x] = minus(own[x], factor[k * (k + 1) / 2 + x], own[k]);
                 wrong[x * 3 + c] += set->root[part * number + x] *
-                    sum_of(product(own[x], set->likely[(c > 0) * m->groups + g]));
+                    sum_of(product(own[x], set->probability[(c > 0) * m->groups + g]));
             }
         }
 }
@@ -724,14 +727,14 @@ move(const Models *m, const Lanes *slopes, const Samples *given, const Samples *
     double *motion = w->squares;
     memset(w->along, 0, 2 * SLOPES * 3 * panels * sizeof(Lanes));
     for (long long g = 0; g < m->groups; g++) {
-        const Lanes likely[2] = {set->likely[g], set->likely[m->groups + g]};
-        set->counts[g] = sum_of(likely[0]) != 0.0 || sum_of(likely[1]) != 0.0;
-        for (int parity = 0; parity < (set->counts[g] ? 2 : 0); parity++) {
+        const Lanes probability[2] = {set->probability[g], set->probability[m->groups + g]};
+        set->is_used[g] = sum_of(probability[0]) != 0.0 || sum_of(probability[1]) != 0.0;
+        for (int parity = 0; parity < (set->is_used[g] ? 2 : 0); parity++) {
             const long long *first = m->first + parity * (m->processes + 1) + g / m->chunks;
             for (long long r = first[0]; r < first[1]; r++) {
                 Lanes share = m->share[g % m->chunks * rows + r];
-                double of_angle = sum_of(product(share, likely[0]));
-                double of_position = sum_of(product(share, likely[1]));
+                double of_angle = sum_of(product(share, probability[0]));
+                double of_position = sum_of(product(share, probability[1]));
                 for (int c = 0; c < 3; c++)
                     motion[c * rows + r] = (c ? of_position : of_angle) * w->modes[c * rows + r];
             }

@@ -1,73 +1,82 @@
 /*
- * Events: where derivatives step within a window, as an impact or a drive makes them.
+ * Events: instants at which the position, the velocity or the acceleration steps, as at an impact.
  *
- * Candidates are screened with few models, the likeliest of the window without the steps: how much
- * better they explain the samples with a step follows for all places and orders from sums over the
- * residuals. The evidence of all models is computed for the best candidates only.
+ * The search has two stages. Screening: with two or three of the models, the evidence that a step
+ * of each order at each place would add follows from cumulative sums of the residuals (`Screen`,
+ * `find_candidates`). Evaluation: the best candidates become columns of the regression, and all
+ * models are evaluated with them (`add_event`, `find_evidence`). The second event is screened with
+ * the first one in place, before any evaluation.
+ *
+ * The search alone: `prepare`, `find_squares` and `find_evidence` of a window, then
+ * `search_events` (_derive.c). It returns sets of events. `step[k].place` is in samples after the
+ * first, `step[k].order` is the order of the derivative that steps, and `root` is the size. The
+ * evidence of a set less that of the first set, which has no events, says how sure the events are.
  */
 
-/* Steps of the motion itself, of its first and of its second derivative are looked for. */
+/* Orders of derivatives that may step: position, velocity and acceleration. */
 #define ORDERS 3
-/* Columns of an event at most. */
-#define COLUMNS 3
-/* Events that are looked for in a window, one after the other. */
-#define MOST_EVENTS 2
-/* Only windows are searched of which even the likeliest model has less evidence than a line by so
-   many flat priors of a parameter. */
-#define WORTH 3
-/* How probable it is that a window has an event, of any order at any sample. */
+/* Columns of an event: the step, its shift in time, and a step of the next derivative. */
+#define EVENT_COLUMNS 3
+/* Windows are searched if their best evidence is below that of a line by this many log widths of
+   the flat prior. With 1 the errors are the same, and the search takes a sixth longer. */
+#define SEARCH_BELOW 3
+/* Prior probability that a window has an event: events are rare. */
 #define EVENT_PRIOR 0.05
-/* The logarithm of the part of all sizes that is as large as the one estimated. */
+/* Cost of a size in log evidence: the prior of sizes is wider than the size that is estimated. */
 #define SIZE_COST 2.4
-/* A candidate has at least so much more evidence by the models that screen it. */
-#define LEAST_GAIN 8.0
-/* Candidates of another order have so much less evidence at most. */
-#define BEHIND 3.0
-/* A second event that gains so much makes the set without it not count. */
-#define SURE_GAIN 25.0
-/* Events have so many samples on either side. */
-#define EDGE 3
-/* Standard deviation of the place of an event, samples, at least and at most. */
-#define LEAST_PLACE 0.5
-#define MOST_PLACE 3.0
-/* The power of the evidence by which events at other places count in covariances. */
-#define POWER 0.25
-/* Places of a chance below exp(-this) do not count. */
-#define LEAST_CHANCE 7.0
-/* Other places are looked at if one may be so near to the instant, samples. */
-#define NEAR 12
-/* Steps are screened with the likeliest of all models, and of the slowest of each spectrum. */
-#define SLOWEST 2
-/* A step of which less is left is one that is in the set. */
-#define LEFT_OF_STEP 1e-6
+/* Log evidence that a candidate has to add in the screening: below it the prior wins. */
+#define MIN_GAIN 8.0
+/* Log evidence by which a candidate of another order may be behind the best one. */
+#define MAX_EVIDENCE_BEHIND 3.0
+/* Log evidence of a second event above which the set without it has no weight. */
+#define CERTAIN_GAIN 25.0
+/* Samples between an event and the ends of the window, so that both sides are seen. */
+#define EDGE_SAMPLES 3
+/* Bounds of the standard deviation of an event's place, samples: an event lies between two samples,
+   and its shift is linear over few. */
+#define MIN_PLACE_SIGMA 0.5
+#define MAX_PLACE_SIGMA 3.0
+/* Power of the evidence by which other places count in the covariance. A step may be a ramp, which
+   no model of steps has. With 1/2, 10.5% of the cells cover less than 85%; with 1/4, 8.7%. */
+#define PLACE_EVIDENCE_POWER 0.25
+/* Places whose chance is below exp(-this) of the best do not count: less than 0.1%. */
+#define MAX_LOG_CHANCE 7.0
+/* Other places count if one of them is this close to the instant, samples: farther events change
+   derivatives by less than their standard deviation. */
+#define NEAR_SAMPLES 12
+/* Lengths of each spectrum that count as slow; slow models leave steps in the residuals. */
+#define SLOW_LENGTHS 2
+/* A step of which the columns leave less than this share is already in the set. */
+#define MIN_STEP_LEFT 1e-6
 
-/* The samples of angle (c 0) or position (c 1) as a model with some columns explains them:
-   `residual` (c + 1, count), its `sums` by steps at all places (ORDERS, count), of the squares of which
-   is `explained`, and how much of the steps themselves is `left`. `removed` (columns, count) are the columns as the
-   model leaves them, without those before, and `factor` by how much they are removed. */
+/* One model with the columns of a set, on the angle (c = 0) or the position (c = 1). `residual`
+   (c + 1, count) are its residuals, and `sums` their products with a step of each order at each
+   place (ORDERS, count), with sum of squares `explained`. `left` is what the model leaves of the
+   squares of these steps. `removed` (columns, count) are the columns as the model and the columns
+   before leave them, each subtracted with `factor`. */
 typedef struct {
     int c;
     long long model, columns;
     double squares, *residual, *sums, *explained, *left, *removed, *factor;
 } Screen;
 
-/* Screens of angle and position, and by these how much evidence a step of each order at each place
-   (ORDERS, count) gains, but for what its size costs. `reach` (2, orders, count) are the samples'
-   weights in derivatives at the instant, if `reached`. */
+/* The screens of angle and position. `gain` (ORDERS, count) is the log evidence that a step of each
+   order at each place adds by both, without the cost of its size. `reach` (2, orders, count) are
+   the weights of the samples in the derivatives at the instant, if `has_sample_weights`. */
 typedef struct {
     Screen of[2];
     double *gain, *reach;
-    int reached;
+    int has_sample_weights;
 } Screens;
 
-/* An event after the sample before `sample` by models that screen it. */
+/* An event half a sample before `sample`: its log evidence, and the part that the event adds. */
 typedef struct {
     double value, gain;
     long long sample;
     Screens *screens;
 } Candidate;
 
-/* The number of the likeliest model of a set, or of its slow models. */
+/* Return the number of the most probable model of a set, or of its slow models. */
 static long long
 find_likeliest(const Models *m, const Set *set, int c, int slow)
 {
@@ -75,7 +84,7 @@ find_likeliest(const Models *m, const Set *set, int c, int slow)
     long long process = m->chunks * LANES, best = 0;
     for (long long k = 0; k < m->groups * LANES; k++) {
         /* Processes of a spectrum are in the order of their lengths. */
-        int fast = k >= SLOWEST * process && m->kind[k - SLOWEST * process] == m->kind[k];
+        int fast = k >= SLOW_LENGTHS * process && m->kind[k - SLOW_LENGTHS * process] == m->kind[k];
         int allowed = slow ? m->kind[k] < m->kinds - 1 && !fast : m->kind[k] != m->kinds - 1;
         if (allowed && evidence[k] > evidence[best])
             best = k;
@@ -83,10 +92,10 @@ find_likeliest(const Models *m, const Set *set, int c, int slow)
     return best;
 }
 
-/* What a model leaves of a signal (count) that has such modes. */
+/* Subtract from a signal (count) with these modes what a model explains. */
 static void
-leave(const Models *m, long long model, const double *modes, const double *signal, Lanes *sums,
-      double *left)
+subtract_model(const Models *m, long long model, const double *modes, const double *signal,
+               Lanes *sums, double *left)
 {
     long long group = model / LANES, lane = model % LANES, n = m->count;
     const double *share = (const double *)(m->share + group % m->chunks * m->rows) + lane;
@@ -110,15 +119,16 @@ leave(const Models *m, long long model, const double *modes, const double *signa
     }
 }
 
-/* Compute how a column (count) with such modes is left, to be the next of those removed. Returns how
-   much of it is left, and the root of the mean square of its product with the residuals. */
+/* Subtract model and earlier columns from a column (count) with these modes, into the next row of
+   `removed`. Returns the product of the column with it, and in `along` the RMS of its products with
+   the residuals. */
 static double
-measure(const Models *m, Screen *screen, const double *column, const double *modes, Lanes *sums,
-        double *along)
+measure_column(const Models *m, Screen *screen, const double *column, const double *modes,
+               Lanes *sums, double *along)
 {
     long long n = m->count;
     double *own = screen->removed + screen->columns * n, square = 0.0;
-    leave(m, screen->model, modes, column, sums, own);
+    subtract_model(m, screen->model, modes, column, sums, own);
     for (long long k = 0; k < screen->columns; k++) {
         const double *other = screen->removed + k * n;
         double by = screen->factor[k] * dot(other, column, n);
@@ -131,12 +141,12 @@ measure(const Models *m, Screen *screen, const double *column, const double *mod
     }
     *along = sqrt(square);
     double left = dot(column, own, n);
-    return left > LEFT_OF_STEP * LEFT_OF_STEP * dot(column, column, n) ? left : 0.0;
+    return left > MIN_STEP_LEFT * MIN_STEP_LEFT * dot(column, column, n) ? left : 0.0;
 }
 
-/* Remove the column that was measured last, of which so much is left. */
+/* Add the column that was measured last to those of the screen. */
 static void
-remove_measured(const Models *m, Screen *screen, const Samples *s, double left, double weight,
+remove_column(const Models *m, Screen *screen, const Samples *s, double left, double weight,
                 double root)
 {
     long long n = m->count;
@@ -150,9 +160,9 @@ remove_measured(const Models *m, Screen *screen, const Samples *s, double left, 
     screen->factor[screen->columns++] = factor;
 }
 
-/* Sums (ORDERS, count) of a signal times steps half a sample before each sample. */
+/* Compute the products (ORDERS, count) of a signal with steps half a sample before each sample. */
 static void
-sum_by_steps(const double *signal, long long count, double *sums)
+sum_products_with_steps(const double *signal, long long count, double *sums)
 {
     /* Of the signal times binomial coefficients of the time since. */
     double a = 0.0, b = 0.0, c = 0.0;
@@ -164,7 +174,7 @@ sum_by_steps(const double *signal, long long count, double *sums)
     }
 }
 
-/* Remove the columns of a set that a screen has not yet, and screen steps at all places. */
+/* Add the new columns of a set to a screen, and screen steps at all places. */
 static void
 screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, Screen *screen,
              double *spare)
@@ -179,9 +189,9 @@ screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, S
             memset(spare, 0, n * sizeof(double)), spare[set->at[x]] = 1.0;
         else
             column = set->values + (x - set->cells) * n;
-        double left = measure(m, screen, column, set->vectors + x * m->rows, sums, &along);
-        remove_measured(m, screen, s, left, weight, set->root[part * set->columns + x]);
-        sum_by_steps(screen->removed + x * n, n, screen->explained);
+        double left = measure_column(m, screen, column, set->vectors + x * m->rows, sums, &along);
+        remove_column(m, screen, s, left, weight, set->root[part * set->columns + x]);
+        sum_products_with_steps(screen->removed + x * n, n, screen->explained);
         for (long long k = 0; k < ORDERS * n; k++)
             screen->left[k] -= screen->factor[x] * screen->explained[k] * screen->explained[k];
     }
@@ -190,13 +200,13 @@ screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, S
     for (int j = 0; j <= screen->c; j++) {
         screen->squares += dot(screen->residual + j * n, s->x[screen->c + j], n);
         double *sums = screen->sums + j * ORDERS * n;
-        sum_by_steps(screen->residual + j * n, n, sums);
+        sum_products_with_steps(screen->residual + j * n, n, sums);
         for (long long k = 0; k < ORDERS * n; k++)
             screen->explained[k] += sums[k] * sums[k];
     }
     screen->squares = larger(screen->squares, 0.0);
     for (long long k = 0; k < ORDERS * n; k++)
-        screen->left[k] = screen->left[k] > LEFT_OF_STEP * whole[k] ? screen->left[k] : INFINITY;
+        screen->left[k] = screen->left[k] > MIN_STEP_LEFT * whole[k] ? screen->left[k] : INFINITY;
 }
 
 /* Begin to screen with a model. */
@@ -206,12 +216,12 @@ begin_screen(const Models *m, const Samples *s, const Work *w, long long model, 
     long long n = m->count;
     screen->model = model, screen->columns = 0;
     for (int j = 0; j <= screen->c; j++)
-        leave(m, model, w->modes + (screen->c + j) * m->rows, s->x[screen->c + j], w->off,
+        subtract_model(m, model, w->modes + (screen->c + j) * m->rows, s->x[screen->c + j], w->off,
               screen->residual + j * n);
     memcpy(screen->left, m->unexplained + model * ORDERS * n, ORDERS * n * sizeof(double));
 }
 
-/* How much of the squares a step of the estimated size explains. */
+/* Return by how much a step of the estimated size reduces the sum of squares. */
 static inline double
 explained_of(const Screen *screen, long long k, double *square)
 {
@@ -219,18 +229,19 @@ explained_of(const Screen *screen, long long k, double *square)
     return (screen->c + 1) * *square * *square / (1 + *square);
 }
 
-/* How much more evidence there is by the model with a step of the estimated size. */
+/* Return the log evidence that a step of the estimated size adds. */
 static double
-gain_of(const Screen *screen, const Work *w, long long k)
+evidence_gain(const Screen *screen, const Work *w, long long k)
 {
-    double square, explained = explained_of(screen, k, &square), before = screen->squares + w->known;
+    double square, explained = explained_of(screen, k, &square);
+    double before = screen->squares + w->known;
     double number = w->known + w->seen[screen->c] * (screen->c + 1);
     double after = larger(before - explained, w->known);
     return larger(number / 2 * log(before / after) - (screen->c + 1) * log(1 + square) / 2, 0.0);
 }
 
-/* Find the best place of a step of each order. Gains are ranked by a rational approximation of their
-   logarithm. */
+/* Find the best place of a step of each order. The gain at a place uses a rational approximation of
+   the logarithm, since there are many places. */
 static void
 find_candidates(const Models *m, const Work *w, double value, Screens *screens, Candidate *best)
 {
@@ -247,20 +258,20 @@ find_candidates(const Models *m, const Work *w, double value, Screens *screens, 
         }
     }
     for (int order = 0; order < ORDERS; order++) {
-        long long at = order * n + EDGE;
-        for (long long k = at; k <= (order + 1) * n - EDGE; k++)
+        long long at = order * n + EDGE_SAMPLES;
+        for (long long k = at; k <= (order + 1) * n - EDGE_SAMPLES; k++)
             if (screens->gain[k] > screens->gain[at])
                 at = k;
-        double gain = gain_of(screens->of, w, at) + gain_of(screens->of + 1, w, at);
+        double gain = evidence_gain(screens->of, w, at) + evidence_gain(screens->of + 1, w, at);
         Candidate one = {value + gain, gain, at - order * n, screens};
         if (one.value > best[order].value)
             best[order] = one;
     }
 }
 
-/* The order of the best candidate. */
+/* Return the order of the best candidate. */
 static int
-find_best(const Candidate *candidates)
+best_candidate(const Candidate *candidates)
 {
     int best = 0;
     for (int k = 1; k < ORDERS; k++)
@@ -268,18 +279,18 @@ find_best(const Candidate *candidates)
     return best;
 }
 
-/* Find the deviations of the columns that were added to a set for an event of an order, one after the
-   other, as the model of a screen estimates them. */
+/* Set the prior standard deviations of the columns of a new event, in turn, to the sizes that the
+   model of a screen estimates. */
 static void
-find_sizes(const Models *m, const Screen *screen, Set *set, int order, double *spare)
+estimate_sizes(const Models *m, const Screen *screen, Set *set, int order, double *spare)
 {
     long long n = m->count, begin = set->from->steps, number = set->steps - begin, c = screen->c;
     long long group = screen->model / LANES, lane = screen->model % LANES;
     const double *columns = set->values + begin * n;
     const double *modes = set->vectors + (set->cells + begin) * m->rows;
     double *weight = set->weight + c * set->columns + set->cells + begin;
-    double *root = set->root + c * set->columns + set->cells + begin, place = LEAST_PLACE;
-    double between[COLUMNS][COLUMNS], square[COLUMNS], along[2][COLUMNS];
+    double *root = set->root + c * set->columns + set->cells + begin, place = MIN_PLACE_SIGMA;
+    double between[EVENT_COLUMNS][EVENT_COLUMNS], square[EVENT_COLUMNS], along[2][EVENT_COLUMNS];
     const double *share = (const double *)(m->share) + lane;
     find_modes_of_steps(m, group, set);
     for (int k = 0; k < number; k++) {
@@ -306,14 +317,16 @@ find_sizes(const Models *m, const Screen *screen, Set *set, int order, double *s
     }
     for (int k = 0; k < number; k++) {
         int each = set->step[begin + k].order;
-        double left = between[k][k] > LEFT_OF_STEP * LEFT_OF_STEP * square[k] ? between[k][k] : 0.0;
-        double size = 0.0;
+        double left = between[k][k], size = 0.0;
+        if (!(left > MIN_STEP_LEFT * MIN_STEP_LEFT * square[k]))
+            left = 0.0;
         for (int j = 0; j <= c; j++)
             size += along[j][k] * along[j][k] / (c + 1);
         root[k] = left > 0.0 ? sqrt(size) / left : 0.0;
         if (each == order - 1) {
             double known = root[0] * sqrt((c + 1) * left);
-            place = known > 0.0 ? smaller(larger(1 / known, LEAST_PLACE), MOST_PLACE) : LEAST_PLACE;
+            if (known > 0.0)
+                place = smaller(larger(1 / known, MIN_PLACE_SIGMA), MAX_PLACE_SIGMA);
             root[k] = root[0] * place;
         }
         weight[k] = 1.0;
@@ -327,17 +340,16 @@ find_sizes(const Models *m, const Screen *screen, Set *set, int order, double *s
     }
 }
 
-/* Copy a set, and add the columns of an event: the step, what it is if its place is somewhat earlier
-   or later, and a step of the next derivative. Sizes are those that the screening models estimate.
-   The set is laid out at `data`; returns what comes after it. */
+/* Copy a set, and add the columns of an event. The new set is laid out at `data`; returns the end
+   of its memory. */
 static char *
-extend_set(const Models *m, const Set *from, const Candidate *candidate, int order,
+add_event(const Models *m, const Set *from, const Candidate *candidate, int order,
             long long orders, long long block, char *data,
            Set *set, double *spare)
 {
     long long n = m->count, cells = from->cells, begin = from->steps, number = 1;
     /* The next derivative is the last: the other sizes are known then. */
-    int each[COLUMNS] = {order};
+    int each[EVENT_COLUMNS] = {order};
     if (order)
         each[number++] = order - 1;
     each[number++] = order + 1;
@@ -364,22 +376,24 @@ extend_set(const Models *m, const Set *from, const Candidate *candidate, int ord
     }
     fold(m, signals, steps, set->folded);
     for (int c = 0; c < 2; c++)
-        find_sizes(m, candidate->screens->of + c, set, order, spare);
+        estimate_sizes(m, candidate->screens->of + c, set, order, spare);
     return data;
 }
 
-/* Compute the weights of samples in derivatives by the models of screens, with the columns of a set. */
+/* Compute the weights of the samples in the derivatives at the instant, by the models of screens
+   with the columns of a set. */
 static void
-find_reach(const Models *m, const Stencils *by, const Set *set, Screens *screens, Lanes *lanes)
+find_sample_weights(const Models *m, const Stencils *by, const Set *set, Screens *screens,
+                    Lanes *lanes)
 {
     long long n = m->count, orders = by->orders;
     double *weights = screens->reach;
     memset(weights, 0, 2 * orders * n * sizeof(double));
-    screens->reached = 1;
+    screens->has_sample_weights = 1;
     for (long long k = 0; k < 2 * orders; k++, weights += n) {
         const Screen *screen = screens->of + k / orders;
         /* Less what the model makes of them. */
-        leave(m, screen->model, by->modes + k % orders * m->rows, weights, lanes, weights);
+        subtract_model(m, screen->model, by->modes + k % orders * m->rows, weights, lanes, weights);
         for (long long x = 0; x < screen->columns; x++) {
             double change;
             if (x < set->cells)
@@ -388,7 +402,7 @@ find_reach(const Models *m, const Stencils *by, const Set *set, Screens *screens
                 const Step *step = set->step + x - set->cells;
                 change = dot(weights, set->values + (x - set->cells) * n, n);
                 if (k % orders <= step->order)
-                    change += step_since(step->order - k % orders, by->at - step->place);
+                    change += step_value(step->order - k % orders, by->at - step->place);
             }
             change *= screen->factor[x];
             for (long long t = 0; t < n; t++)
@@ -397,45 +411,46 @@ find_reach(const Models *m, const Stencils *by, const Set *set, Screens *screens
     }
 }
 
-/* Compute the covariance of derivatives that is due to the place of an event, by the models of its
-   screens: as the event may be anywhere, with its chances there. */
+/* Add to a set the covariance of derivatives that follows from the place of its last event: at each
+   place, weighted by the evidence there, the derivatives differ from those with the best place. */
 static void
-find_spread(const Models *m, const Stencils *by, const Set *from, const Candidate *candidate,
-            int order, Lanes *lanes, double *spare, Set *set)
+add_place_covariance(const Models *m, const Stencils *by, const Set *from,
+                     const Candidate *candidate, int order, Lanes *lanes, double *spare, Set *set)
 {
-    long long n = m->count, orders = by->orders, places = n - 2 * EDGE + 1, best = 0;
+    long long n = m->count, orders = by->orders, places = n - 2 * EDGE_SAMPLES + 1, best = 0;
     Screens *screens = candidate->screens;
     double *chance = spare, *sums = spare + n, total = 0.0;
-    const double *gain = screens->gain + order * n + EDGE;
+    const double *gain = screens->gain + order * n + EDGE_SAMPLES;
     int near = 0;
     for (long long k = 0; k < places; k++)
         best = gain[k] > gain[best] ? k : best;
     for (long long k = 0; k < places; k++) {
-        double less = POWER * (gain[best] - gain[k]);
-        chance[k] = less > LEAST_CHANCE ? 0.0 : exp(-less);
-        near |= chance[k] > 0.0 && fabs(by->at - (k + EDGE - 0.5)) < NEAR;
+        double less = PLACE_EVIDENCE_POWER * (gain[best] - gain[k]);
+        chance[k] = less > MAX_LOG_CHANCE ? 0.0 : exp(-less);
+        near |= chance[k] > 0.0 && fabs(by->at - (k + EDGE_SAMPLES - 0.5)) < NEAR_SAMPLES;
         total += chance[k];
     }
     if (!near)
         return;
-    if (!screens->reached)
-        find_reach(m, by, from, screens, lanes);
+    if (!screens->has_sample_weights)
+        find_sample_weights(m, by, from, screens, lanes);
     for (int c = 0; c < 2; c++) {
         const Screen *screen = screens->of + c;
         for (long long o = 0; o < orders; o++)
-            sum_by_steps(screens->reach + (c * orders + o) * n, n, sums + o * ORDERS * n);
+            sum_products_with_steps(screens->reach + (c * orders + o) * n, n,
+                                    sums + o * ORDERS * n);
         for (int j = 0; j <= c; j++) {
             double middle[MOST_ORDERS] = {0.0};
             for (long long i = -1; i < places; i++) {
                 /* About what is found with the event at its best place. */
-                long long k = i < 0 ? best : i, at = order * n + k + EDGE;
-                double off[MOST_ORDERS], square, size;
+                long long k = i < 0 ? best : i, at = order * n + k + EDGE_SAMPLES;
+                double off[MOST_ORDERS], square, size, since = by->at - (k + EDGE_SAMPLES - 0.5);
                 if (chance[k] == 0.0)
                     continue;
                 explained_of(screen, at, &square);
                 size = screen->sums[j * ORDERS * n + at] / screen->left[at] * square / (1 + square);
                 for (long long o = 0; o < orders; o++) {
-                    double here = o > order ? 0.0 : step_since(order - o, by->at - (k + EDGE - 0.5));
+                    double here = o > order ? 0.0 : step_value(order - o, since);
                     off[o] = size * (here + sums[o * ORDERS * n + at]) - middle[o];
                 }
                 if (i < 0)

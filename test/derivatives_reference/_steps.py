@@ -147,7 +147,8 @@ def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
     none = np.zeros((len(cells), window.orders))
     empty = _evaluate(
         window, samples, seen, weight[cells].T, np.eye(window.size)[cells], none,
-        np.sqrt(1 - weight[cells].T), 0.0, 0, np.zeros((2, window.orders, window.orders)), len(cells),
+        np.sqrt(1 - weight[cells].T), 0.0, 0, np.zeros((2, window.orders, window.orders)),
+        len(cells),
     )  # fmt: skip
     sets = _sets(window, samples, seen, weight[cells].T, empty)
     mean, freedom = np.zeros((window.orders, 3)), np.zeros(2)
@@ -288,9 +289,7 @@ def _sets(window: Window, samples: Real, seen: Real, lacking: Real, empty: _Set)
     if others[second].gain < _SURE_GAIN:
         all_.append(sets[first])
     if others[second].gain >= _GAIN:
-        all_.append(
-            _extended(window, samples, seen, lacking, sets[first], second, others[second])
-        )
+        all_.append(_extended(window, samples, seen, lacking, sets[first], second, others[second]))
     return all_
 
 
