@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism import BodyMotion, load_scene
-from kinpole_ros.mechanism._motions import ORDERS, four_bar, rotation_derivatives
+from kinpole_ros.mechanism._motions import ORDERS, rotation_derivatives
 
 
 class Motion(NamedTuple):
@@ -35,7 +35,16 @@ class Motion(NamedTuple):
 _MARKERS = np.array([(0.09, 0.02), (-0.03, 0.1), (-0.08, -0.05), (0.05, -0.06)])
 # m. Crank and ground together are almost as long as coupler and rocker: near where they lie in one
 # line the coupler whips round: the peak of its acceleration lasts 0.06 s at half its height.
-_NEAR_DEAD = {'ground': 0.4, 'crank': 0.2, 'coupler': 0.32, 'rocker': 0.281}
+_NEAR_DEAD = {
+    'bodies': {
+        'ground': {'O': [0, 0], 'C': [0.4, 0]},
+        'crank': {'O': [0, 0], 'A': [0.2, 0]},
+        'coupler': {'A': [0, 0], 'B': [0.32, 0]},
+        'rocker': {'C': [0, 0], 'B': [0.281, 0]},
+    },
+    'drivers': [{'drive': 'crank', 'rate': '0.5 rev/s', 'start': 0.3}],
+    'start': {'coupler': 0.9, 'rocker': 1.8},
+}
 
 
 def motions() -> dict[str, Motion]:
@@ -121,7 +130,7 @@ def _stop_and_go(t: np.ndarray) -> BodyMotion:
 
 
 def _dead_point(t: np.ndarray) -> BodyMotion:
-    return four_bar(t, turns_per_second=0.5, phase=0.3, branch='open', **_NEAR_DEAD)['coupler']
+    return load_scene(_NEAR_DEAD).motion(t)['coupler']
 
 
 def _periodic(

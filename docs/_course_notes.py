@@ -131,7 +131,7 @@ COURSE_NOTES: dict[str, list[Entry]] = {
     'Experimental kinematics (seed 000)': [
         Entry(
             'p. 1',
-            'landmarks with weights f; a landmark that is not available does not count',
+            'landmarks with weights f; an unavailable landmark has no influence',
             'close(landmark_kinematics(*landmarks, weights=[1, 0, 1]).icr, k.icr)',
         ),
         Entry('p. 1', 'ω = Σ f (c × ṙ) / S', 'close(k.angular_velocity, w)'),
@@ -184,7 +184,7 @@ COURSE_NOTES: dict[str, list[Entry]] = {
         ),
         Entry(
             'p. 4',
-            'its size and direction',
+            'its magnitude and direction',
             'norm(np.diff(link3[1])), np.degrees(np.arctan2(58.38, -29.82))',
             '65.55, 117.1',
         ),
@@ -208,7 +208,7 @@ COURSE_NOTES: dict[str, list[Entry]] = {
         ),
         Entry(
             'p. 4',
-            'its size and direction',
+            'its magnitude and direction',
             'norm([2.65, -58.75]), np.degrees(np.arctan2(-58.75, 2.65))',
             '58.81, -87.4',
         ),
@@ -217,7 +217,7 @@ COURSE_NOTES: dict[str, list[Entry]] = {
         Entry('p. 5–6', '`rbk`: v_C (mm/s)', 'v_C', '2.633, -58.7571'),
         Entry(
             'p. 5–6',
-            '`rbk`: its size and direction',
+            '`rbk`: its magnitude and direction',
             'norm(v_C), np.degrees(np.arctan2(v_C[1], v_C[0]))',
             '58.82, -87.43',
         ),
@@ -259,7 +259,7 @@ COURSE_NOTES: dict[str, list[Entry]] = {
         ),
         Entry(
             'Fig. 1',
-            'translation with A and rotation about A, against the same with B: one angle (deg)',
+            'decomposition with A and with B: the same rotation (deg)',
             POISSON,
             '',
             r'^[AB]  .* (\S+)$',
@@ -271,7 +271,7 @@ COURSE_NOTES: dict[str, list[Entry]] = {
         ),
         Entry(
             'Fig. 2',
-            'graphical construction of v_B = v_A + v_BA: the sizes of v_A, v_BA, v_B (m/s)',
+            'graphical construction of v_B = v_A + v_BA: magnitudes of v_A, v_BA, v_B (m/s)',
             'kinpole solve slider_crank --at "75 deg" --polygon polygons.svg',
             '',
             r'^v_\w+\s+\w+\s+(\S+)',
@@ -295,7 +295,7 @@ COURSE_NOTES: dict[str, list[Entry]] = {
         ),
         Entry(
             'S2 eq. 3–8',
-            'a vector by its coordinates in axes that turn, differentiated',
+            'derivative of a vector in rotating axes',
             'close(transport([0, 0], w, r_BA), v_BA)',
         ),
         Entry(
@@ -315,12 +315,12 @@ COURSE_NOTES: dict[str, list[Entry]] = {
         ),
         Entry(
             'S2 eq. 14, 15',
-            'the pole goes along both centrodes with one velocity u',
+            'the pole moves along both centrodes with the same velocity u',
             'close(u_fixed, u_moving)',
         ),
         Entry(
             'S2 eq. 15',
-            'u along the tangent t_P (m/s), along the fixed and the moving centrode',
+            'u along the tangent t_P (m/s), on the fixed and the moving centrode',
             POISSON,
             '',
             r'^u along \D+(\S+)\s+(\S+)',
@@ -354,7 +354,7 @@ COURSE_NOTES: dict[str, list[Entry]] = {
     'Velocity and acceleration analysis (seed 003)': [
         Entry(
             '2, process',
-            'loop equations differentiated, linear in the unknown rates',
+            'the derivative of the loop equations is linear in the unknown rates',
             'close(v, 0.5 * at_45.values[1, 1:, 0])',
         ),
         Entry(
@@ -385,7 +385,7 @@ COURSE_NOTES: dict[str, list[Entry]] = {
         ),
         Entry(
             '2, example 1',
-            'loop L1 as vectors, closed as its printed r1 allows: sides of its polygon (m/s)',
+            'loop L1 as vectors, with the printed r1: sides of its polygon (m/s)',
             'kinpole solve loader_loop --at "45 deg" --polygon loop.svg',
             '',
             r'^v_r[234]\s+\w+\s+(\S+)',
@@ -415,12 +415,12 @@ COURSE_NOTES: dict[str, list[Entry]] = {
         ),
         Entry(
             '2, example 3',
-            'no solution where A cannot be inverted: its determinant there, less than 1e-4',
+            'no solution where A is singular: its determinant there is below 1e-4',
             'bool(abs(np.linalg.det(matrix(*at_limit.values[0][1:, 0]))) < 1e-4)',
         ),
         Entry(
             '2, example 3',
-            'the program of the pseudo code: V_P plotted',
+            'the pseudo code as a program: plot of V_P',
             'kinpole solve loader --sweep --plot loader.png',
             '',
             r'written to (\S+)',
@@ -474,7 +474,7 @@ COURSE_NOTES: dict[str, list[Entry]] = {
         ),
         Entry(
             '3',
-            'the center of a pin is the pin, that of a slide at infinity across it',
+            'the center of a pin is the pin; that of a slide is at infinity, normal to it',
             'kinpole solve slider_crank --centers',
             '',
             r'^(I\d\d: pin \w+)',
@@ -542,7 +542,7 @@ COURSE_NOTES: dict[str, list[Entry]] = {
         ),
         Entry(
             '4',
-            'each bearing force by letting the bearing go: O and C of the loader (N)',
+            'each bearing force by releasing the bearing: O and C of the loader (N)',
             f'{LOADER} --work',
             '',
             r'^[OC]\s+90 deg .* (\S+)  N$',

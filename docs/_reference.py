@@ -32,8 +32,14 @@ def parameter_reference() -> str:
         sections.append(
             f'## `{name}`\n\n{_escape(row.description)}\n\n- default: {default}\n'
             f'- allowed: {_escape(row.allowed)}\n- {_settable(name, row)}\n'
+            f'{_deprecation(name)}'
         )
     return '\n'.join(sections)
+
+
+def _deprecation(name: str) -> str:
+    reason = parameters.DEPRECATED.get(name)
+    return f'- deprecated, since {reason}\n' if reason else ''
 
 
 def _settable(name: str, row: parameters.Parameter) -> str:

@@ -1,11 +1,11 @@
 """
-For Python, without ROS: markers in an array, or a bag, to the motion of bodies in real arrays.
+The Python API, without ROS: markers in an array, or a bag, to the motion of bodies in real arrays.
 
-The same pipeline as that of node and replay, so the figures are the same too.
+The pipeline is that of node and replay, so the results are the same.
 """
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from pathlib import Path
@@ -31,15 +31,14 @@ from kinpole_ros.tracking.tracker import Tracker
 if TYPE_CHECKING:
     import pandas
 
-# Frames that the tracker is given at once, as replay does.
-_AT_ONCE = 1000
+_BLOCK_FRAMES = 1000  # that the tracker takes at once, as in a replay
 _NS_PER_S = 1_000_000_000
 _Key = TypeVar('_Key')
 _Record = TypeVar('_Record')
 
 
 class UnknownNameError(KeyError):
-    """A body, or a pair of bodies, that a result does not have; its message lists those it has."""
+    """A body or pair of bodies that a result does not have; the message lists those it has."""
 
     def __str__(self) -> str:
         # A KeyError shows its message in quotes.
@@ -47,7 +46,7 @@ class UnknownNameError(KeyError):
 
 
 class _Records(dict[_Key, _Record]):
-    """Records by name; a name that is missing is an `UnknownNameError` that lists the names."""
+    """Records by name; a missing name raises an `UnknownNameError` that lists the names."""
 
     def __missing__(self, key: object) -> NoReturn:
         names = {_shown(name): name for name in self}
@@ -65,26 +64,30 @@ def _shown(key: object) -> str:
     return ' wrt '.join(map(str, key)) if isinstance(key, tuple) else str(key)
 
 
-def _raise_unknown_attribute(record: object, name: str) -> NoReturn:
-    """Raise an AttributeError that lists the fields of a record, a dataclass."""
-    names = list(type(record).__dataclass_fields__)  # type: ignore[attr-defined]
-    closest = get_close_matches(name, names, n=1)
-    suggestion = f'did you mean {closest[0]}? ' if closest else ''
-    raise AttributeError(
-        f'{type(record).__name__} has no {name}; {suggestion}known: {", ".join(names)}',
-        name=name,
-        obj=record,
-    )
+class _Motion:
+    """A dataclass that lists its fields where an unknown one is read."""
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            names = list(type(self).__dataclass_fields__)
+            closest = get_close_matches(name, names, n=1)
+            suggestion = f'did you mean {closest[0]}? ' if closest else ''
+            raise AttributeError(
+                f'{type(self).__name__} has no {name}; {suggestion}known: {", ".join(names)}',
+                name=name,
+                obj=self,
+            )
 
 
 @dataclass(frozen=True)
-class BodyMotion:
+class BodyMotion(_Motion):
     """
     The motion of one body at M instants; NaN where undetermined, or beyond `derivative_order`.
 
     SI units and rad. Numbers are (M,) and come with NAME_sigma, one standard deviation; vectors are
     (M, 2), along the axes of the plane, and come with NAME_covariance (M, 2, 2). `position` and
-    `angle` are those of the body's frame. `missing` (M,) says why nothing is known, '' else.
+    `angle` are those of the body's frame. `missing` (M,) says why there is no estimate, '' else.
     """
 
     position: np.ndarray
@@ -111,25 +114,15 @@ class BodyMotion:
     centrode_curvature: np.ndarray
     centrode_curvature_sigma: np.ndarray
 
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> NoReturn:
-            _raise_unknown_attribute(self, name)
-
 
 @dataclass(frozen=True)
-class PairMotion:
-    """How body j moves with respect to body i at M instants, in arrays as those of a body."""
+class PairMotion(_Motion):
+    """The motion of body j with respect to body i at M instants, in arrays as those of a body."""
 
     angular_velocity: np.ndarray
     angular_velocity_sigma: np.ndarray
     icr: np.ndarray
     icr_covariance: np.ndarray
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> NoReturn:
-            _raise_unknown_attribute(self, name)
 
 
 @dataclass(frozen=True)
@@ -181,7 +174,7 @@ class Tracked:
 
 
 def _table_columns(prefix: str, record: BodyMotion | PairMotion) -> dict[str, np.ndarray]:
-    """The numbers of a record as columns (M,), named as in tables."""
+    """Return the numbers of a record as columns (M,), named as in tables."""
     columns: dict[str, np.ndarray] = {}
     for name in (field.name for field in fields(record)):
         values = getattr(record, name)
@@ -210,12 +203,12 @@ def track(
     """
     Follow bodies by their markers, through the same pipeline as the node.
 
-    What makes results fewer is warned of.
+    It warns of all that makes results fewer.
 
     Parameters
     ----------
     points
-        Places of the markers (T, n, 2) or (T, n, 3), m, NaN where one is not seen. With two
+        Positions of the markers (T, n, 2) or (T, n, 3), m, NaN where one is not seen. With two
         coordinates they are in the plane xy.
     stamps
         Times of the frames (T,): integers are ns, floats are s. Frames that repeat a stamp, or go
@@ -238,25 +231,25 @@ def track(
         parameter.
 
     """
-    there = np.asarray(points, float)
-    if there.ndim != 3 or there.shape[2] not in (2, 3):
-        raise ValueError(f'points must have shape (T, n, 2) or (T, n, 3), not {there.shape}')
-    times = _stamps_ns(stamps, there.shape[:1])
-    if there.shape[2] == 2:
+    positions = np.asarray(points, float)
+    if positions.ndim != 3 or positions.shape[2] not in (2, 3):
+        raise ValueError(f'points must have shape (T, n, 2) or (T, n, 3), not {positions.shape}')
+    times = _stamps_ns(stamps, positions.shape[:1])
+    if positions.shape[2] == 2:
         if parameters.get('plane', 'xy') != 'xy':
             raise ValueError('points of two coordinates are in the plane xy; give three for others')
-        there = np.concatenate((there, np.zeros((*there.shape[:2], 1))), axis=2)
-    count = there.shape[1]
+        positions = np.pad(positions, ((0, 0), (0, 0), (0, 1)))
+    count = positions.shape[1]
     settings = settings_from({**parameters, **_markers(bodies, count)})
     tracker = Tracker(settings)
     names = tuple(map(str, range(count)))
-    found: list[Estimate] = []
-    for first in range(0, len(times), _AT_ONCE):
-        part = slice(first, first + _AT_ONCE)
-        frames = MarkerFrames(times[part], '', names, there[part])
-        found += tracker.add(frames, _order(settings))
-    _warn(_left_out(tracker, found))
-    return _tracked(found, settings)
+    estimates: list[Estimate] = []
+    for first in range(0, len(times), _BLOCK_FRAMES):
+        part = slice(first, first + _BLOCK_FRAMES)
+        frames = MarkerFrames(times[part], '', names, positions[part])
+        estimates += tracker.add(frames, settings.derivative_order or 4)
+    _warn(_losses(tracker, estimates))
+    return _tracked(estimates, settings)
 
 
 def replay(
@@ -265,18 +258,18 @@ def replay(
     """
     Follow bodies by the markers in a bag.
 
-    Warns of what `kinpole replay` prints on stderr.
+    It warns of what `kinpole replay` prints on stderr.
 
     Parameters
     ----------
     bag
-        An .mcap file or a rosbag2 folder.
+        An .mcap or .db3 file or a rosbag2 folder.
     config
         A ROS 2 parameter file, as for the node; without it, all markers are on one body, `body`.
     topic
         The topic of the markers, instead of the parameter `marker_topic`.
     **parameters
-        What is to be other than `config` says, by name; ``**{'crank.markers': ['0', '1']}`` for
+        Parameters in place of those of `config`, by name; ``**{'crank.markers': ['0', '1']}`` for
         names with a dot.
 
     Returns
@@ -298,16 +291,16 @@ def replay(
         settings = settings_from(parameters)
     else:
         settings = load_settings(config, changes=parameters)
-    found: list[Estimate] = []
-    result = bags.replay(bag, settings, topic=topic, take=found.append)
-    _warn(bags.warnings_of(result, settings))
-    if result.truncated is not None:
-        _warn([str(result.truncated)])
-    return _tracked(found, settings)
+    estimates: list[Estimate] = []
+    outcome = bags.replay(bag, settings, topic=topic, take=estimates.append)
+    _warn(bags.warnings_of(outcome, settings))
+    if outcome.truncated is not None:
+        _warn([str(outcome.truncated)])
+    return _tracked(estimates, settings)
 
 
 def _stamps_ns(stamps: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    """Stamps (T,) as int64, ns, from integers, ns, or floats, s."""
+    """Return stamps (T,) as int64, ns, from integers, ns, or floats, s."""
     times = np.asarray(stamps)
     if times.shape != shape or times.dtype.kind not in 'iuf':
         raise ValueError(
@@ -330,7 +323,7 @@ def _stamps_ns(stamps: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _markers(bodies: Mapping[str, Sequence[int]] | None, count: int) -> dict[str, Any]:
-    """Parameters that say which of `count` markers are on which body."""
+    """Return the parameters that say which of `count` markers are on which body."""
     if bodies is None:
         return {}
     values: dict[str, Any] = {'bodies': list(bodies)}
@@ -345,19 +338,21 @@ def _markers(bodies: Mapping[str, Sequence[int]] | None, count: int) -> dict[str
     return values
 
 
-def _left_out(tracker: Tracker, found: list[Estimate]) -> Iterable[str]:
-    """What became of frames that there are no results of, and of bodies."""
-    for key, what in (
+def _losses(tracker: Tracker, estimates: list[Estimate]) -> Iterator[str]:
+    """Yield a line on frames without results, and on bodies without any."""
+    for key, text in (
         ('repeated', 'frames have the stamp of the one before, and are left out'),
         ('late', 'frames are older than the one before, and are left out'),
         ('resets', 'jumps of the stamps, at which all starts anew'),
     ):
         if tracker.counts[key]:
-            yield f'{tracker.counts[key]} {what}'
+            yield f'{tracker.counts[key]} {text}'
     for b, body in enumerate(tracker.bodies):
-        if all((estimate.missing[:, b] != '').all() for estimate in found):
-            why = found[-1].missing[-1, b] if found else 'too few frames for window and lag'
-            yield f'{body} was never estimated: {why}'
+        if all((estimate.missing[:, b] != '').all() for estimate in estimates):
+            reason = 'too few frames for window and lag'
+            if estimates:
+                reason = estimates[-1].missing[-1, b]
+            yield f'{body} was never estimated: {reason}'
 
 
 def _warn(lines: Iterable[str]) -> None:
@@ -365,81 +360,79 @@ def _warn(lines: Iterable[str]) -> None:
         warnings.warn(line, stacklevel=3)
 
 
-def _order(settings: Settings) -> int:
-    return settings.derivative_order or 4
-
-
-def _tracked(found: list[Estimate], settings: Settings) -> Tracked:
-    """Estimates, one after the other, as one record."""
+def _tracked(estimates: list[Estimate], settings: Settings) -> Tracked:
+    """Return consecutive estimates as one record."""
     names = tuple(settings.bodies)
-    stamp = np.concatenate([np.empty(0, np.int64), *(one.stamp for one in found)])
-    bodies = _Records(
-        (name, BodyMotion(**_concatenated(BodyMotion, [_body(one, b) for one in found])))
-        for b, name in enumerate(names)
+    pairs = [(names[j], names[i]) for i, j in measured_pairs(len(names))]
+    stamp = np.concatenate([np.empty(0, np.int64), *(one.stamp for one in estimates)])
+    return Tracked(
+        stamp * 1e-9,
+        stamp,
+        _records(BodyMotion, names, [_body_arrays(one) for one in estimates]),
+        _records(PairMotion, pairs, [_pair_arrays(one) for one in estimates]),
     )
-    pairs = _Records(
-        (
-            (names[j], names[i]),
-            PairMotion(**_concatenated(PairMotion, [_pair(one, k) for one in found])),
-        )
-        for k, (i, j) in enumerate(measured_pairs(len(names)))
-    )
-    return Tracked(stamp * 1e-9, stamp, bodies, pairs)
 
 
-def _body(estimate: Estimate, b: int) -> dict[str, np.ndarray]:
-    known = estimate.missing[:, b] == ''
-    figures = {
-        'position': np.where(known[:, None], to_plane(estimate.origin(0)[:, b]), np.nan),
-        'angle': np.where(known, estimate.angle[0, :, b], np.nan),
-        'missing': estimate.missing[:, b].astype(str),
+def _records(
+    kind: type[_Record], keys: Sequence[_Key], blocks: list[dict[str, np.ndarray]]
+) -> _Records[_Key, _Record]:
+    """Return a record for each key from blocks of arrays (T, keys, ...); NaN for those missing."""
+    count = sum(len(block['angular_velocity']) for block in blocks)
+    arrays = {}
+    for name in (field.name for field in fields(kind)):  # type: ignore[arg-type]
+        if blocks and name in blocks[0]:
+            arrays[name] = np.concatenate([block[name] for block in blocks])
+        elif name == 'missing':
+            arrays[name] = np.empty((0, len(keys)), str)
+        else:
+            shape: tuple[int, ...] = ()
+            if name.endswith('_covariance'):
+                shape = 2, 2
+            elif name in (*POLE_NAMES, 'icr_velocity', 'position'):
+                shape = (2,)
+            arrays[name] = np.full((count, len(keys), *shape), np.nan)
+    return _Records(
+        (key, kind(**{name: array[:, k] for name, array in arrays.items()}))
+        for k, key in enumerate(keys)
+    )
+
+
+def _body_arrays(estimate: Estimate) -> dict[str, np.ndarray]:
+    """Return the fields of all `BodyMotion`, (T, B, ...)."""
+    is_known = estimate.missing == ''
+    arrays = {
+        'position': np.where(is_known[..., None], to_plane(estimate.origin(0)), np.nan),
+        'angle': np.where(is_known, estimate.angle[0], np.nan),
+        'missing': estimate.missing.astype(str),
     }
     for order in range(1, estimate.order + 1):
-        figures |= _number(RATE_NAMES[order - 1], estimate.rate(order), b)
-        figures |= _vector(POLE_NAMES[order - 1], estimate.pole(order), b)
+        arrays |= _number_arrays(RATE_NAMES[order - 1], estimate.rate(order))
+        arrays |= _vector_arrays(POLE_NAMES[order - 1], estimate.pole(order))
     if estimate.order >= 2:
-        figures |= _vector('icr_velocity', estimate.icr_velocity, b)
+        arrays |= _vector_arrays('icr_velocity', estimate.icr_velocity)
     if estimate.order >= 3:
-        figures |= _number('centrode_curvature', estimate.centrode_curvature, b)
-    return figures
+        arrays |= _number_arrays('centrode_curvature', estimate.centrode_curvature)
+    return arrays
 
 
-def _pair(estimate: Estimate, k: int) -> dict[str, np.ndarray]:
-    rate = _number(RATE_NAMES[0], estimate.relative_rate, k)
-    return rate | _vector(POLE_NAMES[0], estimate.relative_icr, k)
+def _pair_arrays(estimate: Estimate) -> dict[str, np.ndarray]:
+    """Return the fields of all `PairMotion`, (T, pairs, ...)."""
+    rate = _number_arrays(RATE_NAMES[0], estimate.relative_rate)
+    return rate | _vector_arrays(POLE_NAMES[0], estimate.relative_icr)
 
 
-def _number(name: str, numbers: Numbers, k: int) -> dict[str, np.ndarray]:
-    known = numbers.determined[:, k]
+def _number_arrays(name: str, numbers: Numbers) -> dict[str, np.ndarray]:
     with np.errstate(invalid='ignore'):
-        sigma = np.sqrt(numbers.variance[:, k])
+        sigma = np.sqrt(numbers.variance)
     return {
-        name: np.where(known, numbers.value[:, k], np.nan),
-        f'{name}_sigma': np.where(known, sigma, np.nan),
+        name: np.where(numbers.determined, numbers.value, np.nan),
+        f'{name}_sigma': np.where(numbers.determined, sigma, np.nan),
     }
 
 
-def _vector(name: str, vectors: Vectors, k: int) -> dict[str, np.ndarray]:
-    known = vectors.determined[:, k]
-    covariance = np.where(known[:, None, None], vectors.covariance[:, k], np.nan)
+def _vector_arrays(name: str, vectors: Vectors) -> dict[str, np.ndarray]:
+    is_known = vectors.determined[..., None]
     return {
-        name: np.where(known[:, None], to_plane(vectors.value[:, k]), np.nan),
-        f'{name}_covariance': covariance,
+        name: np.where(is_known, to_plane(vectors.value), np.nan),
+        f'{name}_covariance': np.where(is_known[..., None], vectors.covariance, np.nan),
     }
-
-
-def _concatenated(kind: type, parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """The fields of that kind of record, of all parts; NaN where the parts have none."""
-    count = sum(len(part['angular_velocity']) for part in parts)
-    whole = {}
-    for name in (field.name for field in fields(kind)):
-        if parts and name in parts[0]:
-            whole[name] = np.concatenate([part[name] for part in parts])
-        elif name == 'missing':
-            whole[name] = np.empty(0, str)
-        elif name.endswith('_covariance'):
-            whole[name] = np.full((count, 2, 2), np.nan)
-        else:
-            vector = name in (*POLE_NAMES, 'icr_velocity', 'position')
-            whole[name] = np.full((count, 2) if vector else count, np.nan)
-    return whole

@@ -63,7 +63,7 @@ def package_of(error: ImportError) -> str:
 
 def broken_import(error: ImportError) -> str:
     """
-    Tell why a package that is installed cannot be imported.
+    Return why a package that is installed cannot be imported.
 
     Parameters
     ----------
@@ -84,5 +84,5 @@ def broken_import(error: ImportError) -> str:
             return ''
         python = '.'.join(map(str, sys.version_info[:2]))
         return f'{package} is installed but has no {part} for Python {python}: {reason}'
-    place = f' ({error.path})' if error.path and error.path not in reason else ''
-    return f'{package or "a package"} is installed but fails to load: {reason}{place}'
+    path = f' ({error.path})' if error.path and error.path not in reason else ''
+    return f'{package or "a package"} is installed but fails to load: {reason}{path}'

@@ -31,7 +31,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 'markers',
                 default_value='markers',
-                description='Topic the markers come on, where params_file leaves marker_topic be.',
+                description='Topic of the markers, if params_file does not set marker_topic.',
             ),
             DeclareLaunchArgument(
                 'use_sim_time',

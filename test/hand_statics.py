@@ -12,27 +12,58 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from kinpole_ros.mechanism._assembly import assemble
+from kinpole_ros.mechanism._assembly import Assembly, assemble, body_motion
+from kinpole_ros.mechanism._constraints import Constraints, constraints, has_teeth
 from kinpole_ros.mechanism._joints import GROUND, Belt, Revolute, Rolling, Slot, Strut
-from kinpole_ros.mechanism._loops import LinkageError, reduce
+from kinpole_ros.mechanism._loads import Load, check_loads
+from kinpole_ros.mechanism._loops import (
+    Linkage,
+    LinkageError,
+    loop_jacobian,
+    reduce,
+    term_vectors,
+    with_laws,
+)
 from kinpole_ros.mechanism._mechanism import Mechanism
-from kinpole_ros.mechanism._reactions import (
-    Reactions,
-    _Constraints,
-    _constraints,
-    _has_teeth,
-    _separating,
-)
-from kinpole_ros.mechanism._statics import (
-    Load,
-    at_rest,
-    check_loads,
-    driver_rows,
-    efforts,
-    move,
-    power_of,
-)
-from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.mechanism._reactions import Reactions, _separating
+from kinpole_ros.mechanism._statics import Moving, efforts, power_of
+from kinpole_ros.planar._plane import ROUNDING, Complex, Real
+
+# Below the root of rounding a singular value is zero but for errors of the position.
+SINGULAR_VALUE = np.sqrt(ROUNDING)
+
+
+def move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) -> Moving:
+    """
+    Let the drivers move at `rates` (d, T), at variables (n, T) that close the loops.
+
+    Linear in the rates and by singular values, so nothing is searched for.
+    """
+    loops, unknowns = linkage.loops, linkage.free.shape[1]
+    _, slope = loop_jacobian(loops, values)
+    rate = linkage.driven @ with_laws(linkage, np.stack((loops.drives @ values, rates)))[1]
+    determined = np.isfinite(values).all(axis=0)
+    if unknowns:
+        columns = np.einsum('mnt,nu->mut', slope, linkage.free)
+        gap = np.einsum('mnt,nt->mt', slope, rate)
+        matrix = np.concatenate((columns.real, columns.imag))
+        size = np.sqrt((matrix**2).sum(axis=0))
+        size[~(size > 0)] = 1.0
+        scaled = np.moveaxis(np.where(determined, matrix / size, 0.0), -1, 0)
+        singular = np.linalg.svd(scaled, compute_uv=False)
+        rank = (singular > SINGULAR_VALUE * singular[:, :1]).sum(axis=1)
+        inverse = np.linalg.pinv(scaled, rcond=SINGULAR_VALUE)
+        step = inverse @ np.concatenate((gap.real, gap.imag)).T[..., None]
+        rate -= linkage.free @ (step[..., 0].T / size)
+        determined &= rank == unknowns
+    length, turn = term_vectors(loops, values)
+    terms = turn * (loops.lengths @ rate + 1j * length * (loops.angles @ rate))
+    with np.errstate(invalid='ignore'):
+        # The rates of least squares need not keep all loops closed where constraints are too many.
+        gap = np.abs(loops.loops @ terms).max(axis=0, initial=0.0)
+        determined &= gap <= SINGULAR_VALUE * np.abs(terms).max(axis=0, initial=0.0)
+    position, angle = body_motion(assembly, np.stack((values, rate)))
+    return Moving(angle[0], position[1], angle[1], rate, determined)
 
 
 def balance(
@@ -59,13 +90,13 @@ def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -
     """
     check_loads(mechanism, loads)
     joints = mechanism.assembly.joints
-    if values.shape[1] > 1 and any(map(_has_teeth, joints)):
+    if values.shape[1] > 1 and any(map(has_teeth, joints)):
         raise LinkageError('teeth with a pressure angle are freed at one position at a time')
-    system = _constraints(mechanism, values)
+    system = constraints(mechanism, values)
     loads = list(loads)
     teeth = np.zeros((len(joints), values.shape[1]))
     for k, joint in enumerate(joints):
-        if _has_teeth(joint):
+        if has_teeth(joint):
             powers = _freed(mechanism, values, loads, system, k, system.axis[k])
             teeth[k] = -powers.sum(axis=0)
     separating = [
@@ -80,11 +111,12 @@ def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -
     for k, part in system.rows:
         way = None if part == 2 else 1j**part * system.axis[k]
         parts[part, k] = -_freed(mechanism, values, loads, system, k, way).sum(axis=0)
-    names, rows = mechanism.assembly.loops.variables, driver_rows(mechanism)
+    names, rows = mechanism.assembly.loops.variables, mechanism.driver_rows
     for k, joint in enumerate(joints):
         if isinstance(joint, Rolling) and joint.pressure is not None:
             parts[1, k] = np.abs(teeth[k]) * np.tan(joint.pressure)
-    held = at_rest(mechanism, values).determined
+    still = np.zeros((len(mechanism.drivers), values.shape[1]))
+    held = move(mechanism.linkage, mechanism.assembly, values, still).determined
     parts[:, :, ~held] = np.nan
     for k, joint in enumerate(joints):
         if isinstance(joint, Strut):
@@ -101,7 +133,7 @@ def _freed(
     mechanism: Mechanism,
     values: Real,
     loads: Sequence[Load],
-    system: _Constraints,
+    system: Constraints,
     k: int,
     way: Complex | None,
 ) -> Real:
@@ -127,7 +159,7 @@ def _freed(
         freed = [(seen.real, {slides[0]: 1.0}), (seen.imag, {slides[1]: 1.0})]
     turned = [system.poses[joint.one].angle] * (len(bodies) - len(old.bodies))
     for m, other_joint in enumerate(old.joints):
-        if m != k and _has_teeth(other_joint):
+        if m != k and has_teeth(other_joint):
             # Nothing but their push keeps teeth from going apart.
             angle = system.poses[other_joint.one].angle
             away = float(np.angle(1j * system.axis[m] * np.exp(-1j * angle))[0])
@@ -144,7 +176,7 @@ def _freed(
     for name, angle in zip(bodies[len(old.bodies) :], turned, strict=True):
         here[names.index(name)] = angle
     rows = np.zeros((drivers + len(freed), len(names)))
-    rows[:drivers, kept] = driver_rows(mechanism)
+    rows[:drivers, kept] = mechanism.driver_rows
     rates = np.zeros((len(rows), count))
     for row, (rate, weights) in enumerate(freed, start=drivers):
         rates[row] = rate

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from kinpole_ros.mechanism._assembly import assemble
 from kinpole_ros.mechanism._joints import GROUND, Revolute
+from kinpole_ros.mechanism._loads import Force, Torque
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
-from kinpole_ros.mechanism._statics import Force, Torque, efforts
+from kinpole_ros.mechanism._statics import efforts
 from kinpole_ros.planar._balance import Port, balancing_effort, measured_balance, port_power
 from kinpole_ros.planar._uncertainty import Linear
 

@@ -22,12 +22,13 @@ import pytest
 from conftest import bodies_of, decoded, write_config
 
 import kinpole_ros.bags.batch as module
-from kinpole_ros.bags import BagError, _join, read_messages, topics
+from kinpole_ros.bags import BagError, read_messages, topics
 from kinpole_ros.bags import replay as replay_one
-from kinpole_ros.bags._replay import replay
-from kinpole_ros.bags.batch import _cluster, _divided, _places, _results, _workers, batch
-from kinpole_ros.bags.batch._results import finished, replay_bag
-from kinpole_ros.files import _lock
+from kinpole_ros.bags._replay import replay_stretch
+from kinpole_ros.bags._replayed import concatenate_outcomes
+from kinpole_ros.bags.batch import _folder, _results, _workers, batch
+from kinpole_ros.bags.batch._results import Job, finished, replay_bag
+from kinpole_ros.files import _writing
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tracking.parameters import Settings
 
@@ -122,7 +123,7 @@ def test_bags_without_parameters_are_said_to_be_of_one_body(
 def test_a_missing_package_for_tables_is_told_before_any_replay(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr('kinpole_ros.tools.commands.bags.find_spec', lambda name: None)
+    monkeypatch.setattr('kinpole_ros.tools.commands.replay.find_spec', lambda name: None)
     out = tmp_path / 'out'
     assert main(['batch', 'a.mcap', 'b.mcap', '--parquet', '--output', str(out)]) == 2
     line = 'kinpole batch: --parquet needs pyarrow; fix: pip install pyarrow, or use --csv\n'
@@ -242,7 +243,7 @@ def test_a_dask_cluster_is_used_by_its_address(
         until(lambda: where.read_text().endswith('}'))
         address = json.loads(where.read_text())['address']
         with monkeypatch.context() as patience:
-            patience.setattr(_cluster, '_CONNECT_TIMEOUT', 0.5)
+            patience.setattr(_workers, '_CONNECT_TIMEOUT', 0.5)
             assert main([*words, address]) == 2
         assert f'the Dask scheduler at {address} has no workers; fix' in capsys.readouterr().err
         worker = ['-m', 'dask', 'worker', '--scheduler-file', str(where), '--nthreads', '1']
@@ -263,7 +264,7 @@ def test_a_dask_cluster_is_used_by_its_address(
     assert f'anyone who reaches {address} can run code on its workers; fix: ' in warning
     assert 'broken.mcap is not an MCAP file' in failure
     assert len(list((tmp_path / 'out').glob('run_*.parquet'))) == 3
-    monkeypatch.setattr(_cluster, '_CONNECT_TIMEOUT', 0.5)
+    monkeypatch.setattr(_workers, '_CONNECT_TIMEOUT', 0.5)
     assert main([*words, 'tcp://127.0.0.1:9']) == 2
     assert 'no Dask scheduler answers at tcp://127.0.0.1:9' in capsys.readouterr().err
 
@@ -394,11 +395,11 @@ def test_results_are_made_anew_when_bag_settings_or_scene_change(
     scene = tmp_path / 'mine.yaml'
     scene.write_text((ROOT / 'config' / 'scenes' / 'four_bar.yaml').read_text())
     settings = replace(SETTINGS, bodies=bodies_of('four_bar'), scene=str(scene))
-    row = replay_bag(bag, out, settings, None, ['csv'])
+    row = replay_bag(Job(bag, out, settings, None, ['csv']))
     assert row['error'] == ''
 
     def there(*given: Any) -> bool:
-        return finished(bag, out, *given) == row
+        return finished(Job(bag, out, *given)) == row
 
     assert there(settings, None, ['csv'])
     assert not there(settings, None, ['csv', 'mcap'])
@@ -407,11 +408,11 @@ def test_results_are_made_anew_when_bag_settings_or_scene_change(
     with scene.open('a') as file:
         file.write('# changed\n')
     assert not there(settings, None, ['csv'])
-    replay_bag(bag, out, settings, None, ['csv'])
+    replay_bag(Job(bag, out, settings, None, ['csv']))
     assert there(settings, None, ['csv'])
     os.utime(bag, ns=(0, 0))
     assert not there(settings, None, ['csv'])
-    replay_bag(bag, out, settings, None, ['csv'])
+    replay_bag(Job(bag, out, settings, None, ['csv']))
     for text in ('', '[]', '{"made_of": 1}', '{"made_of": [], "row": 5}'):
         next(out.glob('*.json')).write_text(text)
         assert not there(settings, None, ['csv'])
@@ -428,15 +429,15 @@ def bag_and_folder(simulated: Simulated, tmp_path: Path) -> tuple[str, Path]:
 def test_results_of_other_settings_are_none_of_these(simulated: Simulated, tmp_path: Path) -> None:
     bag, out = bag_and_folder(simulated, tmp_path)
     other = replace(SETTINGS, window=0.3)
-    replay_bag(bag, out, SETTINGS, None, ['csv'])
-    row = replay_bag(bag, out, other, None, ['mcap'])
+    replay_bag(Job(bag, out, SETTINGS, None, ['csv']))
+    row = replay_bag(Job(bag, out, other, None, ['mcap']))
     # The table is there, but of settings that are no longer.
     assert row['results'].endswith('.mcap')
-    assert finished(bag, out, other, None, ['csv']) is None
-    assert finished(bag, out, other, None, ['mcap']) == row
-    row = replay_bag(bag, out, other, None, ['csv'])
+    assert finished(Job(bag, out, other, None, ['csv'])) is None
+    assert finished(Job(bag, out, other, None, ['mcap'])) == row
+    row = replay_bag(Job(bag, out, other, None, ['csv']))
     assert [name[-4:] for name in row['results'].split()] == ['mcap', '.csv']
-    assert finished(bag, out, other, None, ['csv', 'mcap']) == row
+    assert finished(Job(bag, out, other, None, ['csv', 'mcap'])) == row
     replay_one(bag, other, csv=tmp_path / 'one.csv')
     assert next(out.glob('*.csv')).read_bytes() == (tmp_path / 'one.csv').read_bytes()
 
@@ -445,14 +446,14 @@ def test_results_that_are_exchanged_in_part_are_not_finished(
     simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bag, out = bag_and_folder(simulated, tmp_path)
-    row = replay_bag(bag, out, SETTINGS, None, ['csv', 'mcap'])
-    assert finished(bag, out, SETTINGS, None, ['csv', 'mcap']) == row
+    row = replay_bag(Job(bag, out, SETTINGS, None, ['csv', 'mcap']))
+    assert finished(Job(bag, out, SETTINGS, None, ['csv', 'mcap'])) == row
     with monkeypatch.context() as broken:
         # A stop between the names, as a kill would have it, has no error of ours.
-        broken.setattr(_results, '_write_whole', lambda *_: 1 / 0)
+        broken.setattr(_results, 'write_text', lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
-            replay_bag(bag, out, replace(SETTINGS, window=0.3), None, ['csv', 'mcap'])
-    assert finished(bag, out, SETTINGS, None, ['csv', 'mcap']) is None
+            replay_bag(Job(bag, out, replace(SETTINGS, window=0.3), None, ['csv', 'mcap']))
+    assert finished(Job(bag, out, SETTINGS, None, ['csv', 'mcap'])) is None
 
 
 def test_runs_into_one_folder_take_turns_at_a_bag(
@@ -466,18 +467,21 @@ def test_runs_into_one_folder_take_turns_at_a_bag(
         assert not begun.is_set(), 'replayed twice, or by two at once'
         begun.set()
         assert go.wait(60)
-        return replay(*args, **options)
+        return replay_stretch(*args, **options)
 
     def one_run() -> None:
-        rows.append(replay_bag(bag, out, SETTINGS, None, ['csv']))
+        rows.append(replay_bag(Job(bag, out, SETTINGS, None, ['csv'])))
 
-    monkeypatch.setattr(_results, 'replay', replay_when_told)
+    monkeypatch.setattr(_results, 'replay_stretch', replay_when_told)
     runs = [threading.Thread(target=one_run) for _ in range(2)]
     for run_ in runs:
         run_.start()
     assert begun.wait(60)
     # One that is stopped now does not clean up after the one at work.
-    with pytest.raises(BlockingIOError), _results.alone(bag, out, wait=False):
+    with (
+        pytest.raises(BlockingIOError),
+        _results.alone(Job(bag, out, SETTINGS, None, []), wait=False),
+    ):
         pass
     go.set()
     for run_ in runs:
@@ -490,7 +494,7 @@ def test_runs_into_one_folder_take_turns_at_a_bag(
 def test_a_bag_of_a_long_name_has_results(simulated: Simulated, tmp_path: Path) -> None:
     bag = link(simulated('cardan', rate=100, duration=0.6), tmp_path / f'{"x" * 250}.mcap')[0]
     (tmp_path / 'out').mkdir()
-    assert replay_bag(str(bag), tmp_path / 'out', SETTINGS, None, ['parquet'])['error'] == ''
+    assert replay_bag(Job(str(bag), tmp_path / 'out', SETTINGS, None, ['parquet']))['error'] == ''
 
 
 def test_what_cannot_be_used_is_one_line(
@@ -515,14 +519,14 @@ def test_what_cannot_be_used_is_one_line(
         assert complaint in line
     with monkeypatch.context() as read_only:
         refused = OSError(errno.EROFS, 'Read-only file system')
-        read_only.setattr(_places, 'TemporaryFile', mock.Mock(side_effect=refused))
+        read_only.setattr(_folder, 'TemporaryFile', mock.Mock(side_effect=refused))
         assert main(['batch', bag, '--output', 'out']) == 2
     line = capsys.readouterr().err
     assert f'{tmp_path}/out cannot be written: Read-only file system; fix: ' in line
     assert line.count('\n') == 1
     (tmp_path / 'summary.csv').mkdir()
     with pytest.raises(BagError, match=r'summary\.csv cannot be written: Is a directory'):
-        _results.write_summary(tmp_path / 'summary.csv', [])
+        _folder.write_summary(tmp_path / 'summary.csv', [])
     assert not list(tmp_path.glob('*.part'))
     with monkeypatch.context() as crowded:
         failed = OSError(errno.EAGAIN, 'Resource temporarily unavailable')
@@ -623,10 +627,10 @@ def test_a_long_bag_done_by_two_workers_has_the_results_of_one(
 
     def join(results: list[Any]) -> Any:
         concatenated.append([result.estimates for result in results])
-        return _join.concatenated(results)
+        return concatenate_outcomes(results)
 
-    monkeypatch.setattr(_divided, '_LONG', 0)
-    monkeypatch.setattr(_divided, 'concatenated', join)
+    monkeypatch.setattr(_results, '_LONG_BYTES', 0)
+    monkeypatch.setattr(_results, 'concatenate_outcomes', join)
     assert batch([bag], tmp_path / 'two', SETTINGS, kinds=kinds, workers=2) == [row]
     ((first, second),) = concatenated
     assert min(first, second) > 500
@@ -674,11 +678,11 @@ def test_progress_goes_by_bytes_within_bags_and_over_what_is_left(
 
 def test_a_summary_that_does_not_fit_the_disk_leaves_the_one_before(tmp_path: Path) -> None:
     path = tmp_path / 'summary.csv'
-    _results.write_summary(path, [{'bag': 'a', 'error': ''}])
+    _folder.write_summary(path, [{'bag': 'a', 'error': ''}])
     before = path.read_bytes()
     (tmp_path / 'summary.csv.part').symlink_to('/dev/full')
     with pytest.raises(BagError, match='cannot be written: No space left on device; fix'):
-        _results.write_summary(path, [{'bag': 'b', 'error': ''}])
+        _folder.write_summary(path, [{'bag': 'b', 'error': ''}])
     assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
         ('summary.csv', before)
     ]
@@ -699,14 +703,14 @@ def test_on_windows_a_lock_is_asked_for_until_it_is_there(
             if len(asked) % 3:
                 raise PermissionError(13, 'Permission denied')
 
-    monkeypatch.setattr(_lock, '_fcntl', None)
-    monkeypatch.setattr(_lock, '_msvcrt', Windows)
-    monkeypatch.setattr(_lock, '_AGAIN', 0.0)
+    monkeypatch.setattr(_writing, '_fcntl', None)
+    monkeypatch.setattr(_writing, '_msvcrt', Windows)
+    monkeypatch.setattr(_writing, '_RETRY_INTERVAL', 0.0)
     with open(tmp_path / 'held', 'ab') as held:
-        _lock.lock(held, wait=True)
+        _writing.lock(held, wait=True)
         assert asked == [held.fileno()] * 3
         with pytest.raises(BlockingIOError):
-            _lock.lock(held, wait=False)
+            _writing.lock(held, wait=False)
 
 
 def test_bags_are_named_by_a_file_too(
@@ -746,7 +750,7 @@ def test_results_of_very_many_bags_lie_in_folders_and_are_found_where_they_were(
     out = tmp_path / 'out'
     monkeypatch.setattr(module, 'local_workers', in_turn)
     (flat,) = batch(bags[:1], out, SETTINGS)
-    monkeypatch.setattr(_places, '_MOST_IN_FOLDER', 2)
+    monkeypatch.setattr(_folder, '_MOST_IN_FOLDER', 2)
     rows = batch(bags, out, SETTINGS)
     assert rows[0] == flat
     for row in rows[1:]:

@@ -468,7 +468,7 @@ def test_no_command_writes_over_what_it_reads(kinpole: Any, rod: Path, tmp_path:
         assert [path.read_bytes() for path in (rod, table, config, scene)] == before
     both = tmp_path / 'both'
     line = refusal(kinpole('replay', rod, '--output', both, '--csv', both))
-    assert f'{both} is to be written too; name another file to write' in line
+    assert f'{both} is another output; name another file to write' in line
 
 
 def test_what_does_not_fit_the_memory_is_one_line(
@@ -553,7 +553,7 @@ def test_two_outputs_of_one_name_are_refused(
     line = refusal(kinpole(*words.format(*others, bag=rod).split()))
     assert others[0] in line
     assert others[1] in line
-    assert ' is to be written too; name another file to write' in line
+    assert ' is another output; name another file to write' in line
     assert output.exists() == there
     assert not there or output.read_text() == 'before'
 
@@ -576,13 +576,13 @@ def test_an_output_does_not_take_the_place_of_an_input(
     before = {path: path.read_bytes() for path in files.values()}
     named = {**files, 'folder': folder, 'summary': summary}
     line = refusal(kinpole(*words.format(**named).split()))
-    assert ' is to be read; name another file to write' in line
+    assert ' is an input; name another file to write' in line
     assert {path: path.read_bytes() for path in files.values()} == before
 
 
 def test_what_goes_to_a_device_is_no_file_written_twice(kinpole: Any) -> None:
     words = ('solve', 'four_bar', '--csv', '/dev/null', '--html', '/dev/null')
-    assert 'is to be written too' not in kinpole(*words).err
+    assert 'is another output' not in kinpole(*words).err
 
 
 @pytest.mark.parametrize(

@@ -314,7 +314,7 @@ def test_a_clock_far_finer_than_its_lateness_counts_in_bounded_work(monkeypatch)
     counter, most = Counter(clock, 0), []
     costs = Counter._motion_costs
     monkeypatch.setattr(
-        Counter, '_motion_costs', lambda self: most.append(len(self._paths)) or costs(self)
+        Counter, '_motion_costs', lambda self: most.append(len(self._losses)) or costs(self)
     )
     counts, sure_with = count_frames(counter, stamps, np.zeros((60, 4, 3)))
     assert max(most) < 10_000

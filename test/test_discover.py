@@ -18,22 +18,19 @@ from kinpole_ros.linkage import (
     parameter_file,
     table,
 )
-from kinpole_ros.linkage._columns import medians, quantiles
-from kinpole_ros.linkage._discover import _candidates
-from kinpole_ros.linkage._model import GROUND_NUMBER
-from kinpole_ros.linkage._near import near_pairs
-from kinpole_ros.linkage._places import match_places
-from kinpole_ros.linkage._poses import fit_body, ground
-from kinpole_ros.linkage._record import gather
-from kinpole_ros.linkage._rigid import Groups
-from kinpole_ros.linkage._settle import settle
+from kinpole_ros.linkage._discover import candidate_pairs
+from kinpole_ros.linkage._matches import match_markers
+from kinpole_ros.linkage._poses import GROUND_NUMBER, fit_body, ground, refine_groups
+from kinpole_ros.linkage._record import gather, near_pairs
+from kinpole_ros.linkage._rigid import Groups, quantiles
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import to_message
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tools.discover import discover_rig
+from kinpole_ros.tools.discover import DiscoverOptions, discover_rig
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import ParameterError, settings_from
+from kinpole_ros.tracking.statistics import medians
 
 START = 10**18
 NOISE = 2e-4
@@ -364,7 +361,7 @@ def test_bodies_whose_markers_are_never_seen_together_are_none():
     tracks[::2, 0], tracks[1::2, 1] = np.nan, np.nan
     assert not fit_body(tracks).seen.any()
     groups = Groups([[0, 1]], [], [])
-    assert settle(tracks, groups) == (groups._replace(bodies=[], single=[0, 1]), [])
+    assert refine_groups(tracks, groups) == (groups._replace(bodies=[], single=[0, 1]), [])
 
 
 def test_command_writes_what_replay_and_solve_take(tmp_path, capsys):
@@ -398,7 +395,7 @@ def test_command_refuses_in_one_line(tmp_path, capsys):
     assert len(lines) == 3
     assert 'none of 2 markers moves; fix: ' in lines[1]
     with pytest.raises(BagError, match='it holds /points'):
-        discover_rig(str(bag), topic='/other')
+        discover_rig(str(bag), DiscoverOptions(topic='/other'))
 
 
 @pytest.mark.parametrize(
@@ -478,14 +475,14 @@ def test_markers_of_two_drawings_are_paired_by_their_places():
     places = np.array([0, 0.1, 0.03 + 0.05j, 0.08 - 0.02j])
     order = np.array([2, 0, 3, 1])
     other = (places * np.exp(0.7j) + 3)[order]
-    one, two = match_places(places, other)
+    one, two = match_markers(places, other)
     assert np.array_equal(order[two], one)
     # A marker that only one of them has.
-    one, two = match_places(places[1:], other)
+    one, two = match_markers(places[1:], other)
     assert np.array_equal(order[two], one + 1)
-    one, two = match_places(places, other[1:])
+    one, two = match_markers(places, other[1:])
     assert np.array_equal(order[1:][two], one)
-    assert match_places(places[:1], other) is None
+    assert match_markers(places[:1], other) is None
 
 
 @pytest.mark.parametrize('noise', [0.0, NOISE])
@@ -554,7 +551,7 @@ def test_quantiles_of_rows_are_those_of_numpy() -> None:
     rows = rng.normal(size=(50, 101))
     rows[10:][rng.random((40, 101)) < 0.3] = np.nan
     found, counts = quantiles(rows, (0.01, 0.9))
-    middle, _ = medians(rows)
+    middle = medians(rows)
     for k, row in enumerate(rows):
         values = row[np.isfinite(row)]
         assert counts[k] == len(values)
@@ -585,7 +582,7 @@ def test_joints_are_sought_between_near_bodies_only() -> None:
         tracks = points[..., 0] + 1j * points[..., 1]
         bodies = {k: fit_body(tracks[:, 4 * k : 4 * k + 4]) for k in range(count)}
         bodies[GROUND_NUMBER] = ground(30)
-        pairs[count] = _candidates(bodies)
+        pairs[count] = candidate_pairs(bodies)
         # A body with the ground, and with the next one in its row.
         assert all((k, GROUND_NUMBER) in pairs[count] for k in range(count))
         assert all((k, k + 1) in pairs[count] for k in range(count - 1) if k % 10 < 9)

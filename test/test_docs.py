@@ -31,7 +31,13 @@ from kinpole_ros.messages import result_outputs
 from kinpole_ros.ros.node import KinpoleNode
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.usage import make_parser
-from kinpole_ros.tracking.parameters import PARAMETERS, load_settings, settings_from
+from kinpole_ros.tracking.parameters import (
+    DEPRECATED,
+    NODE_PARAMETERS,
+    PARAMETERS,
+    load_settings,
+    settings_from,
+)
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / 'docs'
@@ -198,6 +204,23 @@ def test_references_contain_every_command_topic_and_parameter() -> None:
         assert any(comment in page.read_text('utf-8') for page in DOCS.glob('*.md')), comment
 
 
+def test_every_option_has_a_user_or_is_deprecated() -> None:
+    text = (DOCS / 'interfaces.md').read_text('utf-8')
+    parameters, topics, flags = re.split('^## (?:Topics|Flags).*$', text, flags=re.M)
+    own = (f'<body>.{name}' for name in ('markers', 'shape', 'pin'))
+    for name in (*PARAMETERS, *NODE_PARAMETERS, *own, '<joint>.bodies'):
+        [user] = re.findall(rf'^\| `{re.escape(name)}` \| (.*) \|$', parameters, re.M)
+        assert user.startswith('nobody: deprecated') == (name in DEPRECATED), name
+    launch = (ROOT / 'launch' / 'kinpole.launch.py').read_text('utf-8')
+    for name in re.findall(r"DeclareLaunchArgument\(\s*'(\w+)'", launch):
+        assert f'`{name}`' in parameters, name
+    references = runpy.run_path(str(DOCS / '_reference.py'))['REFERENCES']
+    for name in re.findall(r'^\| `(\S+)` ', references['<!-- every topic -->'](), re.M):
+        assert f'`{name}`' in topics or f'`{name.rpartition("/")[2]}`' in topics, name
+    for name in re.findall(r'^`(--[\w-]+)', references['<!-- every command -->'](), re.M):
+        assert f'`{name}`' in flags, name
+
+
 def slugs(page: Path) -> set[str]:
     """Return the anchors of the headings of a page, as GitHub and the site name them."""
     text = re.sub(r'^ *```.*?^ *```$', '', page.read_text('utf-8'), flags=re.M | re.S)
@@ -214,6 +237,11 @@ def test_links_lead_to_files_and_headings() -> None:
                 target = page.parent / path if path else page
                 assert target.exists(), f'{page.name}: {link}'
                 assert not anchor or anchor in slugs(target), f'{page.name}: {link}'
+
+
+def test_readme_and_architecture_stay_short() -> None:
+    assert len((ROOT / 'README.md').read_text('utf-8').splitlines()) < 120
+    assert len((DOCS / 'architecture.md').read_text('utf-8').split()) < 2500
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)

@@ -454,7 +454,7 @@ ROUND = ['0 deg', '90 deg', '360 deg']
     [
         (geneva(2), 'slots is 2: give a whole number from 3'),
         (geneva(4.0), 'slots is 4.0: give a whole number'),
-        (geneva(on='ground.O'), 'no body holds ground.O and wheel.W apart'),
+        (geneva(on='ground.O'), 'no body holds the distance of ground.O and wheel.W'),
         (geneva(on='nothing'), 'which is no point'),
         (geneva(inner=True), "unknown key 'inner'"),
         (valve(ROUND, [0, 1]), '3 angles and 2 lifts'),

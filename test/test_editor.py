@@ -167,7 +167,7 @@ def saved(page: Any, file: Path) -> str:
 
 
 def cells(page: Any) -> list[str]:
-    found: list[str] = page.locator('#now tbody').first.locator('td').all_inner_texts()
+    found: list[str] = page.locator('#values tbody').first.locator('td').all_inner_texts()
     return [text.replace('−', '-') for text in found]
 
 

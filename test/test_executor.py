@@ -238,7 +238,7 @@ def test_where_rclpy_has_changed_its_own_executor_waits_and_one_warning_says_so(
     executor.shutdown()
     assert source.by_source == 0
     (line,) = [line for line in capfd.readouterr().err.splitlines() if 'internals' in line]
-    assert str(error) in line and 'its own executor waits' in line
+    assert str(error) in line and 'set the parameter executor to rclpy' in line
 
 
 def test_the_executor_of_rclpy_is_one_of_its_own_classes(node: Node) -> None:

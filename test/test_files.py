@@ -18,7 +18,7 @@ from geometry_msgs.msg import Point
 from rclpy.node import Node
 
 from kinpole_ros.bags import BagError, BagWriter, bag_files, import_csv
-from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limited, whole
+from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limited, whole_file
 from kinpole_ros.files.bounded_yaml import load_yaml
 from kinpole_ros.mechanism import SceneError, load_scene
 from kinpole_ros.tools.cli import main
@@ -245,7 +245,7 @@ def test_a_result_is_whole_or_not_there(tmp_path: Path, ending: type[BaseExcepti
     link.symlink_to(old)
     for path in (new, link):
         try:
-            with whole(path) as part:
+            with whole_file(path) as part:
                 part.write_text('half')
                 assert (path.read_text() == 'before') if path.exists() else path is new
                 part.write_text('after')
@@ -262,9 +262,9 @@ def test_a_result_is_whole_or_not_there(tmp_path: Path, ending: type[BaseExcepti
 
 def test_two_at_one_result_do_not_mix(tmp_path: Path) -> None:
     path = tmp_path / 'a.csv'
-    with whole(path) as one:
+    with whole_file(path) as one:
         one.write_text('one')
-        with whole(path) as other:
+        with whole_file(path) as other:
             other.write_text('other')
         assert path.read_text() == 'other'
     assert path.read_text() == 'one'
@@ -273,10 +273,10 @@ def test_two_at_one_result_do_not_mix(tmp_path: Path) -> None:
 def test_what_a_killed_process_left_goes_with_the_next_result(tmp_path: Path) -> None:
     path = tmp_path / 'a[1].csv'
     dead, other = tmp_path / 'a[1].csv.01234567.part', tmp_path / 'a[1].csv.my_notes.part'
-    with whole(path) as live:
+    with whole_file(path) as live:
         dead.touch()
         other.touch()
-        with whole(path) as part:
+        with whole_file(path) as part:
             part.write_text('after')
         assert live.exists()
     assert sorted(tmp_path.iterdir()) == [path, other]
@@ -325,10 +325,10 @@ def test_stopped_at_any_moment_a_replay_leaves_what_was_there_or_all_of_its_own(
 
 
 def test_what_is_no_file_is_written_as_it_goes_and_stays(tmp_path: Path) -> None:
-    with whole('/dev/null') as place:
+    with whole_file('/dev/null') as place:
         assert place == Path('/dev/null')
     assert Path('/dev/null').is_char_device()
-    with pytest.raises(IsADirectoryError), whole(tmp_path):
+    with pytest.raises(IsADirectoryError), whole_file(tmp_path):
         pass
 
 
@@ -373,7 +373,7 @@ def test_every_command_leaves_the_result_of_before_until_its_own_is_whole(
     path = Path(given[-1])
     path.write_text('before')
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    monkeypatch.setattr('kinpole_ros.files._whole.os.fsync', mock.Mock(side_effect=full))
+    monkeypatch.setattr('kinpole_ros.files._writing.os.fsync', mock.Mock(side_effect=full))
     handler = signal.getsignal(signal.SIGTERM)
     assert main(given) == 2
     assert signal.getsignal(signal.SIGTERM) == handler

@@ -8,7 +8,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 import yaml
-from closed_forms import cardan, rolling_wheel
+from closed_forms import cardan, four_bar, rolling_wheel
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +16,7 @@ from kinpole_ros.mechanism import (
     BodyMotion,
     Scene,
     SceneError,
-    _share,
+    _scene_file,
     load_scene,
     marker_positions,
     rotation_derivatives,
@@ -24,7 +24,6 @@ from kinpole_ros.mechanism import (
     scenes_folder,
     share_folder,
 )
-from kinpole_ros.mechanism._motions import four_bar
 
 SCENES = Path(__file__).resolve().parents[1] / 'config' / 'scenes'
 BODIES = [
@@ -340,7 +339,7 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """Make the package seem to lie deep under an empty prefix, with ament out of reach."""
     package = tmp_path / 'lib' / 'python3' / 'site-packages' / 'kinpole_ros'
     package.mkdir(parents=True)
-    monkeypatch.setattr(_share, '_PACKAGE', package)
+    monkeypatch.setattr(_scene_file, '_PACKAGE', package)
     monkeypatch.setitem(sys.modules, 'ament_index_python.packages', None)
     return SimpleNamespace(prefix=tmp_path, site=package.parent)
 

@@ -1,6 +1,9 @@
 """Rates, poles and centrodes against the seeds' printed figures and motions known exactly."""
 
+import doctest
+import pkgutil
 from collections.abc import Callable
+from importlib import import_module
 from math import factorial
 from typing import Any
 
@@ -819,3 +822,10 @@ def test_one_covariance_serves_many_instants() -> None:
     assert np.array_equal(planar.covariance(pole, spread, spread), expected)
     one = planar.pole(2, position[:, 0, 0], angle[:, 0, 0])
     assert np.allclose(planar.covariance(one, wide, wide)[0, 0], expected[0, 0])
+
+
+def test_examples_in_docstrings() -> None:
+    names = [module.name for module in pkgutil.iter_modules(planar.__path__, 'kinpole_ros.planar.')]
+    results = [doctest.testmod(import_module(name)) for name in names]
+    assert sum(result.attempted for result in results) >= 3
+    assert not any(result.failed for result in results)

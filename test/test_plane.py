@@ -404,7 +404,7 @@ def test_a_scene_is_held_against_bodies_in_any_plane() -> None:
     comparison = Comparison(theory)
     frames = frames_of(points @ rotation((1, 1, 0), 40).T)._replace(identities=names)
     for estimate in Tracker(given).add(frames, 2):
-        comparison.add(estimate)
-    rates = [row for row in comparison.found() if row.unit == 'rad/s']
+        comparison.append(estimate)
+    rates = [row for row in comparison.rates() if row.unit == 'rad/s']
     assert len(rates) == 2
     assert max(row.deviations for row in rates) < 3

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from kinpole_ros.linkage._residuals import Anchors, residuals
+from kinpole_ros.linkage._scene_poses import Anchors, residuals
 from kinpole_ros.linkage.fit import fit_scene, free_dimensions
-from kinpole_ros.linkage.positions import LivePositions, Positions, PositionsFound
+from kinpole_ros.linkage.positions import LivePositions, PositionReport, Positions
 from kinpole_ros.linkage.theory import Theory, load_theory
 from kinpole_ros.mechanism import (
     Scene,
@@ -73,12 +73,12 @@ def theory(scene: Path | str, named: str) -> Theory:
     return found
 
 
-def compared(scene: Path | str, named: str, turned: bool = False) -> PositionsFound:
+def compared(scene: Path | str, named: str, turned: bool = False) -> PositionReport:
     held = theory(scene, named)
-    positions = Positions(held.scene, held.lies)
+    positions = Positions(held.scene, held.matches)
     for estimate in estimates(named, turned=turned):
-        positions.add(estimate)
-    found = positions.found()
+        positions.append(estimate)
+    found = positions.report()
     assert found is not None
     return found
 
@@ -162,14 +162,14 @@ def test_a_length_that_is_1_mm_off_is_named_with_its_size(
 
 
 def test_a_loop_is_closed_through_a_body_without_markers(tmp_path: Path) -> None:
-    def look(scene: Path | str) -> PositionsFound | None:
+    def look(scene: Path | str) -> PositionReport | None:
         values = settings('four_bar', hidden='coupler')
         held = load_theory(settings_from({**values, 'scene': str(scene)}))
         assert held is not None
-        positions = Positions(held.scene, held.lies)
+        positions = Positions(held.scene, held.matches)
         for estimate in Tracker(settings_from(values)).add(frames(held.scene, 2.0), 1):
-            positions.add(estimate)
-        return positions.found()
+            positions.append(estimate)
+        return positions.report()
 
     found = look('four_bar')
     assert found is not None
@@ -186,7 +186,7 @@ def test_markers_that_sit_elsewhere_are_told_from_lengths(tmp_path: Path) -> Non
     path = tmp_path / 'moved.yaml'
     path.write_text(text, encoding='utf-8')
     first = compared(path, 'slider_crank').faults[0]
-    assert 'the markers of rod' in (first.subject, *first.others)
+    assert 'the markers of rod' in (first.subject, *first.alternatives)
 
 
 def test_the_live_node_names_the_same_from_an_instant_a_second(tmp_path: Path) -> None:
@@ -195,10 +195,10 @@ def test_the_live_node_names_the_same_from_an_instant_a_second(tmp_path: Path) -
         (changed(tmp_path, 'slider_crank', 'rod.B', 3e-3), ['rod.B']),
     ):
         held = theory(scene, 'slider_crank')
-        live, found = LivePositions(held.scene, held.lies), None
+        live, found = LivePositions(held.scene, held.matches), None
         for block in estimates('slider_crank'):
             for k in range(0, len(block), 10):
-                found = live.add(block[k]) or found
+                found = live.append(block[k]) or found
         assert found is not None
         assert [fault.subject for fault in found.faults] == wrong
 
@@ -211,7 +211,7 @@ def test_a_fit_finds_lengths_within_their_deviations(name: str, tmp_path: Path) 
     )
     fit = fit_scene(held, estimates(name), free_dimensions(held.scene, ()))
     true = {(one.name, one.axis): one.value for one in truth.equations.dimensions}
-    known = [row for row in fit.dimensions if not row.held]
+    known = [row for row in fit.dimensions if not row.undetermined]
     off = [
         (row.value - true[row.dimension.name, row.dimension.axis]) / row.deviation for row in known
     ]

@@ -21,7 +21,7 @@ from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import RECEIVED, RESTARTS, DiagnosticArray
 from kinpole_ros.messages._types import DiagnosticStatus, KeyValue
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tools.report import _page_data, report, settings_for
+from kinpole_ros.tools.report import _page, report, settings_for
 from kinpole_ros.tools.report._record import Collector, theory_rates
 from kinpole_ros.tools.report._result_bag import Diagnostics
 from kinpole_ros.tracking.estimate import RATE_NAMES, SLOW_ICR
@@ -98,7 +98,7 @@ def test_pins_are_found_and_nothing_else(made) -> None:
     ],
 )
 def test_figures_are_rounded_by_their_deviation(value, sigma, expected) -> None:
-    assert _page_data.rounded(np.array([value]), np.array([sigma])) == [expected]
+    assert _page.rounded(np.array([value]), np.array([sigma])) == [expected]
 
 
 def test_long_recordings_are_thinned_evenly_and_say_so(blocks) -> None:
@@ -151,7 +151,7 @@ def test_report_of_results_is_that_of_their_markers(made, tmp_path) -> None:
         spread = [np.hypot(*np.array(part, float)) for part in parts]
         np.testing.assert_allclose(*spread, rtol=0.1)
     # As its diagnostics said.
-    with pytest.raises(BagError, match='give the bag of these'):
+    with pytest.raises(BagError, match='give the bag of markers'):
         report(results, output, settings_for(settings, 'four_bar'))
     reasons = {reason for _, _, reason in shown['bodies'][1]['withheld']['isp']}
     assert 'lost in its noise' in reasons
@@ -349,7 +349,7 @@ def await_color(page: Any, selector: str, color: str, above: int) -> None:
 
 
 def cell(page: Any, name: str, column: int) -> str:
-    text: str = page.locator(f'#now tr[data-name={name}] td').nth(column).inner_text()
+    text: str = page.locator(f'#values tr[data-name={name}] td').nth(column).inner_text()
     return text.replace('−', '-')
 
 
@@ -371,7 +371,7 @@ def test_page_shows_the_linkage_its_curves_and_the_figures_at_the_cursor(opened)
     assert abs(float(value) - 2 * np.pi) < float(spread) < 0.1
     assert cell(page, 'icr', 2) == 'no rotation'
     assert cell(page, 'centrode_curvature', 0) == 'pinned: the ICR stands still'
-    assert '0.5% lost in its noise' in page.locator('#lacking').inner_text()
+    assert '0.5% lost in its noise' in page.locator('#withheld').inner_text()
     strips = page.locator('[data-name=withheld]')
     strips.scroll_into_view_if_needed()
     assert 'pinned: the ICR stands still' in strips.inner_text()
@@ -393,17 +393,17 @@ def test_charts_of_a_long_run_open_at_as_much_time_as_can_be_read(opened, long) 
     page.locator('#scrub').fill('1400')
     drawn(page)
     assert re.fullmatch(r'\d\.\d to 29\.\d of 29\.\d s; .*', page.locator('#range').inner_text())
-    page.locator('#whole').click()
+    page.locator('#fit').click()
     assert page.locator('#range').inner_text() == ''
     assert opened().locator('#range').inner_text() == ''
 
 
 @pytest.mark.parametrize('width', [1280, 390])
 def test_a_table_that_is_cut_says_so(opened, long, width) -> None:
-    hint = opened(width, file=long).locator('#now .cut')
+    hint = opened(width, file=long).locator('#values .cut')
     assert hint.is_visible()
     assert 'scroll' in hint.inner_text()
-    assert opened(1280).locator('#now .cut').is_hidden()
+    assert opened(1280).locator('#values .cut').is_hidden()
 
 
 def test_names_at_the_ends_of_lines_keep_off_the_numbers_of_the_time_axis(opened, long) -> None:
@@ -440,7 +440,7 @@ def test_keys_buttons_slider_and_chart_move_one_cursor(opened) -> None:
         drawn(page)
         assert clock.inner_text() == expected
     assert page.locator('#stage canvas').nth(1).screenshot() != before
-    page.locator('#ahead').click()
+    page.locator('#next').click()
     page.locator('#scrub').evaluate("e => { e.value = 200; e.dispatchEvent(new Event('input')); }")
     drawn(page)
     assert clock.inner_text() == 't = 2.000 s'
@@ -489,11 +489,11 @@ def test_wheel_drag_and_buttons_come_closer_and_fit_goes_back(opened) -> None:
     page.mouse.move(box['x'] + 260, box['y'] + 230)
     page.mouse.up()
     seen.append(pictures())
-    page.locator('#farther').click()
+    page.locator('#reduce').click()
     seen.append(pictures())
     pairs = itertools.pairwise(seen)
     assert all(one[0] != other[0] and one[1] == other[1] for one, other in pairs)
-    page.locator('#shorter').click()
+    page.locator('#zoom-in').click()
     assert pictures()[1] != seen[0][1]
     page.keyboard.press('f')
     assert pictures() == seen[0]
@@ -502,7 +502,7 @@ def test_wheel_drag_and_buttons_come_closer_and_fit_goes_back(opened) -> None:
 def test_first_screen_of_a_telephone_has_the_linkage_and_figures_and_taps_work(opened) -> None:
     page = opened(390, 844, has_touch=True, is_mobile=True)
     assert page.evaluate('document.documentElement.scrollWidth') == 390
-    heading = page.locator('#now thead').first
+    heading = page.locator('#values thead').first
     box = heading.bounding_box()
     assert box['y'] + box['height'] < 844
     chart = page.locator('[data-name=angular_acceleration] .plot')
@@ -569,7 +569,7 @@ def test_images_of_points_are_their_velocities_and_accelerations(opened) -> None
         'angular_acceleration': {'value': [motion.angle[2]]},
         'iap': {'x': [float(iap.real)], 'y': [float(iap.imag)]},
     }
-    folder = Path(_page_data.__file__).parent / 'page'
+    folder = Path(_page.__file__).parent / 'page'
     code = '\n'.join((folder / f'{name}.js').read_text() for name in ('data', 'motion', 'polygons'))
     found = page.evaluate(
         f'([body, orders]) => {{ {code}; return orders.map((n) => imagesOf(null, body, 0, n)); }}',

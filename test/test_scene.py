@@ -20,9 +20,9 @@ from kinpole_ros.mechanism import (
     rotation_derivatives,
     scene_text,
 )
+from kinpole_ros.mechanism._loads import Force, Holder, Torque
+from kinpole_ros.mechanism._scene_values import quantity, vector
 from kinpole_ros.mechanism._start import mobility
-from kinpole_ros.mechanism._statics import Force, Holder, Torque
-from kinpole_ros.mechanism._units import quantity, vector
 
 SCENES = Path(__file__).resolve().parents[1] / 'config' / 'scenes'
 NAMES = sorted(path.stem for path in SCENES.glob('*.yaml'))

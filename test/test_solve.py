@@ -25,7 +25,7 @@ from kinpole_ros.mechanism import (
     scenes_folder,
 )
 from kinpole_ros.tools import cli
-from kinpole_ros.tools.solve import SolveOptions, _picture, solve_scene
+from kinpole_ros.tools.solve import SolveOptions, _picture, _shapes, solve_scene
 from kinpole_ros.tools.solve._solution import acting_loads, over_range, over_time
 from kinpole_ros.tools.solve._statics import work_lines
 
@@ -268,12 +268,12 @@ def test_teeth_of_gears_bear_what_turns_them(tmp_path: Path) -> None:
 
 def test_right_in_a_dead_point_nothing_is_made_up(capsys: pytest.CaptureFixture[str]) -> None:
     lines = told(capsys, 'antiparallelogram', '--at', '180 deg')
-    assert 'a dead point of the loop O, A, B, C: the drivers do not tell how it moves on' in lines
+    assert 'a dead point of the loop O, A, B, C: the drivers do not determine the motion' in lines
     follower = next(line for line in lines if line.startswith('follower '))
     assert follower.split()[1:] == ['180', '-', '-', '-', '-']
     # Beside it rounding leaves rates, but no snap: 1e5 of it would be noise.
     lines = told(capsys, 'antiparallelogram', '--at', '180.006 deg')
-    assert 'next to a change point, where rounding leaves no digits of what is missing' in lines
+    assert 'next to a change point: the missing rates would have no correct digits' in lines
     follower = next(line for line in lines if line.startswith('follower '))
     assert float(follower.split()[2]) == pytest.approx(188.495559 / 180 * np.pi / 3, rel=1e-4)
     assert follower.split()[-1] == '-'
@@ -425,7 +425,7 @@ def test_only_the_centrodes_asked_for_are_drawn(
     ).icr[1]
     seen = fixed.get_xdata() + 1j * fixed.get_ydata()
     np.testing.assert_allclose(seen[np.isfinite(seen)], icr[np.isfinite(seen)])
-    with pytest.raises(SceneError, match='no moving body wheel: give some of crank, coupler'):
+    with pytest.raises(SceneError, match='no moving body wheel; give some of crank, coupler'):
         solve_scene('four_bar', SolveOptions(plot=picture, centrodes=['wheel']))
 
 
@@ -497,7 +497,7 @@ def test_a_slide_driven_steadily_is_swept_as_far_as_the_linkage_goes(
     )
     assert cli.main(['solve', str(path), '--sweep']) == 2
     assert (
-        'nothing ends the way of guide: there is no range; give --time' in capsys.readouterr().err
+        'the driver guide has no limits, so it has no range; give --time' in capsys.readouterr().err
     )
 
 
@@ -532,7 +532,7 @@ def test_centers_are_called_alike_in_the_table_and_the_deduction(
 def test_the_circles_that_gears_roll_on_are_drawn() -> None:
     solved = over_time(load_scene('planetary_gear'), np.zeros(1))
     # The planet with its spoke, sun and ring: their radii about their centers.
-    radii = {np.round(np.ptp(rim.real) / 2, 9) for _, rim in _picture.wheel_rims(solved)}
+    radii = {np.round(np.ptp(rim.real) / 2, 9) for _, rim in _shapes.wheel_lines(solved)}
     assert radii == {0.012, 0.024, 0.048}
 
 
@@ -561,7 +561,7 @@ def test_pitch_curves_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Pa
         (('nowhere',), 'no such scene'),
         (('four_bar', '--at', '3 furlongs'), 'unit'),
         (('four_bar', '--at', 'nan'), 'finite'),
-        (('double_pendulum', '--sweep'), '2 drivers: --sweep is for one; give --time'),
+        (('double_pendulum', '--sweep'), '2 drivers, and --sweep needs one; give --time'),
         (('double_pendulum', '--time', '0'), 'greater than 0'),
         (('double_pendulum', '--time', '2 m'), 'unit'),
         (('six_bar', '--statics'), 'no loads'),
@@ -603,7 +603,7 @@ def test_at_a_limit_as_it_is_printed_no_rate_is_made_of_its_last_digit(at: str) 
     lines = solve_scene('loader', SolveOptions(at=at, statics=True))
     assert any('a dead point of the loop O, A, B, C' in line for line in lines)
     assert next(line for line in lines if line.startswith('lift ')).split()[2:] == ['-'] * 4
-    assert 'not determined: the drivers have no hold of the loads in a dead point' in lines
+    assert 'not determined: in a dead point the drivers do not move the loads' in lines
     near = solve_scene('loader', SolveOptions(at='71.3333 deg'))
     assert float(next(line for line in near if line.startswith('lift ')).split()[2]) < -100
 
@@ -723,4 +723,4 @@ def test_the_work_of_several_drivers_and_at_a_limit(tmp_path: Path) -> None:
     assert found == pytest.approx(truth, rel=1e-6)
     assert sum('the other drivers held' in line for line in lines) == 2
     lines = solve_scene('loader_cylinder', SolveOptions(at='0.920227378 m', work=True))
-    assert lines[-1] == 'virtual work: the drivers have no hold of the loads in a dead point'
+    assert lines[-1] == 'virtual work: in a dead point the drivers do not move the loads'

@@ -118,7 +118,7 @@ def _part(estimate: Estimate, rows: Any) -> Estimate:
 def documented() -> list[tuple[str, str]]:
     """Topics and types of the table in the documentation."""
     text = (ROOT / 'docs' / 'live.md').read_text()
-    table = text[text.index('## What it publishes') :]
+    table = text[text.index('## What does the node publish?') :].partition('\n## ')[0]
     rows = re.findall(r'^\| (`.+?) \| (`.+?) \|', table, re.MULTILINE)
     found = []
     for names, kind in rows:

@@ -10,18 +10,11 @@ from hypothesis import strategies as st
 
 from kinpole_ros.mechanism._assembly import assemble
 from kinpole_ros.mechanism._joints import GROUND, Joint, Revolute, Rolling, Slot, Strut
+from kinpole_ros.mechanism._loads import Force, Holder, Load, Torque
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
 from kinpole_ros.mechanism._reactions import Reactions, reactions, undetermined
-from kinpole_ros.mechanism._statics import (
-    Force,
-    Holder,
-    Load,
-    Torque,
-    efforts,
-    holding,
-)
-from kinpole_ros.mechanism._transmission import advantage
+from kinpole_ros.mechanism._statics import advantage, efforts, holding
 
 G = 9.80665
 DEGREE = np.pi / 180

@@ -12,7 +12,7 @@ import pytest
 from conftest import bodies_of
 
 from kinpole_ros.bags import BagError, replay
-from kinpole_ros.bags._table import CsvTable, ParquetTable, column_names, figures
+from kinpole_ros.bags._tables import CsvTable, ParquetTable, column_names, table_rows
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tracking.estimate import Numbers, Vectors
 from kinpole_ros.tracking.parameters import Settings
@@ -101,7 +101,7 @@ def test_there_is_a_name_for_every_figure(order: int) -> None:
     for bodies in (('a',), ('a', 'b'), ('a', 'b', 'c', 'd')):
         known: Any = Known(3, bodies)
         names = column_names(bodies, order)
-        assert figures(known, order).shape == (3, len(names))
+        assert table_rows(known, order).shape == (3, len(names))
         assert len(set(names)) == len(names)
 
 
@@ -138,7 +138,7 @@ def test_parquet_is_written_in_groups_so_that_memory_stays_bounded(tmp_path: Pat
         sizes = [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)]
         found = file.read()
     assert sizes == [9000, 9000, 2000]
-    expected = np.concatenate([figures(block, 4) for block in blocks])
+    expected = np.concatenate([table_rows(block, 4) for block in blocks])
     columns = [found[name].to_numpy() for name in column_names(('a', 'b'), 4)]
     np.testing.assert_array_equal(np.stack(columns, axis=1), expected)
 
@@ -167,7 +167,7 @@ def test_the_command_writes_parquet_and_says_what_is_missing(
     assert f'written to {target}' in capsys.readouterr().out
     assert parquet.read_table(target).num_rows > 10
     assert main(['replay', bag, '--parquet', str(target), '--csv', str(target)]) == 2
-    assert f'{target} is to be written too; name another file' in capsys.readouterr().err
+    assert f'{target} is another output; name another file' in capsys.readouterr().err
     assert main(['replay', bag, '--parquet', str(tmp_path)]) == 2
     assert f'{tmp_path} cannot be written: Is a directory' in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, 'pyarrow', None)

@@ -260,7 +260,7 @@ def test_replay_says_where_a_scene_cannot_be_put_on_the_rig(
 
     monkeypatch.setattr('kinpole_ros.linkage.theory.rate_differences', nowhere)
     monkeypatch.setattr('kinpole_ros.linkage.theory.joint_offsets', nowhere)
-    monkeypatch.setattr('kinpole_ros.linkage.theory.Positions.found', lambda _: None)
+    monkeypatch.setattr('kinpole_ros.linkage.theory.Positions.report', lambda _: None)
     assert cli.main(['replay', str(bag), '--config', str(config(tmp_path, scene(tmp_path)))]) == 0
     said = capsys.readouterr()
     assert 'rms of' not in said.out
@@ -323,10 +323,10 @@ def test_some_instants_of_a_recording_are_compared_whatever_the_pieces_it_comes_
     # 1.5 s at 100 Hz, from 0.1 s before a place that is looked at; never the first.
     stamps = 5 * 618_033_989 - 10**8 + 10**7 * np.arange(150)
     for k in range(0, len(stamps), piece):
-        comparison.add(Stamped(stamps[k : k + piece]))  # type: ignore[arg-type]
+        comparison.append(Stamped(stamps[k : k + piece]))  # type: ignore[arg-type]
     assert looked == [stamps[10], stamps[72], stamps[134]]
     squares = np.array([3.0, 5.0, 7.0]) ** 2
-    (rod,) = comparison.found()
+    (rod,) = comparison.rates()
     assert rod[:3] == ('rod', 'rate', 'rad/s')
     rms = np.sqrt(squares.mean())
     assert (rod.rms, rod.deviations, rod.instants) == pytest.approx((rms, rms / 2, 3))
@@ -355,7 +355,7 @@ def test_a_scene_needs_markers_of_its_bodies_and_bodies_of_its_loads(
 def test_of_a_record_without_estimates_nothing_is_compared(tmp_path: Path) -> None:
     theory = load_theory(load_settings(config(tmp_path, 'four_bar')))
     assert theory is not None
-    assert Comparison(theory).found() == []
+    assert Comparison(theory).rates() == []
 
 
 @pytest.mark.parametrize('name', scene_names())

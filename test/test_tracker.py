@@ -517,7 +517,7 @@ def test_markers_lost_in_their_noise_make_no_body(count: int) -> None:
     points = shape + 0.01 * rng.normal(size=(300, count, 3))
     found = instants(tracker.add(MarkerFrames(stamps, 'world', names, points), 4))
     told = [estimate.missing[0] for estimate in found[50:]]
-    assert told.count('markers too close together for their noise') > 0.95 * len(told)
+    assert told.count('markers too close for their noise') > 0.95 * len(told)
 
 
 @pytest.mark.parametrize('noise', [0.0, 1e-5, 1e-3, 1e-2])

@@ -11,7 +11,7 @@ from stretches import follow, instants, one_frame
 
 import kinpole_ros
 from kinpole_ros.mechanism import load_scene, marker_positions
-from kinpole_ros.tracking.corrections import agreed, correct_markers
+from kinpole_ros.tracking.corrections import consensus_shape, correct_markers
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.parameters import settings_from
@@ -536,7 +536,7 @@ def test_no_body_begins_anew_for_noise(count: int) -> None:
     for _ in range(200):
         turn = np.exp(0.1j * np.arange(20))[:, None]
         noise = 1e-3 * rng.standard_normal((2, 20, count))
-        assert agreed(turn * shape + noise[0] + 1j * noise[1], 6.0, 1e-6) is None
+        assert consensus_shape(turn * shape + noise[0] + 1j * noise[1], 6.0, 1e-6) is None
 
 
 @pytest.mark.parametrize('hidden', [0, 60])

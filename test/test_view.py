@@ -88,7 +88,7 @@ def test_a_taken_port_is_one_line_and_exit_2(capsys) -> None:
         assert main(['view', '--port', str(port)]) == 2
     assert main(['view', '--port', '70000']) == 2
     first, second = capsys.readouterr().err.splitlines()
-    assert first.startswith(f'kinpole view: --port {port} of 127.0.0.1 cannot be had')
+    assert first.startswith(f'kinpole view: --port {port} of 127.0.0.1 cannot be used')
     assert '65535' in second
 
 
@@ -278,7 +278,7 @@ def step_until(live: Live, condition: Callable[[], Any]) -> None:
 def test_what_is_no_message_is_told_of_and_what_follows_is_shown(results) -> None:
     watcher = Scripted()
     live, told = live_of(watcher)
-    assert told.rigs[-1]['waiting'].startswith('/kinpole is there, and has no results yet')
+    assert told.rigs[-1]['waiting'].startswith('/kinpole runs, and has no results yet')
     arrived = watcher.newest[f'/kinpole/{VIEW}']
     good = sent_to_pages(results)[0]
     for data in (b'', good[:40], b'\0\1' + bytes(30)):
@@ -440,7 +440,7 @@ def test_page_waits_for_a_node_shows_it_and_asks_for_no_more(browser, results, w
             assert abs(float(value) - 2 * np.pi) < 3 * float(spread) < 0.3
             # One topic is asked for, whatever is shown.
             await_readers(watcher, f'/kinpole/{VIEW}', True)
-            page.locator('#now [data-name=angular_jerk] td', has_text='±').first.wait_for()
+            page.locator('#values [data-name=angular_jerk] td', has_text='±').first.wait_for()
             assert not page.locator('.chart[data-name=angular_jerk]').is_visible()
             page.locator('#rates button', has_text='jerk').click()
             page.locator('.chart[data-name=angular_jerk]').wait_for()

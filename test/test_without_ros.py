@@ -122,7 +122,7 @@ def test_definitions_without_ros_are_those_of_ros(monkeypatch: pytest.MonkeyPatc
     classes = [getattr(_types, name) for name in TYPES]
     expected = [definition(cls) for cls in classes]
     for name in ('fields', 'constants'):
-        monkeypatch.setattr(f'kinpole_ros.bags._schema.{name}', getattr(_rosbags, name))
+        monkeypatch.setattr(f'kinpole_ros.bags._definition.{name}', getattr(_rosbags, name))
     monkeypatch.setattr('kinpole_ros.messages.message_class', _rosbags.message_class)
     assert [definition(getattr(_rosbags, name)) for name in TYPES] == expected
     with pytest.raises(BagError, match='acme_msgs/msg/Thing'):

@@ -1,23 +1,23 @@
 """MCAP bags in rosbag2's conventions, in and out, and files of tracked points into them."""
 
-from kinpole_ros.bags._files import RECORDER, recorder_of
-from kinpole_ros.bags._frames import read_frames
-from kinpole_ros.bags._import import Imported, import_csv, import_points
-from kinpole_ros.bags._reader import (
+from kinpole_ros.bags._channels import BagMessage
+from kinpole_ros.bags._definition import definition, message_class
+from kinpole_ros.bags._files import (
+    RECORDER,
     BagError,
-    BagMessage,
     Truncated,
     bag_files,
-    read_blocks,
-    read_messages,
-    topics,
+    in_place_of,
+    recorder_of,
 )
-from kinpole_ros.bags._replay import NODE_NAME, replay
+from kinpole_ros.bags._import import Imported, import_csv, import_points
+from kinpole_ros.bags._marker_frames import NODE_NAME, read_frames
+from kinpole_ros.bags._reader import read_blocks, read_messages, topics
+from kinpole_ros.bags._replay import replay
 from kinpole_ros.bags._replayed import Replayed
-from kinpole_ros.bags._schema import definition, message_class
 from kinpole_ros.bags._simulate import simulate
 from kinpole_ros.bags._warnings import assumed_body, warnings_of
-from kinpole_ros.bags._writer import BagWriter, in_place_of
+from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.messages import type_name
 
 __all__ = [

@@ -8,7 +8,8 @@ import io
 import os
 import re
 import struct
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePath
 from typing import BinaryIO, cast
 
@@ -19,7 +20,7 @@ from mcap.exceptions import EndOfFile
 from mcap.records import Header
 from mcap.writer import MCAP0_MAGIC
 
-from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limited
+from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limited, whole_file
 from kinpole_ros.files.bounded_yaml import MOST_YAML, load_yaml
 
 LIBRARY = 'kinpole_ros'  # named in bags that can be made again
@@ -237,6 +238,33 @@ def unwritable(path: str | Path, error: OSError) -> BagError:
         f'{path} cannot be written: {error.strerror or error}; '
         'fix: check the path, its rights and the space on the disk'
     )
+
+
+@contextmanager
+def in_place_of(path: str | Path) -> Iterator[Path]:
+    """
+    Give a path to write a file to, which replaces another one when the block ends.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to be replaced, as for `files.whole_file`.
+
+    Yields
+    ------
+    Path
+
+    Raises
+    ------
+    BagError
+        If it cannot be written.
+
+    """
+    try:
+        with whole_file(path) as part:
+            yield part
+    except OSError as error:
+        raise unwritable(path, error) from error
 
 
 def open_file(path: Path) -> BinaryIO:

@@ -1,15 +1,16 @@
-"""Points that other programs tracked come as files; a bag of them is input like any other."""
+"""Files of points that other programs tracked, written to bags."""
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags._writer import BagWriter, in_place_of
+from kinpole_ros.bags._files import BagError, in_place_of
+from kinpole_ros.bags._reader import Progress
+from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.bags.formats import Options, Points, read_points, shown
 from kinpole_ros.messages import INPUT_TYPES, TF, poses_data, to_message
 
@@ -18,14 +19,31 @@ _LONGEST = 2.0**31  # s; the seconds of a ROS stamp are an int32
 
 @dataclass(frozen=True)
 class Imported:
-    """What was read of a file of points, and written to a bag."""
+    """
+    What was read of a file of points, and written to a bag.
+
+    Attributes
+    ----------
+    format : str
+        A key of `formats.FORMATS`.
+    markers : tuple of str
+    frames : int
+        Their number.
+    unit : str
+        As the file calls it.
+    scale : float
+        m per unit.
+    notes : tuple of str
+        What the user should know, a line each.
+
+    """
 
     format: str
     markers: tuple[str, ...]
     frames: int
-    unit: str  # as the file calls it
-    scale: float  # m per unit
-    notes: tuple[str, ...]  # what the user should know, a line each
+    unit: str
+    scale: float
+    notes: tuple[str, ...]
 
 
 def import_points(
@@ -36,25 +54,49 @@ def import_points(
     y_down: bool | None = None,
     topic: str = '/markers',
     frame_id: str = 'world',
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
     format: str = 'auto',
     likelihood: float | None = None,
 ) -> Imported:
     """
     Write the points of a file to a bag, as visualization_msgs/MarkerArray.
 
-    `format` is a name of `formats.FORMATS`, or auto. A marker that was not seen in a frame is not
-    in its message; a frame without markers becomes an empty array. `scale` is the length of the
-    file's unit in m, `y_down` whether y points down; without them, as the file says. `likelihood`
-    is the least at which a point of DeepLabCut (0.6) or SLEAP (all) counts as seen.
+    A marker that was not seen in a frame is not in its message; a frame without markers becomes an
+    empty array. Poses go to /tf, too. Log times are the stamps.
 
-    With `rate`, in Hz, frames are stamped by their numbers, the first one 0, whatever times the
-    file has. Else the stamps are its times. Where these start before 0, which no stamp can hold,
-    they are counted from the first frame, and a note says so. Log times are the stamps.
-    `progress` is called with the fraction of frames written, at most some 200 times.
+    Parameters
+    ----------
+    path : str or Path
+        The file, or a folder of OpenPose or rosbag2.
+    output : str or Path
+        The .mcap file, which is replaced when all is read.
+    rate : float, optional
+        Hz; frames are stamped by their numbers then, the first one 0. Without it, stamps are the
+        times of the file. Where these start before 0, which no stamp can hold, they are counted
+        from the first frame, and a note says so.
+    scale : float, optional
+        Length of the file's unit, m; without it, as the file says.
+    y_down : bool, optional
+        Whether y points down; without it, as the file says.
+    topic, frame_id : str
+        Of the messages.
+    progress : callable, optional
+        Called with the fraction of frames written, at most some 200 times.
+    format : str
+        A key of `formats.FORMATS`, or 'auto'.
+    likelihood : float, optional
+        The least at which a point counts as seen, 0 to 1; 0.6 for DeepLabCut, else 0.
 
-    Raises BagError, naming file, line and column, when the file is not of its format, or does not
-    say what must be given; `output`, which is replaced, is not touched before all is read.
+    Returns
+    -------
+    Imported
+
+    Raises
+    ------
+    BagError
+        Naming file, line and column, when the file is not of its format, or lacks what must be
+        given then.
+
     """
     path, output = Path(path), Path(output)
     for name, value in (('rate', rate), ('scale', scale)):
@@ -65,30 +107,35 @@ def import_points(
     if os.path.exists(output) and os.path.exists(path) and output.samefile(path):
         raise BagError(f'{output} is the file of points itself; fix: give another one for the bag')
 
-    found, read = read_points(path, format, Options(rate, likelihood))
-    used = read.scale if scale is None else scale
-    if lacking := _lacking(path, found, read, used, rate):
-        raise lacking
-    assert used is not None
-    turned = read.y_down if y_down is None else y_down
-    factors, poses = [used, -used if turned else used, used], read.poses
+    name, read = read_points(path, format, Options(rate, likelihood))
+    used_scale = read.scale if scale is None else scale
+    if used_scale is None or (rate is None and read.times is None):
+        raise _incomplete(path, name, read, used_scale, rate)
+    is_flipped = read.y_down if y_down is None else y_down
+    factors = [used_scale, -used_scale if is_flipped else used_scale, used_scale]
+    poses = read.poses
     with np.errstate(over='ignore'):
         # In place, as they can be most of what is in memory.
         points = np.multiply(read.points, factors, out=read.points)
         if poses is not None:
-            # The mirror image of a turn is one about the mirror image of its axis, backwards.
-            poses = poses * [*factors, *((-1, 1, -1, 1) if turned else (1, 1, 1, 1))]
+            # The mirror image of a rotation is one about the mirror image of its axis, backward.
+            poses = poses * [*factors, *((-1, 1, -1, 1) if is_flipped else (1, 1, 1, 1))]
     if np.isinf(points).any():
         raise BagError(f'scale is {scale}; fix: give the length of the unit of {path} in m')
-    stamps, moved = _stamps(path, read, rate)
+    stamps, stamp_notes = _stamps(path, read, rate)
     _write(output, topic, frame_id, replace(read, poses=poses), stamps, progress)
-    notes = [*read.notes, *moved, *_unseen(read)]
+    notes = [*read.notes, *stamp_notes]
+    is_seen = ~np.isnan(read.points).any(axis=-1).all(axis=0)
+    if not is_seen.all():
+        unseen = [name for name, seen in zip(read.names, is_seen.tolist(), strict=True) if not seen]
+        notes.append(f'seen in no frame: {_listed(unseen)}')
     if poses is not None:
         notes.append(
             f'poses are on {TF}, to be read with marker_type: tf and marker_topic: {TF}: '
             f'{_listed(read.bodies)}'
         )
-    return Imported(found, tuple(read.names), len(stamps), shown(read.unit), used, tuple(notes))
+    unit = shown(read.unit)
+    return Imported(name, tuple(read.names), len(stamps), unit, used_scale, tuple(notes))
 
 
 def import_csv(
@@ -99,47 +146,50 @@ def import_csv(
     y_down: bool = False,
     topic: str = '/markers',
     frame_id: str = 'world',
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> int:
-    """`import_points` of a plain table, as it was called before; returns the number of frames."""
-    words = rate, scale, y_down, topic, frame_id, progress, 'table'
-    return import_points(csv_path, output, *words).frames
+    """
+    Write the points of a plain table to a bag, by the former name of `import_points`.
+
+    Parameters
+    ----------
+    csv_path, output, rate, scale, y_down, topic, frame_id, progress
+        As for `import_points`.
+
+    Returns
+    -------
+    int
+        The number of frames.
+
+    """
+    given = rate, scale, y_down, topic, frame_id, progress, 'table'
+    return import_points(csv_path, output, *given).frames
 
 
-def _lacking(
-    path: Path, found: str, read: Points, scale: float | None, rate: float | None
-) -> BagError | None:
-    """What neither the file nor the user says of the unit and the times, in one message."""
-    wrong, fixes = [], []
+def _incomplete(
+    path: Path, name: str, read: Points, scale: float | None, rate: float | None
+) -> BagError:
+    """Return the error of a unit and times that neither the file nor the user gives."""
+    faults, fixes = [], []
     if scale is None:
         unit = f'in {shown(read.unit)}' if read.unit else 'in a unit that the file does not say'
-        wrong.append(f'is {unit}')
+        faults.append(f'is {unit}')
         fixes.append(
             'give --scale, the m of one such unit: a known length in m over the same in the file '
             '(1 to keep the unit)'
         )
     if rate is None and read.times is None:
-        wrong.append(read.no_times or 'has no times')
-        fixes.append('give --rate, the frames per second')
-        if found == 'table':
-            fixes[-1] = 'give --rate HZ, or name the column of times t'
-    if not wrong:
-        return None
-    return BagError(f'{path} ({found}) {" and ".join(wrong)}; fix: {"; and ".join(fixes)}')
-
-
-def _unseen(read: Points) -> list[str]:
-    """A note of markers that are in no frame."""
-    never = np.isnan(read.points).any(axis=-1).all(axis=0)
-    names = [name for name, absent in zip(read.names, never.tolist(), strict=True) if absent]
-    if not names:
-        return []
-    return [f'seen in no frame: {_listed(names)}']
+        faults.append(read.no_times or 'has no times')
+        fix = 'give --rate, the frames per second'
+        if name == 'table':
+            fix = 'give --rate HZ, or name the column of times t'
+        fixes.append(fix)
+    return BagError(f'{path} ({name}) {" and ".join(faults)}; fix: {"; and ".join(fixes)}')
 
 
 def _listed(names: Sequence[str]) -> str:
-    more = f' and {len(names) - 5} more' if len(names) > 5 else ''
-    return f'{", ".join(map(shown, names[:5]))}{more}'
+    ending = f' and {len(names) - 5} more' if len(names) > 5 else ''
+    return f'{", ".join(map(shown, names[:5]))}{ending}'
 
 
 def _write(
@@ -148,7 +198,7 @@ def _write(
     frame_id: str,
     read: Points,
     stamps: np.ndarray,
-    progress: Callable[[float], None] | None,
+    progress: Progress | None,
 ) -> None:
     step = math.ceil(len(stamps) / 200)
     rows = zip(map(int, stamps), read.points, strict=True)
@@ -156,14 +206,14 @@ def _write(
         for count, (stamp, row) in enumerate(rows, start=1):
             bag.write(topic, to_message('marker_array', stamp, frame_id, read.names, row), stamp)
             if read.poses is not None:
-                seen = poses_data('tf', stamp, frame_id, read.bodies, read.poses[count - 1])
-                bag.write_raw(TF, INPUT_TYPES['tf'], seen, stamp)
+                data = poses_data('tf', stamp, frame_id, read.bodies, read.poses[count - 1])
+                bag.write_raw(TF, INPUT_TYPES['tf'], data, stamp)
             if progress is not None and (count % step == 0 or count == len(stamps)):
                 progress(count / len(stamps))
 
 
 def _stamps(path: Path, read: Points, rate: float | None) -> tuple[np.ndarray, list[str]]:
-    """A stamp for each frame, int64, in ns, and a note where they are not the times of the file."""
+    """Return the stamps (T,), ns, and a note where they are not the times of the file."""
     if rate is not None:
         frames = read.frames - read.frames[0]
         if not 1.001 * (int(frames[-1]) + 1) / _LONGEST < rate <= 1e9:
@@ -189,12 +239,12 @@ def _stamps(path: Path, read: Points, rate: float | None) -> tuple[np.ndarray, l
     return stamps, notes
 
 
-def _not_a_time(path: Path, read: Points, row: int, why: str) -> BagError:
+def _not_a_time(path: Path, read: Points, row: int, fault: str) -> BagError:
     assert read.times is not None
     seconds = float(read.times[row])
     cell = '' if math.isnan(seconds) else f'{seconds:.12g}'
     where = f'line {read.lines[row]}' if read.lines else f'frame {read.frames[row]}'
     return BagError(
-        f"{path}, {where}, column {read.time_column}: '{cell}' {why}; fix: give each frame its "
+        f"{path}, {where}, column {read.time_column}: '{cell}' {fault}; fix: give each frame its "
         'time, in order, or the file a --rate'
     )

@@ -26,8 +26,7 @@ from kinpole_ros.bags._files import (
     open_file,
     unreadable,
 )
-from kinpole_ros.bags._integrity import indexed_times
-from kinpole_ros.bags._layout import NEVER, Layout, Span, lay_out, read_span
+from kinpole_ros.bags._layout import NEVER, Layout, Span, indexed_times, lay_out, read_span
 from kinpole_ros.bags._storages import is_sqlite, sqlite_blocks, sqlite_topics
 
 _LATEST = 2**63 - 1  # ns; ROS has no later time
@@ -135,7 +134,7 @@ def read_blocks(
     Yields
     ------
     list of BagMessage
-        The same messages in the same order: up to 1,000 of about 1 MiB together; of messages of
+        The same messages in the same order: up to 1,000 of about 1 MiB in all; of messages of
         more than 32 KiB up to 32, of at most 16 MiB.
 
     Raises

@@ -1,42 +1,43 @@
 """A bag of markers through the same tracker as the live node, to a bag or a table of results."""
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack
-from itertools import chain, groupby
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from itertools import chain, pairwise
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
-from kinpole_ros.bags._periodic import Column, PeriodicDiagnostics
-from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_blocks, topics
-from kinpole_ros.bags._replayed import Replayed
-from kinpole_ros.bags._stretch import Stretch
-from kinpole_ros.bags._table import CsvTable, ParquetTable
-from kinpole_ros.bags._writer import BagWriter, in_place_of
+from kinpole_ros.bags._files import BagError, Truncated, bag_files, in_place_of
+from kinpole_ros.bags._marker_frames import NODE_NAME, frame_blocks, input_topic
+from kinpole_ros.bags._reader import Progress
+from kinpole_ros.bags._replayed import Replayed, ReplayTotals
+from kinpole_ros.bags._tables import CsvTable, ParquetTable
+from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.messages import (
-    INPUT_TYPE_NAMES,
     DiagnosticArray,
     DiagnosticsMaker,
-    MarkerReader,
-    MessageError,
     Output,
     PoseReader,
-    identity_lines,
-    kind_of,
     outputs_of,
     reader_of,
+    serialize_message,
     theory_of,
 )
-from kinpole_ros.tracking.assignment import MarkerPlaces
-from kinpole_ros.tracking.estimate import MOST_PAIRED_BODIES, POLE_NAMES, Estimate
-from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.parameters import Settings
-from kinpole_ros.tracking.space import updated
 from kinpole_ros.tracking.tracker import Tracker
 
-NODE_NAME = 'kinpole'
 _SECOND = 1_000_000_000  # ns
-_MOST_KEPT = 31 << 20  # bytes; from 32 MiB on nothing is kept
+_MOST_REUSED_BYTES = 31 << 20  # glibc returns what is 32 MiB or larger to the system at once
+# Diagnostics are of a second, and drawings show the centrodes of the two seconds before.
+_WARM_UP = 3_000_000_000  # ns
+# Share of the time of a replay. Measured with bags of markers alone: 0.13 where stamps jitter, 0.21
+# where they are even; and up to 0.4 where no bag of results is written.
+_LEARNING_SHARE = 0.25
+# Topic, type, log times (ns) and messages, as `BagWriter.write_many` takes them.
+Column: TypeAlias = tuple[str, type, Sequence[int], Sequence[bytes]]
 
 
 def replay(
@@ -45,200 +46,86 @@ def replay(
     output: str | Path | None = None,
     csv: str | Path | None = None,
     topic: str | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
     parquet: str | Path | None = None,
     take: Callable[[Estimate], None] | None = None,
-    *,
-    place: Callable[[str | Path], AbstractContextManager[str | Path]] = in_place_of,
-    stretch: Stretch | None = None,
 ) -> Replayed:
     """
     Run the markers of a bag through the tracker, as fast as the machine goes.
 
-    `bag` is an .mcap file or a rosbag2 folder; `topic` overrides the settings' marker topic.
-    Results go to `output`, an .mcap under /kinpole/..., and to the tables `csv` and `parquet`;
-    `take` is called with them, some instants at a time.
-    Deterministic: the bag's stamps drive everything. A bag that is cut off gives the results of
-    all that is before the cut. Results take the place of what was there when all of them are whole;
-    until then they are beside it, as NAME.….part, or where `place` says, which ends when all is
-    whole. Of a `stretch` of the bag results are what they are of all of it.
-    Raises BagError when the bag, its topic or an output cannot be used.
+    It is deterministic: the bag's stamps drive everything. Results replace the files of earlier
+    ones when they are complete.
+
+    Parameters
+    ----------
+    bag : str or Path
+        An .mcap or .db3 file or a rosbag2 folder. One that is cut off gives the results of all that
+        is before the cut.
+    settings : Settings
+        The parameters.
+    output : str or Path, optional
+        An .mcap file for the results, under /kinpole/....
+    csv, parquet : str or Path, optional
+        Files for tables of the results.
+    topic : str, optional
+        The topic of the markers, instead of the settings' one.
+    progress : callable, optional
+        Called with the fraction of bytes read, 0 to 1.
+    take : callable, optional
+        Called with the estimates of consecutive instants.
+
+    Returns
+    -------
+    Replayed
+
+    Raises
+    ------
+    BagError
+        If the bag, its topic or an output cannot be used.
+
     """
-    name, kind = _marker_topic(bag, settings, topic)
-    files = bag_files(bag)
-    taken = {_identity(file): 'the bag to be replayed' for file in files}
-    # Without metadata all that lies in a folder is the bag.
+    source = input_topic(bag, settings, topic)
+    named = {'mcap': output, 'csv': csv, 'parquet': parquet}
+    targets = {kind: path for kind, path in named.items() if path is not None}
+    _check_targets(bag, targets)
+    replaying = _Replaying(bag, settings, source, Stretch())
+    with ExitStack() as stack:
+        files = {kind: stack.enter_context(in_place_of(path)) for kind, path in targets.items()}
+        return replaying.run(files, targets, progress, take)
+
+
+def replay_stretch(
+    bag: str | Path,
+    settings: Settings,
+    files: Mapping[str, Path],
+    topic: str | None = None,
+    progress: Progress | None = None,
+    stretch: 'Stretch | None' = None,
+) -> Replayed:
+    """Replay a bag, or a stretch of it, directly into files by kind: 'mcap', 'csv', 'parquet'."""
+    source = input_topic(bag, settings, topic)
+    return _Replaying(bag, settings, source, stretch or Stretch()).run(files, files, progress, None)
+
+
+def _check_targets(bag: str | Path, targets: Mapping[str, str | Path]) -> None:
+    """Raise BagError where results would replace the bag, each other, or become a part of it."""
+    uses = {_file_id(file): 'the bag to be replayed' for file in bag_files(bag)}
+    # Without metadata all files of a folder are the bag.
     folder = None if (Path(bag) / 'metadata.yaml').exists() else Path(bag).resolve()
-    concatenated = [file.name for file in files] if folder is not None and len(files) > 1 else []
-    for target in (output, csv, parquet):
-        if target is None:
-            continue
-        identity = _identity(Path(target))
-        if identity in taken:
-            raise BagError(f'{target} is {taken[identity]}; name another file for the results')
-        path = Path(target).resolve()
+    for kind, target in targets.items():
+        file_id, path = _file_id(Path(target)), Path(target).resolve()
+        if file_id in uses:
+            raise BagError(f'{target} is {uses[file_id]}; name another file for the results')
         if path.parent == folder and path.suffix == '.mcap':
             raise BagError(
                 f'{target} would be a part of the bag to be replayed, which is all .mcap files of '
                 'its folder; name a file in another folder for the results'
             )
-        taken[identity] = 'the bag of results' if target is output else 'the CSV table'
-    # glibc keeps what is freed once it has seen so much come and go, and no longer asks the system
-    # for the arrays of each block anew: a tenth of all the time.
-    np.empty(_MOST_KEPT, np.uint8)
-    stretch, done = stretch or Stretch(0, 1), 0.0
-
-    def report(share: float) -> None:
-        nonlocal done
-        done = share
-        if progress is not None:
-            progress(share)
-
-    theory = theory_of(settings)
-    tracker = Tracker(settings)
-    reader = reader_of(kind, settings)
-    order = settings.derivative_order or 4
-    outputs = outputs_of(settings, theory)
-    periodic = PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, theory, name))
-    comparison = None
-    if theory is not None:
-        from kinpole_ros.linkage.theory import Comparison
-
-        comparison = Comparison(theory)
-    found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
-    unknown = dict.fromkeys(tracker.bodies, '')
-    space, looked = tracker.space(), 0
-    estimates = 0
-    problem = ''
-    first, last = None, 0
-    truncated: Truncated | None = None
-    identities: tuple[str, ...] = ()
-    absent = {body: list(markers) for body, markers in settings.bodies.items() if markers}
-    if settings.marker_identity == 'shape':
-        absent = {body: names for body, names in absent.items() if body not in settings.shapes}
-    with ExitStack() as results, ExitStack() as stack:
-        places = {
-            target: results.enter_context(place(target))
-            for target in (output, csv, parquet)
-            if target is not None
-        }
-        writer = None
-        if output is not None:
-            writer = stack.enter_context(BagWriter(places[output], name=output))
-        tables = [
-            stack.enter_context(table(places[target], settings, target))
-            for table, target in ((CsvTable, csv), (ParquetTable, parquet))
-            if target is not None
-        ]
-        if writer is not None:
-            # A topic that never has anything to say is there to be asked for, too.
-            for row in outputs:
-                writer.add_topic(row.under(f'/{NODE_NAME}'), row.message_type)
-            writer.add_topic('/diagnostics', DiagnosticArray)
-        for parts, log_times, error in _frames(bag, name, kind, reader, report):
-            if isinstance(error, Truncated):
-                truncated = error
-            elif error is not None:
-                tracker.counts['unreadable'] += 1
-                problem = problem or str(error)
-                periodic.trouble['message'] = str(error)
-            if not parts:
-                continue
-            stretch.look(done, parts[0].stamps)
-            if stretch.is_over:
-                break
-            periodic.silent = not stretch.is_known
-            for frames in parts:
-                earliest = int(frames.stamps.min())
-                first = earliest if first is None else min(first, earliest)
-                last = max(last, int(frames.stamps.max()))
-                if frames.identities != identities:
-                    identities = frames.identities
-                    absent = _still_absent(absent, identities)
-            handed = parts if writer is None else periodic.parts(parts, tracker)
-            known = tracker.add_parts(handed, order if stretch.is_known else None)
-            if last - looked >= _SECOND:
-                looked, space = last, updated(space, tracker.space())
-            if writer is not None:
-                # Known as soon as the frames came that they fell due with.
-                columns = [
-                    result_columns(outputs, estimate, f'/{NODE_NAME}', log_times[estimate.due])
-                    for estimate in known
-                ]
-                # Also of those that are not wanted: they remember what later ones need.
-                made = list(chain(*columns, periodic.columns(known, log_times)))
-                writer.write_many(made if stretch.is_wanted else ())
-            for estimate in known if stretch.is_wanted else ():
-                estimates += len(estimate)
-                _count(found, estimate)
-                unknown = _still_unknown(unknown, estimate)
-                if comparison is not None:
-                    comparison.add(estimate)
-                for table in tables:
-                    table.add(estimate)
-                if take is not None:
-                    take(estimate)
-        counts = tracker.counts
-        if counts['unreadable'] and not counts['frames']:
-            raise BagError(f'{bag}: no message on {name} can be read: {problem}')
-        lacking = reader.unseen_names() if isinstance(reader, PoseReader) else ''
-        if lacking and not counts['frames']:
-            raise BagError(f'{bag}: on {name} {lacking}')
-    space = updated(space, tracker.space())
-    share = {
-        body: {pole: count / max(estimates, 1) for pole, count in poles.items()}
-        for body, poles in found.items()
-    }
-    return Replayed(
-        counts['frames'],
-        estimates,
-        share,
-        counts['unreadable'],
-        problem,
-        counts['repeated'],
-        counts['late'],
-        counts['resets'],
-        counts['frame_changes'],
-        truncated,
-        dict(zip(tracker.bodies, tracker.noise().tolist(), strict=True)),
-        dict(zip(tracker.bodies, tracker.rigidity_residual().tolist(), strict=True)),
-        dict(zip(tracker.bodies, tracker.causes(), strict=True)),
-        [
-            body
-            for body, more in zip(tracker.bodies, tracker.noise_underestimated(), strict=True)
-            if more
-        ],
-        first or 0,
-        last,
-        absent,
-        identities,
-        unknown,
-        concatenated,
-        comparison.found() if comparison is not None else [],
-        comparison.positions() if comparison is not None else None,
-        space,
-        counts['lost'],
-        tracker.stamp_state(),
-        [*identity_lines(tracker, tracker.counts), *filter(None, (lacking, pairs_line(settings)))],
-        tracker.erring(),
-        dict(zip(tracker.bodies, tracker.wrong().tolist(), strict=True)),
-        tracker.outages(),
-    )
+        uses[file_id] = 'the bag of results' if kind == 'mcap' else 'the CSV table'
 
 
-def pairs_line(settings: Settings) -> str:
-    """Say that relative motions of pairs are not measured, if there are too many bodies."""
-    count = len(settings.bodies)
-    if count <= MOST_PAIRED_BODIES:
-        return ''
-    return (
-        f'relative rates and centers of pairs are left out: there are {count} bodies, and pairs '
-        f'are measured of up to {MOST_PAIRED_BODIES}; fix: for these, name fewer bodies'
-    )
-
-
-def _identity(path: Path) -> tuple[int, int] | Path:
-    """What all names of one file have in common, those of hard links too."""
+def _file_id(path: Path) -> tuple[int, int] | Path:
+    """Return what all names of one file have in common, also those of hard links."""
     try:
         about = path.stat()
     except OSError:
@@ -246,115 +133,230 @@ def _identity(path: Path) -> tuple[int, int] | Path:
     return about.st_dev, about.st_ino
 
 
-def _still_absent(
-    absent: dict[str, list[str]], identities: tuple[str, ...]
-) -> dict[str, list[str]]:
-    """Those of the markers of each body that are not in a message either."""
-    none, places = len(identities), MarkerPlaces(identities)
-    left = {
-        body: [name for name in names if places.find(name) == none]
-        for body, names in absent.items()
-    }
-    return {body: names for body, names in left.items() if names}
+def _files_without_metadata(bag: str | Path) -> list[str]:
+    """Return the files of a bag, if several are one recording only as they are in one folder."""
+    files = bag_files(bag)
+    is_listed = not Path(bag).is_dir() or (Path(bag) / 'metadata.yaml').exists()
+    return [] if is_listed or len(files) < 2 else [file.name for file in files]
 
 
-def _frames(
-    bag: str | Path,
-    topic: str,
-    kind: str,
-    reader: MarkerReader | PoseReader,
-    progress: Callable[[float], None] | None,
-) -> Iterator[tuple[list[MarkerFrames], np.ndarray, BagError | MessageError | None]]:
+class _Replaying:
+    """A replay of a bag, its topic and the kind of its messages given as `source`."""
+
+    def __init__(
+        self, bag: str | Path, settings: Settings, source: tuple[str, str], stretch: 'Stretch'
+    ) -> None:
+        self._bag, self._settings, self._stretch = bag, settings, stretch
+        self._topic, self._kind = source
+        theory = theory_of(settings)
+        self._tracker = Tracker(settings)
+        self._reader = reader_of(self._kind, settings)
+        self._order = settings.derivative_order or 4
+        self._outputs = outputs_of(settings, theory)
+        self._diagnostics = _PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, theory, self._topic))
+        self._totals = ReplayTotals(settings, self._tracker, theory)
+        self._share = 0.0  # of the bytes that have been read
+
+    def run(
+        self,
+        files: Mapping[str, str | Path],
+        names: Mapping[str, str | Path],
+        progress: Progress | None,
+        take: Callable[[Estimate], None] | None,
+    ) -> Replayed:
+        """Replay into files by kind, which messages call by `names`."""
+
+        def report(share: float) -> None:
+            self._share = share
+            if progress is not None:
+                progress(share)
+
+        # glibc keeps freed memory of up to the size of the largest block freed so far, instead of
+        # asking the system for the arrays of each block: a tenth of the time.
+        np.empty(_MOST_REUSED_BYTES, np.uint8)
+        with ExitStack() as stack:
+            writer = None
+            if 'mcap' in files:
+                writer = stack.enter_context(BagWriter(files['mcap'], name=names['mcap']))
+                for row in self._outputs:
+                    writer.add_topic(row.under(f'/{NODE_NAME}'), row.message_type)
+                writer.add_topic('/diagnostics', DiagnosticArray)
+            tables = [
+                stack.enter_context(table(files[kind], self._settings, names[kind]))
+                for kind, table in (('csv', CsvTable), ('parquet', ParquetTable))
+                if kind in files
+            ]
+            blocks = frame_blocks(self._bag, self._topic, self._kind, self._reader, report)
+            for frames, log_times, error in blocks:
+                self._note(error)
+                if not frames:
+                    continue
+                self._stretch.update(self._share, frames[0].stamps)
+                if self._stretch.is_over:
+                    break
+                for estimate in self._track(frames, log_times, writer):
+                    self._totals.add_estimate(estimate)
+                    for table in tables:
+                        table.add(estimate)
+                    if take is not None:
+                        take(estimate)
+            pose_problem = self._pose_problem()
+        return self._totals.result(_files_without_metadata(self._bag), pose_problem)
+
+    def _note(self, error: Exception | None) -> None:
+        if isinstance(error, Truncated):
+            self._totals.truncated = error
+        elif error is not None:
+            self._tracker.counts['unreadable'] += 1
+            self._totals.problem = self._totals.problem or str(error)
+            self._diagnostics.trouble['message'] = str(error)
+
+    def _track(
+        self, frames: list[MarkerFrames], log_times: np.ndarray, writer: BagWriter | None
+    ) -> Sequence[Estimate]:
+        """Return the estimates that the stretch has from these frames, and write their messages."""
+        stretch, diagnostics = self._stretch, self._diagnostics
+        diagnostics.silent = not stretch.is_estimated
+        for part in frames:
+            self._totals.add_frames(part)
+        handed = frames if writer is None else diagnostics.split(frames, self._tracker)
+        estimates = self._tracker.add_parts(handed, self._order if stretch.is_estimated else None)
+        self._totals.update_space()
+        if writer is not None:
+            # An estimate is logged with the frames that made it due. Messages that are not written
+            # are made all the same: some depend on those before.
+            columns = [
+                result_columns(self._outputs, estimate, f'/{NODE_NAME}', log_times[estimate.due])
+                for estimate in estimates
+            ]
+            messages = list(chain(*columns, diagnostics.columns(estimates, log_times)))
+            writer.write_many(messages if stretch.is_written else ())
+        return estimates if stretch.is_written else ()
+
+    def _pose_problem(self) -> str:
+        """Return what is wrong with poses as input; raise BagError where nothing could be read."""
+        counts = self._tracker.counts
+        if counts['unreadable'] and not counts['frames']:
+            raise BagError(
+                f'{self._bag}: no message on {self._topic} can be read: {self._totals.problem}'
+            )
+        problem = self._reader.unseen_names() if isinstance(self._reader, PoseReader) else ''
+        if problem and not counts['frames']:
+            raise BagError(f'{self._bag}: on {self._topic} {problem}')
+        return problem
+
+
+class Stretch:
     """
-    The frames of a bag with the log times of their messages, or what is wrong, in order.
+    A stretch of a bag, by which several processes replay one bag.
 
-    Those of messages of several layouts, as where markers come and go, are in parts.
+    What is learned, of shapes, noise, pins and the clock, depends on all frames before. So the
+    process of a stretch also learns from these, which takes a fraction of the time. Its results are
+    those of the whole bag, to the last bit.
+
+    It ends at two seams, each at a share of the bag's bytes, 0 to 1. A seam is where the stamps are
+    3 s from those of the first frames beyond that share. Results are estimated from these first
+    frames on, and written from the seam on.
     """
-    blocks = read_blocks(bag, [topic], progress)
-    nothing, wanted = np.zeros(0, np.int64), INPUT_TYPE_NAMES[kind]
-    while True:
-        try:
-            block = next(blocks, None)
-        except Truncated as error:
-            yield [], nothing, error
-            return
-        if block is None:
-            return
-        # Bytes of another type may well be read, as markers that are none.
-        for message in block:
-            if message.type_name != wanted:
-                problem = (
-                    f'{topic} has messages of {message.type_name} among those of {wanted}; see '
-                    'that each type has a topic of its own'
-                )
-                yield [], nothing, MessageError(problem)
-        block = [message for message in block if message.type_name == wanted]
-        log_times = np.array([message.log_time for message in block], np.int64)
-        found = reader.read_numbered([message.data for message in block])
-        for unreadable, group in groupby(found, lambda pair: isinstance(pair[0], MessageError)):
-            parts, numbers = zip(*group, strict=True)
-            if unreadable:
-                yield from (([], nothing, error) for error in parts)
-            else:
-                yield list(parts), log_times[np.concatenate(numbers)], None
+
+    def __init__(self, first: float = 0.0, last: float = 1.0) -> None:
+        self.is_estimated = self.is_written = False
+        self.is_over = False
+        self._first, self._last = _Seam(first), _Seam(last)
+
+    def update(self, share: float, stamps: np.ndarray) -> None:
+        """The next frames have these `stamps`; with them this share of the bag has been read."""
+        stamp = int(stamps[0])
+        self.is_written = self._first.is_passed(share, stamp)
+        self.is_estimated = self._first.stamp is not None
+        self.is_over = self._last.is_passed(share, stamp)
+
+
+class _Seam:
+    def __init__(self, share: float) -> None:
+        self._share = share
+        self.stamp: int | None = None
+        self._passed = False
+
+    def is_passed(self, share: float, stamp: int) -> bool:
+        if self.stamp is None and share >= self._share:
+            self.stamp = stamp
+            self._passed = self._share <= 0
+        if self.stamp is not None and self._share < 1:
+            self._passed = self._passed or abs(stamp - self.stamp) >= _WARM_UP
+        return self._passed
+
+
+def equal_stretches(count: int) -> list[Stretch]:
+    """Return stretches that take `count` processes the same time."""
+    ratio = 1 - _LEARNING_SHARE
+    ends = [(1 - ratio**k) / (1 - ratio**count) for k in range(count + 1)]
+    return [Stretch(first, last) for first, last in pairwise(ends)]
 
 
 def result_columns(
     outputs: list[Output], estimate: Estimate, prefix: str, log_times: np.ndarray
 ) -> Iterator[Column]:
-    """
-    All there is to say of T instants, as `BagWriter.write_many` takes it.
-
-    On topics under `prefix`, logged at `log_times` (T,), ns.
-    """
+    """Yield the messages of T instants under `prefix`, logged at `log_times` (T,), ns."""
     for row in outputs:
         instants, data = row.build(estimate)
         if data:
-            topic = row.under(prefix)
-            yield topic, row.message_type, log_times[instants].tolist(), data
+            yield row.under(prefix), row.message_type, log_times[instants].tolist(), data
 
 
-def _count(found: dict[str, dict[str, int]], estimate: Estimate) -> None:
-    for b, poles in enumerate(found.values()):
-        for order, pole in enumerate(poles, 1):
-            poles[pole] += int(estimate.pole(order).determined[:, b].sum())
+class _PeriodicDiagnostics:
+    """
+    The diagnostics of each second of stamps, as of its last frame, as the node publishes them.
 
+    `trouble` names what is wrong, for the next. While `silent` none are made.
+    """
 
-def _still_unknown(unknown: dict[str, str], estimate: Estimate) -> dict[str, str]:
-    """Those of the bodies that are known at none of these instants either, and why not."""
-    rows = zip(estimate.bodies, estimate.missing.T, strict=True)
-    reasons = {body: missing for body, missing in rows if body in unknown}
-    return {body: str(said[-1]) for body, said in reasons.items() if (said != '').all()}
+    def __init__(self, maker: DiagnosticsMaker) -> None:
+        self.trouble: dict[str, str] = {}
+        self.silent = False
+        self._maker = maker
+        self._last_stamp: int | None = None
+        # The last estimate since the last diagnostics.
+        self._latest: Estimate | None = None
+        # Number of the frame, and a function that makes its diagnostics from the estimate then.
+        self._begun: list[tuple[int, Callable[[Estimate | None], DiagnosticArray]]] = []
 
+    def split(self, blocks: Iterable[MarkerFrames], tracker: Tracker) -> Iterator[MarkerFrames]:
+        """Yield the frames in parts that end where a second has passed, for the tracker."""
+        count = 0
+        for frames in blocks:
+            stamps, first = frames.stamps, 0
+            while first < len(stamps):
+                previous = stamps[first] - _SECOND if self._last_stamp is None else self._last_stamp
+                is_due = np.abs(stamps[first:] - previous) >= _SECOND
+                end = first + int(is_due.argmax()) + 1 if is_due.any() else len(stamps)
+                yield part_of(frames, slice(first, end))
+                if is_due.any():
+                    self._begin(count + end - 1, int(stamps[end - 1]), tracker)
+                first = end
+            count += len(stamps)
 
-def _marker_topic(bag: str | Path, settings: Settings, topic: str | None) -> tuple[str, str]:
-    """The topic's full name and the short name of its type."""
-    name = topic or settings.marker_topic
-    if name.startswith('~/'):
-        name = f'/{NODE_NAME}/{name[2:]}'
-    elif not name.startswith('/'):
-        name = f'/{name}'
-    there = topics(bag)
-    known = set(INPUT_TYPE_NAMES.values())
-    if name not in there:
-        # What cannot be meant is not listed, unless there is nothing else.
-        fit = {t: kind for t, kind in there.items() if kind in known} or there
-        listed = ', '.join(f'{t} ({kind})' for t, kind in sorted(fit.items())) or 'no topics'
-        raise BagError(f'{bag}: no topic {name}; it holds {listed}; name one with --topic')
-    wanted, there_is = settings.marker_type, there[name]
-    kind = kind_of(there_is, wanted)
-    if kind is not None:
-        return name, kind
-    if there_is not in known:
-        raise BagError(
-            f'{bag}: topic {name} is {there_is}; markers must be one of '
-            f'{", ".join(sorted(known))}; fix: name another with --topic, or have '
-            f'`kinpole import {bag} --output NEW.mcap` read messages of trackers'
-        )
-    kinds = [one for one, ros in INPUT_TYPE_NAMES.items() if ros == there_is]
-    if kind_of(there_is):
-        kinds.append('auto')
-    raise BagError(
-        f'{bag}: topic {name} is {there_is}, but the parameter marker_type is {wanted}; set it to '
-        f'{" or ".join(kinds)}{"" if kind_of(there_is) else ", and name the frame of each body"}'
-    )
+    def _begin(self, number: int, stamp: int, tracker: Tracker) -> None:
+        seconds = 0.0 if self._last_stamp is None else (stamp - self._last_stamp) / _SECOND
+        if not self.silent:
+            finish = self._maker.begin(stamp, tracker, seconds, self.trouble)
+            self._begun.append((number, finish))
+        self._last_stamp, self.trouble = stamp, {}
+
+    def columns(self, estimates: list[Estimate], log_times: np.ndarray) -> Iterator[Column]:
+        """Yield the messages of these seconds, from the estimates of the same frames."""
+        data = []
+        published = -1
+        for number, finish in self._begun:
+            current, self._latest = self._latest, None
+            for estimate in estimates:
+                due = int(np.searchsorted(estimate.due, number, side='right'))
+                if due and estimate.due[due - 1] > published:
+                    current = estimate[due - 1]
+            data.append(serialize_message(finish(current)))
+            published = number
+        times = [int(log_times[number]) for number, _ in self._begun]
+        yield '/diagnostics', DiagnosticArray, times, data
+        self._begun = []
+        if estimates and estimates[-1].due[-1] > published:
+            self._latest = estimates[-1][-1]

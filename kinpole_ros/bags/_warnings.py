@@ -1,32 +1,31 @@
-"""What a replay warns of: each line says what is wrong and how to fix it."""
+"""The warnings of a replay: each line says what is wrong and how to fix it."""
 
 import shlex
-from collections.abc import Iterator
 from pathlib import Path
 
 from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.messages import (
     SMOOTHED,
+    absent_markers_fault,
     jitter_fault,
-    left_out,
     marker_faults,
-    not_there,
+    outage_fault,
     shape_fault,
     tilt_fault,
     unit_fault,
-    unseen,
+    wrong_pose_fault,
 )
-from kinpole_ros.tracking.parameters import Settings, deprecation_warnings
+from kinpole_ros.tracking.parameters import DEPRECATED, Settings, deprecation_warnings
 
-# What can be done about the reasons that the tracker gives.
+# By the reasons that the tracker gives.
 _FIXES = {
     'too few markers seen, or all at one place': (
         'see that two of them, at distinct places in the plane, are in a frame at once and finite'
     ),
     'no pose of it came': 'see that its driver sees it, and that its orientation is a quaternion',
     'the noise of its angle is too large': 'see to the driver: it is more than 0.15 rad',
-    'markers too close together for their noise': (
+    'markers too close for their noise': (
         'move them farther from each other, or set the parameter noise'
     ),
     'plane not known yet': (
@@ -39,8 +38,25 @@ _FIXES = {
 
 
 def warnings_of(result: Replayed, settings: Settings) -> list[str]:
-    """Lines on what makes the results of a replay with these settings fewer or worse."""
-    lines = deprecation_warnings(['method']) if settings.method != Settings.method else []
+    """
+    Return the warnings of a replay.
+
+    Parameters
+    ----------
+    result : Replayed
+        Its outcome.
+    settings : Settings
+        The settings of the replay.
+
+    Returns
+    -------
+    list of str
+        Lines on what makes its results fewer or worse.
+
+    """
+    defaults = Settings()
+    changed = (name for name in DEPRECATED if hasattr(settings, name))
+    lines = deprecation_warnings(n for n in changed if getattr(settings, n) != getattr(defaults, n))
     if result.unreadable:
         lines.append(f'{result.unreadable} messages left out, the first: {result.problem}')
     files = result.concatenated
@@ -50,11 +66,11 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
             'one recording, since the folder has no metadata.yaml to tell, but the stamps do not '
             'run on; if they are several, give each file by itself'
         )
-    if result.stamps is not None and (late := jitter_fault(result.stamps, settings.stamps)):
-        lines.append(late)
+    if result.stamps is not None and (fault := jitter_fault(result.stamps, settings.stamps)):
+        lines.append(fault)
     if result.frames:
         absent = result.absent.items()
-        lines += [not_there(body, names, result.identities) for body, names in absent]
+        lines += [absent_markers_fault(body, names, result.identities) for body, names in absent]
     for body, reason in result.unknown.items():
         if reason and body not in result.absent:
             fix = f'; {_FIXES[reason]}' if reason in _FIXES else ''
@@ -73,12 +89,12 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
     ]
     for body, erring in result.erring.items():
         lines += [f'{body}: {fault}' for fault in marker_faults(erring, result.noise[body])]
-    lines += [f'{body}: {left_out(count)}' for body, count in result.wrong.items() if count]
-    # Without any results one line below says why.
+    lines += [f'{body}: {wrong_pose_fault(count)}' for body, count in result.wrong.items() if count]
+    # Without any results the last line says why.
     for body, outage in result.outages.items() if result.estimates else ():
         name = f'{body}: ' if body else ''
-        more = f'; {outage.times} such times, this the longest' if outage.times > 1 else ''
-        lines.append(f'{name}{unseen(body, outage.longest)}{more}')
+        count = f'; {outage.times} such times, this the longest' if outage.times > 1 else ''
+        lines.append(f'{name}{outage_fault(body, outage.longest)}{count}')
     if settings.scene and result.estimates:
         if result.scene_positions is not None:
             lines += [f'scene {settings.scene}: {text}' for text in result.scene_positions.words]
@@ -87,13 +103,14 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
                 f'the scene {settings.scene} was compared at no instant: bodies that its joints '
                 'connect were never all seen; mark more of them, or see to the view of the markers'
             )
-    lines += _untold(result, settings)
+    if not result.estimates:
+        lines.append(_no_results(result, settings))
     return lines
 
 
 def assumed_body(markers: int, settings: Settings, bag: str | Path) -> str:
     """
-    Tell that all markers were taken as one body, where no parameters name bodies.
+    Say that all markers were taken as one body, where no parameters name bodies.
 
     Parameters
     ----------
@@ -120,42 +137,33 @@ def assumed_body(markers: int, settings: Settings, bag: str | Path) -> str:
     )
 
 
-def _untold(result: Replayed, settings: Settings) -> Iterator[str]:
-    """A line on why there are no results, where there are none."""
-    if result.estimates:
-        return
+def _no_results(result: Replayed, settings: Settings) -> str:
+    """Say why there are no results."""
     seconds = (result.last - result.first) / 1e9
     taken = result.frames - result.repeated - result.late
+    capture_fix = 'see that the driver sets header.stamp to the time of capture'
     if not result.frames:
-        yield 'no results, since the topic has no messages; record again, or name another --topic'
+        reason, fix = 'the topic has no messages', 'record again, or name another --topic'
     elif result.repeated and result.repeated + 1 == result.frames:
-        yield (
-            'no results, since all stamps are the same; see that the driver sets header.stamp to '
-            'the time of capture'
-        )
+        reason, fix = 'all stamps are the same', capture_fix
     elif result.late and taken == 1:
-        yield (
-            'no results, since the stamps run backward; see that the driver sets header.stamp to '
-            'the time of capture'
-        )
+        reason, fix = 'the stamps run backward', capture_fix
     elif result.resets:
-        yield (
-            f'no results, since the stamps jump by more than the parameter window, '
-            f'{settings.window:g} s; raise it, or see to the stamps'
-        )
+        reason = f'the stamps jump by more than the parameter window, {settings.window:g} s'
+        fix = 'raise it, or see to the stamps'
     elif seconds <= settings.lag:
-        yield (
-            f'no results, since a frame has one when it is {settings.lag:g} s old (the parameter '
-            f'lag), and there are {seconds:.3g} s; record longer, or see to the stamps'
+        reason = (
+            f'a frame has one when it is {settings.lag:g} s old (the parameter lag), and there are '
+            f'{seconds:.3g} s'
         )
+        fix = 'record longer, or see to the stamps'
     elif taken < FEWEST_SAMPLES:
-        yield (
-            f'no results, since they take {FEWEST_SAMPLES} frames, and there are {taken}; record '
-            'longer, or see to the stamps'
-        )
+        reason = f'they take {FEWEST_SAMPLES} frames, and there are {taken}'
+        fix = 'record longer, or see to the stamps'
     else:
-        yield (
-            f'no results, since the parameter window, {settings.window:g} s, must hold '
-            f'{FEWEST_SAMPLES} frames, and they come every {seconds / max(taken - 1, 1):.3g} s; '
-            'raise it, or see to the stamps'
+        reason = (
+            f'the parameter window, {settings.window:g} s, must hold {FEWEST_SAMPLES} frames, and '
+            f'they come every {seconds / max(taken - 1, 1):.3g} s'
         )
+        fix = 'raise it, or see to the stamps'
+    return f'no results, since {reason}; {fix}'

@@ -1,14 +1,12 @@
 """
-Files from anywhere: opened, read and shown such that none can hang, fill or confuse a program.
+Files of strangers, opened, read and shown safely; results that replace others when complete.
 
-All readers of bags, tables, scenes and parameters open their files here, and all results are
-written here beside what they replace. `bounded_yaml` is for who needs PyYAML.
+All readers of bags, tables, scenes and parameters open their files by these functions.
+`bounded_yaml` is a module of its own, as only readers of YAML need PyYAML.
 """
 
-from kinpole_ros.files._lock import lock
-from kinpole_ros.files._open import open_regular, read_limited
-from kinpole_ros.files._shown import cut, cut_line, printable
-from kinpole_ros.files._whole import whole
+from kinpole_ros.files._reading import cut, cut_line, open_regular, printable, read_limited
+from kinpole_ros.files._writing import lock, whole_file
 
 __all__ = [
     'cut',
@@ -17,5 +15,5 @@ __all__ = [
     'open_regular',
     'printable',
     'read_limited',
-    'whole',
+    'whole_file',
 ]

@@ -1,5 +1,5 @@
 """
-YAML from anywhere: bounded in size, depth and number of values, and each key given once.
+YAML of strangers: bounded in size, depth and number of values, without repeated keys.
 
 Aliases are refused, by which a few lines become gigabytes, or take hours to be merged.
 """
@@ -14,16 +14,16 @@ _Base: Any = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 
 MOST_YAML = 1 << 20  # bytes of a file
 _DEEPEST = 50  # levels; parameters and scenes have five
-# Directives are compared each with each, before there is anything to count.
+# Directives are compared in pairs, before any value can be counted.
 _MOST_DIRECTIVES = 10
 
 
 class Loader(_Base):
     """
-    YAML of texts, nothing, lists, and keys with values, none given twice.
+    YAML of texts, null, lists, and mappings without repeated keys.
 
-    Who wants numbers adds them: PyYAML would take `on` for true, 1:30 for 90 and 010 for 8, as YAML
-    1.1 has it, silently keep the last of two keys, and take minutes for 1:1:1 and so on.
+    A subclass adds numbers: PyYAML would take `on` for true, 1:30 for 90 and 010 for 8, as YAML 1.1
+    has it, silently keep the last of two keys, and take minutes for 1:1:1 and so on.
     """
 
     longest: int | None = None  # characters of a value
@@ -35,8 +35,8 @@ class Loader(_Base):
         if tag is None or tag.endswith((':null', ':str', ':seq', ':map'))
     }
     yaml_implicit_resolvers = {  # noqa: RUF012
-        first: [(tag, pattern) for tag, pattern in known if tag.endswith((':null', ':merge'))]
-        for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
+        first: [(tag, pattern) for tag, pattern in rows if tag.endswith((':null', ':merge'))]
+        for first, rows in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
@@ -52,9 +52,25 @@ class Loader(_Base):
 
 def load_yaml(text: str | bytes, loader: type[Loader] = Loader) -> Any:
     """
-    What a text in YAML says, as `loader` reads it.
+    Return the content of a text in YAML.
 
-    Raises yaml.YAMLError, ValueError, LookupError, TypeError or AttributeError.
+    Parameters
+    ----------
+    text : str or bytes
+        At most `MOST_YAML` bytes.
+    loader : type
+        A subclass of `Loader`.
+
+    Returns
+    -------
+    Any
+        Mappings, lists, texts and what else the loader makes.
+
+    Raises
+    ------
+    yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError
+        Where the text is damaged, or exceeds a limit.
+
     """
     size = len(text.encode() if isinstance(text, str) else text)
     if size > MOST_YAML:
@@ -67,7 +83,7 @@ def load_yaml(text: str | bytes, loader: type[Loader] = Loader) -> Any:
 
 
 def _check(text: str | bytes, loader: type[Loader]) -> None:
-    """Look through it before anything is made of it."""
+    """Raise YAMLError where the text exceeds a limit, before any value is made."""
     values = depth = 0
     for event in yaml.parse(text, _Base):
         if isinstance(event, yaml.AliasEvent):

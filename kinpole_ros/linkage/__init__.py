@@ -1,11 +1,16 @@
-"""Linkages held against measured bodies: which bodies markers make, and what joins them."""
+"""
+Linkages from measured markers.
 
-from kinpole_ros.linkage._check import Checked, check_draft, draft
+`discover` finds bodies and joints from markers alone; `draft`, `table` and `parameter_file` write
+them. The modules `theory`, `positions` and `fit` compare a given scene with the tracked
+bodies.
+"""
+
 from kinpole_ros.linkage._discover import discover
-from kinpole_ros.linkage._lines import table
-from kinpole_ros.linkage._model import Length, Linkage, Place
+from kinpole_ros.linkage._draft import Checked, check_draft, draft
+from kinpole_ros.linkage._linkage import Length, Linkage, Place
 from kinpole_ros.linkage._record import UndiscoveredError
-from kinpole_ros.linkage._rig import parameter_file
+from kinpole_ros.linkage._report import parameter_file, table
 
 __all__ = [
     'Checked',

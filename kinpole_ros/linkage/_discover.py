@@ -1,30 +1,43 @@
-"""Frames of markers in, a linkage out: the steps one after the other."""
+"""Discover a linkage from frames of markers."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import combinations
 
 import numpy as np
 
-from kinpole_ros.linkage._columns import medians
-from kinpole_ros.linkage._identify import Bodies, identify
-from kinpole_ros.linkage._joints import GIVES, Joint, fit_pin, fit_slide
-from kinpole_ros.linkage._model import GROUND_NUMBER, Linkage
-from kinpole_ros.linkage._names import body_names, marker_names
-from kinpole_ros.linkage._places import connected, make_places
-from kinpole_ros.linkage._plane import scale_of
-from kinpole_ros.linkage._poses import GROUND, Pose, ground
+from kinpole_ros.linkage._bodies import Bodies, identify
+from kinpole_ros.linkage._joints import (
+    SKIN_STRAIN,
+    Joint,
+    Rolling,
+    fit_gear,
+    fit_pin,
+    fit_slide,
+    fit_wheel,
+)
+from kinpole_ros.linkage._linkage import (
+    Linkage,
+    body_names,
+    connected,
+    marker_names,
+    merged_pins,
+    name_points,
+)
+from kinpole_ros.linkage._plane import unit_scale
+from kinpole_ros.linkage._poses import GROUND, GROUND_NUMBER, Pose, ground
 from kinpole_ros.linkage._record import Record, Stamps, gather
-from kinpole_ros.linkage._rolling import Rolling, fit_gear, fit_wheel
-from kinpole_ros.linkage._space import tree_of
+from kinpole_ros.linkage._space import open_chains
 from kinpole_ros.tracking.estimate import MOST_PAIRED_BODIES
 from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.statistics import medians
 
-# Times the noise a pin may leave over without doubt.
-_DOUBTFUL = 1.5
-# Two places nearer than this share of a body's size are one, even without noise.
-_SAME_PLACE = 1e-5
-# Share of the points that may be of no body: passing others, they cannot always be identified.
-_LEFT_OVER = 0.03
+# Residual of a pin or slide over the noise, beyond which another explanation is preferred.
+_DOUBTFUL_RATIO = 1.5
+# Two hubs on an arm are one axle if they are closer than this many deviations, or than this share
+# of the arm.
+_SAME_SIGMAS, _SAME_SHARE = 10, 1e-5
+# Share of the points that may be of no body without a note.
+_MAX_UNASSIGNED = 0.03
 
 
 def discover(
@@ -33,151 +46,124 @@ def discover(
     normal: np.ndarray | None = None,
 ) -> Linkage:
     """
-    The linkage whose markers `parts` hold, in order; identities need not be right.
+    Discover the linkage that markers show. Their names need not be identities.
 
-    The plane has this `normal` (3,), or is found from the motion.
+    Parameters
+    ----------
+    parts
+        Frames of markers, in order.
+    progress
+        Called with the share of the work that is done.
+    normal
+        Normal of the plane (3,), by default that of the motion.
 
-    Raises UndiscoveredError, with the fix, where there is too little to find anything.
+    Returns
+    -------
+    Linkage
+        Its bodies, joints and lengths, and what could not be determined.
+
+    Raises
+    ------
+    UndiscoveredError
+        Where there are too few frames or markers, nothing moves, or nothing is rigid.
+
     """
     record, stamps = gather(parts)
-    most = None if progress is None else (lambda share: progress(0.8 * share))
-    found = identify(record, normal, most)
-    return _linkage_from(record, stamps, found)
+    bodies = identify(record, normal, progress and (lambda share: progress(0.8 * share)))
+    return _linkage_of(record, stamps, bodies)
 
 
-def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
-    scale = scale_of(max(pose.size for pose in found.poses))
-    if found.space is None:
-        found = _in_order(found)
-    poses = [_scaled(pose, scale) for pose in found.poses]
-    standing = ground(len(record.stamps))
-    bodies = {**dict(enumerate(poses)), GROUND_NUMBER: standing}
-    notes: list[str] = []
-    names = body_names([[found.labels[k] for k in body] for body in found.groups.bodies])
-    # Joints of a plane say nothing of bodies that leave it.
-    is_planar = found.space is None
-    pins = _pins(bodies, names, notes, found.is_soft) if is_planar else []
-    freedom = 3 * len(poses) - 2 * _independent(pins)
-    # Where more is held than lets it move, what fits worst is no pin but nearly one.
-    while freedom < 1 and pins and pins[-1].ratio > _DOUBTFUL:
-        pins.pop()
-        freedom = 3 * len(poses) - 2 * _independent(pins)
-    pins.sort(key=lambda pin: (pin.other != GROUND_NUMBER, min(pin.one, pin.other), pin.one))
-    joints: list[Joint] = list(pins)
+def _linkage_of(record: Record, stamps: Stamps, identified: Bodies) -> Linkage:
+    scale = unit_scale(max(pose.size for pose in identified.poses))
+    is_planar = identified.space is None
+    if is_planar:
+        identified = _ordered_bodies(identified)
+    poses = [_scaled(pose, scale) for pose in identified.poses]
+    bodies = {**dict(enumerate(poses)), GROUND_NUMBER: ground(len(record.stamps))}
+    names = body_names([[identified.labels[k] for k in body] for body in identified.groups.bodies])
+    joints: list[Joint] = []
     rolling: list[Rolling] = []
-    pinned = {frozenset((joint.one, joint.other)) for joint in pins}
-    # On skin anything seems to slide a little.
-    slides = [] if found.is_soft else _slides(bodies, pinned)
-    for joint, is_only_one in slides:
-        held = 2 if joint.kind in ('trammel', 'slide') else 1
-        # With one that holds more, nothing could move.
-        if freedom - held < 1:
-            continue
-        joints.append(joint)
-        freedom -= held
-        if joint.kind == 'slot' and freedom > 1:
-            wheel = fit_wheel(bodies[joint.one], bodies[joint.other], joint)
-            if wheel is not None:
-                joints.remove(joint)
-                rolling.append(wheel)
-                freedom -= 1
-        if joint in joints and not is_only_one:
-            one, other = (
-                GROUND if k == GROUND_NUMBER else names[k] for k in (joint.one, joint.other)
-            )
-            notes.append(
-                f'{one} on {other}: a line on either of them fits, and which it is cannot be told '
-                'from so little motion; fix: move them farther, or correct the draft'
-            )
-    for gear in [] if found.is_soft else _gears(bodies, pins):
-        if freedom > 1:
+    freedom = 3 * len(poses)
+    notes: list[str] = []
+    # Joints in the plane mean nothing for bodies that leave it.
+    if is_planar:
+        joints, freedom = _pins(bodies, names, notes, identified.is_soft)
+    # Markers on skin seem to slide and roll a little everywhere.
+    if not identified.is_soft:
+        freedom = _add_slides(bodies, joints, rolling, names, notes, freedom)
+        pins = [joint for joint in joints if joint.kind == 'pin']
+        for gear in _gears(bodies, pins)[: max(freedom - 1, 0)]:
             rolling.append(gear)
             freedom -= 1
-    if is_planar and len(poses) > MOST_PAIRED_BODIES + 1:
-        notes.append(
-            f'joints of each of the {len(poses)} bodies are sought with the ground and the '
-            f'{MOST_PAIRED_BODIES} nearest bodies only'
-        )
     if is_planar:
-        _note_loose(joints, rolling, names, notes)
-    _note_exchanged(record, notes)
-    if found.ordered and record.doubted:
-        notes.append(
-            'names of markers that pass each other seem to be exchanged; the bodies are rigid by '
-            'them, so they are taken as they are'
-        )
-    _note_left_over(record, found, notes)
+        notes += _connection_notes(joints, rolling, names)
+    notes += _marker_notes(record, identified)
     return Linkage(
         names,
         poses,
-        marker_names(found, names),
-        found.groups.bodies,
-        found.groups.fixed,
-        found.groups.single,
-        found.tracks * scale,
-        record.seconds,
-        found.ordered,
-        found.labels,
-        found.plane,
-        scale,
-        stamps,
-        record.frame_id,
-        joints,
-        rolling,
-        make_places(bodies, joints, rolling),
-        freedom,
-        notes,
-        found.space,
+        marker_names(identified.labels, identified.groups.bodies, names),
+        columns=identified.groups.bodies,
+        fixed=identified.groups.fixed,
+        single=identified.groups.single,
+        tracks=identified.tracks * scale,
+        seconds=record.seconds,
+        ordered=identified.ordered,
+        labels=identified.labels,
+        plane=identified.plane,
+        scale=scale,
+        stamps=stamps,
+        frame_id=record.frame_id,
+        joints=joints,
+        rolling=rolling,
+        places=name_points(bodies, joints, rolling),
+        freedom=freedom,
+        notes=notes,
+        space=identified.space,
     )
 
 
-def _in_order(found: Bodies) -> Bodies:
-    """From the ground on, first what turns farthest there: as one names links from the input."""
-    count = len(found.poses)
-    bodies = {**dict(enumerate(found.poses)), GROUND_NUMBER: ground(len(found.tracks))}
-    near: dict[int, set[int]] = {number: set() for number in bodies}
-    for pair in _candidates(bodies):
-        if fit_pin(bodies[pair[0]], bodies[pair[1]], pair)[0] is not None:
-            near[pair[0]].add(pair[1])
-            near[pair[1]].add(pair[0])
-    turned = [float(np.ptp(pose.angle[pose.seen])) for pose in found.poses]
+def _ordered_bodies(identified: Bodies) -> Bodies:
+    """Bodies in order of their distance from the ground, as one numbers links from the input."""
+    bodies = {**dict(enumerate(identified.poses)), GROUND_NUMBER: ground(len(identified.tracks))}
+    neighbors: dict[int, set[int]] = {number: set() for number in bodies}
+    for i, j in candidate_pairs(bodies):
+        if fit_pin(bodies[i], bodies[j], (i, j))[0] is not None:
+            neighbors[i].add(j)
+            neighbors[j].add(i)
+    turned = [float(np.ptp(pose.angle[pose.seen])) for pose in identified.poses]
     order = [GROUND_NUMBER]
-    rest = set(range(count))
+    remaining = set(range(len(identified.poses)))
     for number in order:
-        # One way round a loop, before the other way.
-        more = sorted(near[number] & rest, key=lambda k: -turned[k])
+        linked = sorted(neighbors[number] & remaining, key=lambda k: -turned[k])
+        # From the ground only the body that turns most, to go one way round a loop.
         if number == GROUND_NUMBER:
-            more = more[:1]
-        order += more
-        rest -= set(more)
-    order += sorted(rest, key=lambda k: (k not in near[GROUND_NUMBER], -turned[k]))
+            linked = linked[:1]
+        order += linked
+        remaining -= set(linked)
+    order += sorted(remaining, key=lambda k: (k not in neighbors[GROUND_NUMBER], -turned[k]))
     order.remove(GROUND_NUMBER)
-    groups = found.groups._replace(bodies=[found.groups.bodies[k] for k in order])
-    return found._replace(groups=groups, poses=[found.poses[k] for k in order])
+    groups = identified.groups._replace(bodies=[identified.groups.bodies[k] for k in order])
+    return identified._replace(groups=groups, poses=[identified.poses[k] for k in order])
 
 
-def _candidates(bodies: dict[int, Pose]) -> list[tuple[int, int]]:
+def candidate_pairs(bodies: dict[int, Pose]) -> list[tuple[int, int]]:
     """
-    List the pairs of bodies that a joint may connect, by their numbers, in the order of `bodies`.
+    Pairs of bodies that a joint may connect, by number, in the order of `bodies`.
 
-    All pairs of a body with the ground and with its nearest bodies, by the median distance of their
-    markers' means: with all others the number of pairs would grow with the square.
+    These are pairs with the ground and with the nearest bodies, by the median distance of their
+    markers' means: the number of all pairs grows with the square.
     """
     pairs = list(combinations(bodies, 2))
     moving = [number for number in bodies if number != GROUND_NUMBER]
     if len(moving) <= MOST_PAIRED_BODIES + 1:
         return pairs
-    places = np.array([bodies[number].position for number in moving])
+    positions = np.array([bodies[number].position for number in moving])
     near: set[tuple[int, int]] = set()
-    for number, place in zip(moving, places, strict=True):
-        distances, _ = medians(np.abs(places - place))
+    for number, position in zip(moving, positions, strict=True):
+        distances = medians(np.abs(positions - position))
         nearest = np.argsort(distances, kind='stable')[: MOST_PAIRED_BODIES + 1]
         near.update((number, moving[k]) for k in nearest.tolist())
-    return [
-        (one, other)
-        for one, other in pairs
-        if GROUND_NUMBER in (one, other) or (one, other) in near or (other, one) in near
-    ]
+    return [(i, j) for i, j in pairs if GROUND_NUMBER in (i, j) or (i, j) in near or (j, i) in near]
 
 
 def _scaled(pose: Pose, scale: float) -> Pose:
@@ -193,125 +179,169 @@ def _scaled(pose: Pose, scale: float) -> Pose:
 
 def _pins(
     bodies: dict[int, Pose], names: list[str], notes: list[str], is_soft: bool
-) -> list[Joint]:
+) -> tuple[list[Joint], int]:
+    """Pins of bodies, those on the ground first, and the degrees of freedom that they leave."""
     pins: list[Joint] = []
-    for one, other in _candidates({k: bodies[k] for k in range(len(names))}):
-        joint, turns = fit_pin(bodies[one], bodies[other], (one, other), GIVES * is_soft)
-        if joint is not None:
-            pins.append(joint)
+    moving = {k: bodies[k] for k in range(len(names))}
+    for i, j in candidate_pairs(moving):
+        pin, turns = fit_pin(bodies[i], bodies[j], (i, j), SKIN_STRAIN * is_soft)
+        if pin is not None:
+            pins.append(pin)
         elif not turns and not is_soft:
             notes.append(
-                f'{names[one]} and {names[other]} do not turn against each other: whether a pin '
+                f'{names[i]} and {names[j]} do not turn against each other: whether a pin '
                 'joins them, and where, cannot be determined'
             )
     if is_soft:
-        pins = tree_of(pins, len(names))
-    for one in range(len(names)):
-        joint, turns = fit_pin(bodies[one], bodies[GROUND_NUMBER], (one, GROUND_NUMBER))
-        if joint is not None:
-            pins.append(joint)
+        pins = open_chains(pins, len(names))
+    for k in moving:
+        pin, turns = fit_pin(bodies[k], bodies[GROUND_NUMBER], (k, GROUND_NUMBER))
+        if pin is not None:
+            pins.append(pin)
         elif not turns and not is_soft:
-            notes.append(
-                f'{names[one]} does not turn: it has no pin to the ground that can be seen'
+            notes.append(f'{names[k]} does not turn: it has no pin to the ground that can be seen')
+    pins.sort(key=lambda pin: pin.ratio)
+    freedom = _freedom(len(names), pins)
+    # If the pins leave no motion, those that fit worst are no pins but nearly so.
+    while freedom < 1 and pins and pins[-1].ratio > _DOUBTFUL_RATIO:
+        pins.pop()
+        freedom = _freedom(len(names), pins)
+    pins.sort(key=lambda pin: (pin.other != GROUND_NUMBER, min(pin.one, pin.other), pin.one))
+    return pins, freedom
+
+
+def _freedom(count: int, pins: Sequence[Joint]) -> int:
+    """Degrees of freedom of bodies on pins; three bodies on one axle have two independent pins."""
+    return 3 * count - 2 * sum(len(on) - 1 for on, _ in merged_pins(pins))
+
+
+def _add_slides(
+    bodies: dict[int, Pose],
+    joints: list[Joint],
+    rolling: list[Rolling],
+    names: list[str],
+    notes: list[str],
+    freedom: int,
+) -> int:
+    """Add slides, and wheels on their lines, to the joints; returns the degrees of freedom left."""
+    pinned = {frozenset((pin.one, pin.other)) for pin in joints}
+    pairs = [pair for pair in candidate_pairs(bodies) if frozenset(pair) not in pinned]
+    for joint, is_only_one in _slides(bodies, pairs):
+        removed = 2 if joint.kind in ('trammel', 'slide') else 1
+        # With a joint that holds more, nothing could move.
+        if freedom - removed < 1:
+            continue
+        freedom -= removed
+        if joint.kind == 'slot' and freedom > 1:
+            wheel = fit_wheel(bodies[joint.one], bodies[joint.other], joint)
+            if wheel is not None:
+                rolling.append(wheel)
+                freedom -= 1
+                continue
+        joints.append(joint)
+        if not is_only_one:
+            mover, base = (
+                GROUND if k == GROUND_NUMBER else names[k] for k in (joint.one, joint.other)
             )
-    return sorted(pins, key=lambda joint: joint.ratio)
+            notes.append(
+                f'{mover} on {base}: a line on either of them fits, and which it is cannot be seen '
+                'from so little motion; fix: move them farther, or correct the draft'
+            )
+    return freedom
 
 
-def _independent(pins: Sequence[Joint]) -> int:
-    """How many of the pins hold something: of three bodies on one axle two pins do."""
-    groups = make_places({}, list(pins), [])
-    return sum(len(place.on) - 1 for place in groups)
-
-
-def _slides(bodies: dict[int, Pose], pinned: set[frozenset[int]]) -> list[tuple[Joint, bool]]:
+def _slides(bodies: dict[int, Pose], pairs: Iterable[tuple[int, int]]) -> list[tuple[Joint, bool]]:
     """
-    Find slides of all pairs that no pin joins, those that fit best first, one for each pair.
+    The slide that fits best of each pair that has one, those that fit best first.
 
     With each comes whether it is the only one of its pair that fits.
     """
-    found = []
-    for pair in _candidates(bodies):
-        if frozenset(pair) in pinned:
-            continue
-        tried = [
-            joint
-            for one, other in (pair, pair[::-1])
-            if (joint := fit_slide(bodies[one], bodies[other], (one, other))) is not None
-        ]
-        # One that fits much worse is only near to it, by chance.
-        least = max(1.0, min((joint.ratio for joint in tried), default=1.0))
-        tried = [joint for joint in tried if joint.ratio <= _DOUBTFUL * least]
+    slides = []
+    for pair in pairs:
+        fitted = [fit_slide(bodies[i], bodies[j], (i, j)) for i, j in (pair, pair[::-1])]
+        fits = [joint for joint in fitted if joint is not None]
+        # A slide that fits much worse than the other is only near to one, by chance.
+        least = max(1.0, min((joint.ratio for joint in fits), default=1.0))
+        fits = [joint for joint in fits if joint.ratio <= _DOUBTFUL_RATIO * least]
         # A trammel holds the most, and looks like a slot from the other side.
-        tried.sort(key=lambda joint: (joint.kind != 'trammel', joint.kind != 'slide', joint.ratio))
-        found += [(joint, len(tried) == 1) for joint in tried[:1]]
-    # Slides on the ground are more usual than between bodies.
+        fits.sort(key=lambda joint: (joint.kind != 'trammel', joint.kind != 'slide', joint.ratio))
+        slides += [(joint, len(fits) == 1) for joint in fits[:1]]
+    # Slides on the ground are more common than between bodies.
     return sorted(
-        found, key=lambda row: (GROUND_NUMBER not in (row[0].one, row[0].other), row[0].ratio)
+        slides, key=lambda row: (GROUND_NUMBER not in (row[0].one, row[0].other), row[0].ratio)
     )
 
 
 def _gears(bodies: dict[int, Pose], pins: Sequence[Joint]) -> list[Rolling]:
     """Pairs of gears on one arm, those that fit best first."""
-    sides = [
-        (joint.one, joint.on_one, joint.other, joint.on_other, joint.deviation[0]) for joint in pins
-    ]
-    sides += [(other, b, one, a, deviation) for one, a, other, b, deviation in sides]
-    found: list[Rolling] = []
-    # Of two gears the wheel is the one that is not pinned to the ground.
-    grounded = {joint.one for joint in pins if joint.other == GROUND_NUMBER}
+    sides = [(pin.one, pin.on_one, pin.other, pin.on_other, pin.deviation[0]) for pin in pins]
+    sides += [(j, on_j, i, on_i, deviation) for i, on_i, j, on_j, deviation in sides]
+    # The wheel of two gears is the one that is not pinned to the ground.
+    grounded = {pin.one for pin in pins if pin.other == GROUND_NUMBER}
     sides.sort(key=lambda side: side[0] in grounded)
-    for one, hub, arm, at, _ in sides:
-        for other, center, same, there, deviation in sides:
-            if one in (GROUND_NUMBER, other) or same != arm:
+    gears: list[Rolling] = []
+    for i, hub, arm, hub_on_arm, _ in sides:
+        for j, center, arm_of_j, center_on_arm, deviation in sides:
+            if i in (GROUND_NUMBER, j) or arm_of_j != arm:
                 continue
-            # Two wheels on one axle.
-            if abs(at - there) < max(10 * deviation, _SAME_PLACE * bodies[arm].size):
-                continue
-            if any({g.one, g.other} == {one, other} for g in found):
+            axle = max(_SAME_SIGMAS * deviation, _SAME_SHARE * bodies[arm].size)
+            is_one_axle = abs(hub_on_arm - center_on_arm) < axle
+            if is_one_axle or any({gear.one, gear.other} == {i, j} for gear in gears):
                 continue
             gear = fit_gear(
-                bodies[one],
-                bodies[other],
-                bodies[arm],
-                (one, other, arm),
-                (hub, at, center, there),
+                (bodies[i], bodies[j], bodies[arm]),
+                (i, j, arm),
+                (hub, hub_on_arm, center, center_on_arm),
                 deviation,
             )
             if gear is not None:
-                found.append(gear)
-    return sorted(found, key=lambda gear: gear.residual / gear.expected)
+                gears.append(gear)
+    return sorted(gears, key=lambda gear: gear.residual / gear.expected)
 
 
-def _note_loose(
-    joints: Sequence[Joint], rolling: Sequence[Rolling], names: list[str], notes: list[str]
-) -> None:
-    reached = connected(joints, rolling)
-    loose = [name for k, name in enumerate(names) if k not in reached]
+def _connection_notes(
+    joints: Sequence[Joint], rolling: Sequence[Rolling], names: list[str]
+) -> list[str]:
+    """Notes on pairs of bodies that were not examined, and on bodies that nothing connects."""
+    notes = []
+    if len(names) > MOST_PAIRED_BODIES + 1:
+        notes.append(
+            f'joints of each of the {len(names)} bodies are sought with the ground and the '
+            f'{MOST_PAIRED_BODIES} nearest bodies only'
+        )
+    loose = [name for k, name in enumerate(names) if k not in connected(joints, rolling)]
     if loose:
         notes.append(
             f'no joint connects {", ".join(loose)} with the ground: mark the bodies between, or '
             'move the rig further'
         )
+    return notes
 
 
-def _note_exchanged(record: Record, notes: list[str]) -> None:
+def _marker_notes(record: Record, identified: Bodies) -> list[str]:
+    """Notes on exchanged names, and on points that are of no body."""
+    notes = []
     times: dict[tuple[str, str], list[int]] = {}
-    for frame, one, other in record.exchanged:
-        times.setdefault((one, other), []).append(frame)
-    for (one, other), frames in times.items():
+    for frame, *pair in record.exchanged:
+        times.setdefault((pair[0], pair[1]), []).append(frame)
+    for (first, second), frames in times.items():
         often = f', {len(frames)} times in all' if len(frames) > 1 else ''
         notes.append(
-            f'{one!r} and {other!r} exchange names at {record.seconds[frames[0]]:.2f} s{often}: '
+            f'{first!r} and {second!r} exchange names at {record.seconds[frames[0]]:.2f} s{often}: '
             'they are taken as they move; fix: correct the labels in the tracker'
         )
-
-
-def _note_left_over(record: Record, found: Bodies, notes: list[str]) -> None:
-    """Of points with names the table says which are of no body."""
-    seen, taken = (int(np.isfinite(of.real).sum()) for of in (record.points[..., 0], found.tracks))
-    share = 1 - taken / seen
-    if not found.ordered and share > _LEFT_OVER:
+    if identified.ordered and record.unreliable_names:
+        notes.append(
+            'names of markers that pass each other seem to be exchanged; the bodies are rigid by '
+            'them, so they are taken as they are'
+        )
+    seen, assigned = (
+        int(np.isfinite(points.real).sum()) for points in (record.points[..., 0], identified.tracks)
+    )
+    share = 1 - assigned / seen
+    if not identified.ordered and share > _MAX_UNASSIGNED:
         notes.append(
             f'{share:.0%} of the points are of no body that was found: markers may be missing from '
             'some; fix: give the markers names, or take more frames a second'
         )
+    return notes

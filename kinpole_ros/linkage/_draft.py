@@ -1,83 +1,217 @@
 """
-A linkage as a scene: the text of a file that `kinpole solve` and `kinpole simulate` take.
+The draft scene of a discovered linkage: text for `kinpole solve` and `kinpole simulate`.
 
-Each body has its first point for origin and its x axis toward the second, so that the file shows
-lengths as one would write them.
+Each body has its first point for origin and its x axis toward the second point, so that the file
+shows lengths as one would write them.
 """
 
 from collections.abc import Iterator
-from itertools import combinations
+from itertools import combinations, islice
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._drivers import Drive, fit_drive
-from kinpole_ros.linkage._joints import Joint
-from kinpole_ros.linkage._model import GROUND_NUMBER, LINE, Linkage
-from kinpole_ros.linkage._places import connected, trammel_ends
-from kinpole_ros.linkage._poses import ground
-from kinpole_ros.linkage._rolling import Rolling
+from kinpole_ros.linkage._drivers import fit_drive
+from kinpole_ros.linkage._joints import Joint, Rolling
+from kinpole_ros.linkage._linkage import LINE, Linkage, connected, trammel_ends
+from kinpole_ros.linkage._poses import GROUND_NUMBER, Pose, ground
+from kinpole_ros.mechanism import LinkageError, SceneError, load_scene, marker_positions
 
 _DECIMALS = 7  # of a length, m
+# Points of a body this share of its size apart are one but for noise, and give no direction.
+_MIN_DIRECTION = 1e-3
+# Frames at which a draft is compared with the markers, and the time that they span, s.
+_COMPARED_FRAMES, _COMPARED_SECONDS = 20, 2.0
+# Drafts that are tried. The first whose markers are closer than this many times the noise is taken.
+_MAX_DRAFTS, _CLOSE = 6, 5.0
+# A draft explains the markers up to this many times the noise.
+_EXPLAINED = 6.0
+_MIN_NOISE = 1e-6  # m
 
 
-class Frame(NamedTuple):
-    """Where a body's frame in the scene is among its markers: origin, and direction of x, rad."""
+class Checked(NamedTuple):
+    """
+    How well a draft scene explains the markers that it was drawn from.
+
+    Attributes
+    ----------
+    problem
+        Why it cannot be loaded or moved, '' if it can.
+    first
+        Rms distance of its markers from those measured at the first frame, m; NaN without markers.
+    later
+        The same over the first 2 s. The drivers are fits, too.
+    noise
+        Noise of the markers, m.
+
+    """
+
+    problem: str
+    first: float
+    later: float
+    noise: float = 0.0
+
+    @property
+    def drives(self) -> bool:
+        """Whether its drivers move it as measured for a while."""
+        return not self.later > _EXPLAINED * self.noise
+
+    @property
+    def explains(self) -> bool:
+        """Whether it can be moved, and explains the first frame to within the noise."""
+        return not self.problem and not self.first > _EXPLAINED * self.noise
+
+
+class _Frame(NamedTuple):
+    """A body's frame in the scene, among its markers: origin, and angle of its x axis."""
 
     origin: complex
-    turn: float
+    angle: float
 
-    def local(self, place: complex) -> complex:
-        """A place among the markers, in the scene's frame."""
-        return complex((place - self.origin) * np.exp(-1j * self.turn))
+    def local(self, point: complex) -> complex:
+        return complex((point - self.origin) * np.exp(-1j * self.angle))
 
 
 class _Sketch(NamedTuple):
-    """What the text is made of."""
+    """
+    What the text is made of, by number of the body.
 
+    `first` is the frame at which the scene starts, `angles` are those of the bodies there.
+    """
+
+    linkage: Linkage
     bodies: list[int]
-    frames: dict[int, Frame]
+    frames: dict[int, _Frame]
     points: dict[int, dict[str, complex]]
     angles: dict[int, float]
-    joints: list[str]
     first: int
 
+    def name(self, number: int) -> str:
+        return self.linkage.name(number)
 
-def reached(linkage: Linkage) -> list[int]:
-    """Bodies, by number, that joints connect with the ground."""
-    found = connected(linkage.joints, linkage.rolling)
-    return [k for k in range(len(linkage.names)) if k in found]
+    def pose(self, number: int) -> Pose:
+        if number == GROUND_NUMBER:
+            return ground(len(self.linkage.seconds))
+        return self.linkage.poses[number]
+
+    def point(self, body: int, position: complex) -> str:
+        """The name of the point of a body that is nearest to a position."""
+        points = [p for p in self.linkage.places if body in p.on and not p.name.endswith(LINE)]
+        return min(points, key=lambda p: abs(p.on[body] - position)).name
+
+
+def draft(linkage: Linkage, about: str = '') -> tuple[str, Checked] | None:
+    """
+    Draft the scene of a linkage, driven as it moved.
+
+    Parameters
+    ----------
+    linkage
+        From `discover`.
+    about
+        Comment at the head of the file.
+
+    Returns
+    -------
+    tuple or None
+        The scene as text, and how well it explains the markers: the first draft that does, or the
+        best one. None where nothing is connected to the ground, or bodies leave the plane.
+
+    """
+    if linkage.space is not None:
+        return None
+    best: tuple[str, Checked] | None = None
+    for text in islice(_drafts(linkage, about), _MAX_DRAFTS):
+        checked = check_draft(text, linkage)
+        if best is None or _distance(checked) < _distance(best[1]):
+            best = text, checked
+        if not checked.problem and not checked.first > _CLOSE * checked.noise:
+            break
+    return best
+
+
+def _distance(checked: Checked) -> float:
+    return np.inf if checked.problem else float(np.nan_to_num(checked.first))
+
+
+def check_draft(text: str, linkage: Linkage) -> Checked:
+    """
+    Compare a draft scene with the markers of its linkage.
+
+    Parameters
+    ----------
+    text
+        The scene.
+    linkage
+        The linkage that it was drawn from.
+
+    Returns
+    -------
+    Checked
+        How well it explains the markers.
+
+    """
+    noise = max(float(np.median([pose.noise for pose in linkage.poses])), _MIN_NOISE)
+    try:
+        scene = load_scene(text)
+        seconds = linkage.seconds - linkage.seconds[first_frame(linkage)]
+        frames = np.flatnonzero((seconds >= 0) & (seconds <= _COMPARED_SECONDS))
+        frames = frames[:: max(1, len(frames) // _COMPARED_FRAMES)]
+        motion = scene.motion(seconds[frames])
+    except (LinkageError, SceneError) as error:
+        return Checked(str(error).removeprefix('scene: '), np.nan, np.nan, noise)
+    off = []
+    for name, positions in scene.markers.items():
+        number = linkage.names.index(name)
+        drawn = marker_positions(motion[name], positions)
+        column = dict(zip(linkage.markers[number], linkage.columns[number], strict=True))
+        columns = [column[marker] for marker in scene.marker_names[name]]
+        measured = linkage.tracks[frames][:, columns]
+        off.append(np.abs(drawn[..., 0] + 1j * drawn[..., 1] - measured))
+    if not off:
+        return Checked('', np.nan, np.nan, noise)
+    square = np.concatenate(off, axis=1) ** 2
+    with np.errstate(invalid='ignore'):
+        first = float(np.sqrt(np.nanmean(square[0])))
+        return Checked('', first, float(np.sqrt(np.nanmean(square))), noise)
+
+
+def _connected_bodies(linkage: Linkage) -> list[int]:
+    return sorted(connected(linkage.joints, linkage.rolling) - {GROUND_NUMBER})
 
 
 def first_frame(linkage: Linkage) -> int:
-    """The first frame in which all bodies of the scene were seen, or the most of them."""
-    seen = np.sum([linkage.poses[k].seen for k in reached(linkage)], axis=0)
+    """The first frame with the most bodies that joints connect with the ground."""
+    seen = np.sum([linkage.poses[k].seen for k in _connected_bodies(linkage)], axis=0)
     return int(np.argmax(seen))
 
 
-def draft_scenes(linkage: Linkage, about: str = '') -> Iterator[str]:
-    """
-    Texts of the scene, which differ in what drives it, the likeliest first.
-
-    No text where nothing is connected to the ground. Not every body can drive it all the way.
-    """
-    if not reached(linkage):
+def _drafts(linkage: Linkage, about: str) -> Iterator[str]:
+    """Texts of the scene with different drivers, the likeliest first; none without a ground."""
+    if not _connected_bodies(linkage):
         return
     sketch = _sketch(linkage)
+    joints = [line for joint in linkage.joints for line in _joint_lines(sketch, joint)]
+    # On the ground first: its angle cannot be turned to where the teeth mesh.
+    turned: set[int] = set()
+    for wheel in sorted(linkage.rolling, key=lambda wheel: wheel.other != GROUND_NUMBER):
+        joints.append(
+            _gear_line(sketch, wheel, turned) if wheel.circle else _wheel_line(sketch, wheel)
+        )
     lines = [f'# {line}' for line in about.splitlines()]
     lines.append('bodies:')
-    names = {k: linkage.name(k) for k in (GROUND_NUMBER, *sketch.bodies)}
+    names = {k: sketch.name(k) for k in (GROUND_NUMBER, *sketch.bodies)}
     width = max(map(len, names.values()))
     for k, name in names.items():
-        points = ', '.join(f'{p}: {_xy(z)}' for p, z in sketch.points[k].items())
+        points = ', '.join(f'{point}: {_xy(z)}' for point, z in sketch.points[k].items())
         lines.append(f'  {name + ":":<{width + 1}} {{{points}}}')
-    if sketch.joints:
-        lines += ['joints:', *(f'  - {joint}' for joint in sketch.joints)]
+    if joints:
+        lines += ['joints:', *(f'  - {joint}' for joint in joints)]
     start = ', '.join(f'{names[k]}: {np.degrees(a):.6f} deg' for k, a in sketch.angles.items())
-    rest = [f'start: {{{start}}}', *_markers(linkage, sketch)]
-    for drivers in combinations(_choices(linkage, sketch), max(1, linkage.freedom)):
-        driven = ['drivers:', *(f'  - {drive}' for drive in drivers)]
-        yield '\n'.join([*lines, *driven, *rest]) + '\n'
+    tail = [f'start: {{{start}}}', *_marker_lines(sketch)]
+    for drivers in combinations(_driver_lines(sketch), max(1, linkage.freedom)):
+        driven = ['drivers:', *(f'  - {driver}' for driver in drivers)]
+        yield '\n'.join([*lines, *driven, *tail]) + '\n'
 
 
 def _xy(z: complex) -> str:
@@ -85,206 +219,173 @@ def _xy(z: complex) -> str:
 
 
 def _number(value: float) -> str:
-    rounded = round(value, _DECIMALS)
-    return f'{rounded + 0.0:.{_DECIMALS}f}'.rstrip('0').rstrip('.')
+    return f'{round(value, _DECIMALS) + 0.0:.{_DECIMALS}f}'.rstrip('0').rstrip('.')
 
 
-def _fine(value: float) -> str:
-    """To all digits: radii have to add up to the distance of their centers."""
+def _exact(value: float) -> str:
+    """To all digits, since radii must add up to the distance of their centers."""
     return f'{value:.12g}'
 
 
+def _degrees(angle: float) -> str:
+    wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
+    return f'{np.degrees(wrapped) + 0.0:.6f} deg'
+
+
 def _sketch(linkage: Linkage) -> _Sketch:
-    bodies = reached(linkage)
-    first = first_frame(linkage)
-    frames = {GROUND_NUMBER: Frame(0j, 0.0)}
+    bodies, first = _connected_bodies(linkage), first_frame(linkage)
+    frames = {GROUND_NUMBER: _Frame(0j, 0.0)}
     points: dict[int, dict[str, complex]] = {GROUND_NUMBER: {}}
     angles = {}
     for k in bodies:
-        there = [place.on[k] for place in linkage.places if k in place.on]
-        pose = linkage.poses[k]
-        between = there[1] - there[0] if len(there) > 1 else 0j
-        # Points that are one but for noise give no direction.
-        turn = float(np.angle(between)) if abs(between) > 1e-3 * pose.size else 0.0
-        frames[k] = Frame(there[0] if there else 0j, turn)
-        angles[k] = float(np.nan_to_num(pose.angle[first])) + turn
+        own, pose = [point.on[k] for point in linkage.places if k in point.on], linkage.poses[k]
+        x_axis = own[1] - own[0] if len(own) > 1 else 0j
+        is_clear = abs(x_axis) > _MIN_DIRECTION * pose.size
+        frames[k] = _Frame(own[0] if own else 0j, float(np.angle(x_axis)) if is_clear else 0.0)
+        angles[k] = float(np.nan_to_num(pose.angle[first])) + frames[k].angle
         points[k] = {}
-    for place in linkage.places:
-        for k, z in place.on.items():
-            if k in points:
-                local = frames[k].local(z)
-                points[k][place.name] = complex(
-                    round(local.real, _DECIMALS), round(local.imag, _DECIMALS)
-                )
+    for point in linkage.places:
+        for k in point.on.keys() & points.keys():
+            local = frames[k].local(point.on[k])
+            points[k][point.name] = complex(
+                round(local.real, _DECIMALS), round(local.imag, _DECIMALS)
+            )
     for k, named in points.items():
         if not named:
             named['P' if k != GROUND_NUMBER else 'O'] = 0j
-    sketch = _Sketch(bodies, frames, points, angles, [], first)
-    for joint in linkage.joints:
-        if joint.kind != 'pin':
-            sketch.joints.extend(_slides(linkage, sketch, joint))
-    # The ground first: its angle cannot be turned to where gears mesh.
-    turned: set[int] = set()
-    for wheel in sorted(linkage.rolling, key=lambda wheel: wheel.other != GROUND_NUMBER):
-        sketch.joints.append(_rolling(linkage, sketch, wheel, turned))
-    return sketch
+    return _Sketch(linkage, bodies, frames, points, angles, first)
 
 
-def _slides(linkage: Linkage, sketch: _Sketch, joint: Joint) -> list[str]:
-    one, other = linkage.name(joint.one), linkage.name(joint.other)
+def _joint_lines(sketch: _Sketch, joint: Joint) -> list[str]:
+    """The lines of a slot, slide or trammel. A pin has none: its points have one name."""
+    if joint.kind == 'pin':
+        return []
+    mover, base = sketch.name(joint.one), sketch.name(joint.other)
     frame = sketch.frames[joint.other]
     if joint.kind == 'trammel':
-        on = _point(linkage, joint.other, joint.on_other)
-        ends = [_point(linkage, joint.one, end) for end in trammel_ends(joint)]
+        on = sketch.point(joint.other, joint.on_other)
         return [
-            f'{{slot: {one}.{end}, on: {other}.{on}, along: {_degrees(along - frame.turn)}, '
+            f'{{slot: {mover}.{end}, on: {base}.{on}, along: {_degrees(along - frame.angle)}, '
             f'name: slide_{end}}}'
-            for end, along in zip(ends, (0.0, np.pi / 2), strict=True)
+            for end, along in _slide_ends(sketch, joint)
         ]
-    end = _point(linkage, joint.one, joint.on_one)
-    where = f'{one}.{end}, on: {other}.{end}{LINE}, along: {_degrees(joint.along - frame.turn)}'
+    end = sketch.point(joint.one, joint.on_one)
+    on = f'{mover}.{end}, on: {base}.{end}{LINE}, along: {_degrees(joint.along - frame.angle)}'
     if joint.kind == 'slot':
-        return [f'{{slot: {where}, name: slide_{end}}}']
+        return [f'{{slot: {on}, name: slide_{end}}}']
     turned = sketch.angles.get(joint.one, 0.0) - sketch.angles.get(joint.other, 0.0)
-    return [f'{{prismatic: {where}, turned: {_degrees(turned)}, name: slide_{end}}}']
+    return [f'{{prismatic: {on}, turned: {_degrees(turned)}, name: slide_{end}}}']
 
 
-def _degrees(angle: float) -> str:
-    turned = (angle + np.pi) % (2 * np.pi) - np.pi
-    return f'{np.degrees(turned) + 0.0:.6f} deg'
+def _slide_ends(sketch: _Sketch, joint: Joint) -> list[tuple[str, float]]:
+    """The points of a slide or trammel that move along lines, with the lines' directions."""
+    if joint.kind != 'trammel':
+        return [(sketch.point(joint.one, joint.on_one), joint.along)]
+    ends = (sketch.point(joint.one, end) for end in trammel_ends(joint))
+    return list(zip(ends, (0.0, np.pi / 2), strict=True))
 
 
-def _point(linkage: Linkage, body: int, place: complex) -> str:
-    """The name of the point of a body that is at a place."""
-    there = [p for p in linkage.places if body in p.on and not p.name.endswith(LINE)]
-    return min(there, key=lambda p: abs(p.on[body] - place)).name
-
-
-def _rolling(linkage: Linkage, sketch: _Sketch, wheel: Rolling, turned: set[int]) -> str:
-    one, other = linkage.name(wheel.one), linkage.name(wheel.other)
-    hub = _point(linkage, wheel.one, wheel.hub)
-    angle = {**sketch.angles, GROUND_NUMBER: 0.0}
-    frame = sketch.frames[wheel.other]
-    pose = linkage.poses[wheel.one]
-    if not wheel.circle:
-        # How far the hub is along the line where all angles are zero.
-        at = pose.position[sketch.first] + wheel.hub * np.exp(1j * pose.angle[sketch.first])
-        if wheel.other != GROUND_NUMBER:
-            base = linkage.poses[wheel.other]
-            at = (at - base.position[sketch.first]) * np.exp(-1j * base.angle[sketch.first])
-        slid = float((np.exp(-1j * wheel.along) * (at - wheel.at)).real)
-        start = slid + wheel.radius * (angle[wheel.one] - angle[wheel.other])
-        return (
-            f'{{rolling: {one}.{hub}, radius: {_fine(wheel.radius)}, on: {other}.{hub}{LINE}, '
-            f'along: {_degrees(wheel.along - frame.turn)}, start: {_fine(start)}, '
-            f'name: roll_{one}}}'
-        )
-    center = _point(linkage, wheel.other, wheel.at)
-    ends = [sketch.points[wheel.arm][name] for name in (center, hub)]
-    distance = abs(ends[1] - ends[0])
-    inside = wheel.circle < 0
-    radius = float(_fine(wheel.radius))
-    circle = -(distance + radius) if inside else distance - radius
-    # From the point of contact to the hub, as the arm has it: inside, to the center.
-    value = float(np.angle((ends[1] - ends[0]) * (-1 if inside else 1)))
-    if inside and value < 0:
-        value += 2 * np.pi
-    total = circle + radius
-    now = angle[wheel.arm] + value
-    start = now - (circle * angle[wheel.other] + radius * angle[wheel.one]) / total
-    # Whole turns of what is free to count them: the direction begins next to the arm's.
-    free = next((k for k in (wheel.one, wheel.other) if k not in turned), None)
-    if free is not None and free != GROUND_NUMBER:
-        by = (radius if free == wheel.one else circle) / total
-        turns = round((start - value) / (2 * np.pi * by))
-        sketch.angles[free] += 2 * np.pi * turns
-        start -= 2 * np.pi * by * turns
-        turned.add(free)
+def _wheel_line(sketch: _Sketch, wheel: Rolling) -> str:
+    """The line of a wheel that rolls on a line."""
+    mover, base = sketch.name(wheel.one), sketch.name(wheel.other)
+    hub, first = sketch.point(wheel.one, wheel.hub), sketch.first
+    pose, base_pose = sketch.pose(wheel.one), sketch.pose(wheel.other)
+    at = pose.position[first] + wheel.hub * np.exp(1j * pose.angle[first])
+    at = (at - base_pose.position[first]) * np.exp(-1j * base_pose.angle[first])
+    slid = float((np.exp(-1j * wheel.along) * (at - wheel.at)).real)
+    # How far the hub is along the line where all angles are zero.
+    turned = sketch.angles.get(wheel.one, 0.0) - sketch.angles.get(wheel.other, 0.0)
+    start = slid + wheel.radius * turned
     return (
-        f'{{rolling: {one}.{hub}, radius: {_fine(radius)}, on: {other}.{center}, '
-        f'circle: {_fine(circle)}, start: {np.degrees(start):.9f} deg, '
-        f'name: teeth_{one}_{other}}}'
+        f'{{rolling: {mover}.{hub}, radius: {_exact(wheel.radius)}, on: {base}.{hub}{LINE}, '
+        f'along: {_degrees(wheel.along - sketch.frames[wheel.other].angle)}, '
+        f'start: {_exact(start)}, name: roll_{mover}}}'
     )
 
 
-def _choices(linkage: Linkage, sketch: _Sketch) -> list[str]:
-    """Drivers, the simplest first: what turns steadily, what swings as a sine, then tables."""
-    seconds = linkage.seconds - linkage.seconds[sketch.first]
+def _gear_line(sketch: _Sketch, wheel: Rolling, turned: set[int]) -> str:
+    """
+    The line of a gear. Turns a body that is not in `turned` by whole turns, and puts it in.
+
+    `start` is the direction of the hub where all angles are zero. Whole turns of a body that no
+    other gear fixes yet bring it next to the present direction.
+    """
+    gear, partner = sketch.name(wheel.one), sketch.name(wheel.other)
+    center, hub = sketch.point(wheel.other, wheel.at), sketch.point(wheel.one, wheel.hub)
+    arm = sketch.points[wheel.arm][hub] - sketch.points[wheel.arm][center]
+    is_inside = wheel.circle < 0
+    radius = float(_exact(wheel.radius))
+    circle = -(abs(arm) + radius) if is_inside else abs(arm) - radius
+    # From the point of contact to the hub, in the frame of the arm.
+    direction = float(np.angle(-arm if is_inside else arm))
+    if is_inside and direction < 0:
+        direction += 2 * np.pi
+    angles = {**sketch.angles, GROUND_NUMBER: 0.0}
+    total = circle + radius
+    start = angles[wheel.arm] + direction
+    start -= (circle * angles[wheel.other] + radius * angles[wheel.one]) / total
+    free = next((k for k in (wheel.one, wheel.other) if k not in turned), None)
+    if free is not None and free != GROUND_NUMBER:
+        share = (radius if free == wheel.one else circle) / total
+        turns = round((start - direction) / (2 * np.pi * share))
+        sketch.angles[free] += 2 * np.pi * turns
+        start -= 2 * np.pi * share * turns
+        turned.add(free)
+    return (
+        f'{{rolling: {gear}.{hub}, radius: {_exact(radius)}, on: {partner}.{center}, '
+        f'circle: {_exact(circle)}, start: {np.degrees(start):.9f} deg, '
+        f'name: teeth_{gear}_{partner}}}'
+    )
+
+
+def _driver_lines(sketch: _Sketch) -> list[str]:
+    """Possible drivers, the simplest first: steady turns, then sines, then tables."""
+    linkage, first = sketch.linkage, sketch.first
+    seconds = linkage.seconds - linkage.seconds[first]
     grounded = {j.one for j in linkage.joints if j.other == GROUND_NUMBER and j.kind == 'pin'}
-    found: list[tuple[tuple[float, ...], str]] = []
+    ranked: list[tuple[tuple[float, ...], str]] = []
 
-    def add(name: str, values: np.ndarray, offset: float, unit: str, last: tuple[int, ...]) -> None:
+    def rank(name: str, values: np.ndarray, offset: float, unit: str, *last: int) -> None:
         drive = fit_drive(seconds, values, unit == 'deg')
-        rank = ('rate', 'sine', 'table').index(drive.kind)
-        # Sines that fit equally well rank the same.
-        fit = round(4 * np.log10(drive.off + 1e-4)) if drive.kind == 'sine' else 0
-        found.append(((rank, fit, *last), _drive(name, drive, offset, unit)))
+        kind = ('rate', 'sine', 'table').index(drive.kind)
+        # Sines that fit about equally well have one rank.
+        fit = round(4 * np.log10(drive.residual + 1e-4)) if drive.kind == 'sine' else 0
+        ranked.append(((kind, fit, *last), drive.text(name, offset, unit)))
 
-    for place, k in enumerate(sketch.bodies):
+    for number, k in enumerate(sketch.bodies):
         if any(j.kind == 'slide' and k in (j.one, j.other) for j in linkage.joints):
             continue
         pose = linkage.poses[k]
-        # What is written is by the angle that the start is.
-        offset = sketch.angles[k] - float(np.nan_to_num(pose.angle[sketch.first]))
-        add(linkage.name(k), pose.angle, offset, 'deg', (k not in grounded, place))
+        # A driver is written in terms of the angles of the scene.
+        offset = sketch.angles[k] - float(np.nan_to_num(pose.angle[first]))
+        rank(sketch.name(k), pose.angle, offset, 'deg', k not in grounded, number)
         for j in linkage.joints:
             parent = j.one if k == j.other else j.other
-            if j.kind == 'pin' and k in (j.one, j.other) and parent in sketch.bodies[:place]:
+            if j.kind == 'pin' and k in (j.one, j.other) and parent in sketch.bodies[:number]:
                 relative = pose.angle - linkage.poses[parent].angle
-                shift = sketch.angles[k] - sketch.angles[parent] - relative[sketch.first]
-                name = f'{linkage.name(k)}, of: {linkage.name(parent)}'
-                add(name, relative, float(np.nan_to_num(shift)), 'deg', (2, place))
-    for place, joint in enumerate(linkage.joints):
+                shift = sketch.angles[k] - sketch.angles[parent] - relative[first]
+                name = f'{sketch.name(k)}, of: {sketch.name(parent)}'
+                rank(name, relative, float(np.nan_to_num(shift)), 'deg', 2, number)
+    for number, joint in enumerate(linkage.joints):
         if joint.kind in ('slot', 'slide', 'trammel'):
-            for name, along in _along(linkage, joint):
-                add(name, along, 0.0, 'm', (1, place))
-    return [text for _, text in sorted(found)]
+            mover, base = sketch.pose(joint.one), sketch.pose(joint.other)
+            ends = trammel_ends(joint) if joint.kind == 'trammel' else (joint.on_one,)
+            for end, (name, along) in zip(ends, _slide_ends(sketch, joint), strict=True):
+                at = mover.position + end * np.exp(1j * mover.angle) - base.position
+                at = at * np.exp(-1j * base.angle) - joint.on_other
+                rank(f'slide_{name}', (np.exp(-1j * along) * at).real, 0.0, 'm', 1, number)
+    return [text for _, text in sorted(ranked)]
 
 
-def _along(linkage: Linkage, joint: Joint) -> Iterator[tuple[str, np.ndarray]]:
-    """The variables of a slide: how far its points are along their lines."""
-    ends = trammel_ends(joint) if joint.kind == 'trammel' else (joint.on_one,)
-    directions = (0.0, np.pi / 2) if joint.kind == 'trammel' else (joint.along,)
-    ground_pose = ground(len(linkage.seconds))
-    one, other = (
-        ground_pose if k == GROUND_NUMBER else linkage.poses[k] for k in (joint.one, joint.other)
-    )
-    for end, along in zip(ends, directions, strict=True):
-        at = one.position + end * np.exp(1j * one.angle) - other.position
-        at = at * np.exp(-1j * other.angle) - joint.on_other
-        yield f'slide_{_point(linkage, joint.one, end)}', (np.exp(-1j * along) * at).real
-
-
-def _drive(name: str, drive: Drive, offset: float, unit: str) -> str:
-    size = 180 / np.pi if unit == 'deg' else 1.0
-
-    def say(value: float) -> str:
-        return f'{value * size:.6f} {unit}'
-
-    values = drive.values
-    if drive.kind == 'rate':
-        return f'{{drive: {name}, rate: {values[0]:.9g} rad/s, start: {say(values[1] + offset)}}}'
-    if drive.kind == 'sine':
-        mean, amplitude, frequency, phase = values
-        return (
-            f'{{drive: {name}, mean: {say(mean + offset)}, amplitude: {say(amplitude)}, '
-            f'frequency: {frequency:.9g}, phase: {np.degrees(phase):.6f} deg}}'
-        )
-    half = len(values) // 2
-    times = ', '.join(f'{t:.4g}' for t in values[:half])
-    table = ', '.join(f'{(v + offset):.6f}' for v in values[half:])
-    return f'{{drive: {name}, times: [{times}], values: [{table}]}}'
-
-
-def _markers(linkage: Linkage, sketch: _Sketch) -> list[str]:
-    """Each marker on one body: on the first, where it is on the axis of a pin."""
-    lines, taken = [], set()
+def _marker_lines(sketch: _Sketch) -> list[str]:
+    """Markers of bodies; one on the axis of a pin is on the first of its two bodies."""
+    lines: list[str] = []
+    taken: set[str] = set()
     for k in sketch.bodies:
-        pose, frame = linkage.poses[k], sketch.frames[k]
-        both = zip(linkage.markers[k], pose.shape, strict=True)
-        own = {name: frame.local(z) for name, z in both if name not in taken}
+        markers = zip(sketch.linkage.markers[k], sketch.linkage.poses[k].shape, strict=True)
+        own = {name: sketch.frames[k].local(z) for name, z in markers if name not in taken}
         if len(own) > 1:
-            taken |= set(own)
-            places = ', '.join(f"'{name}': {_xy(z)}" for name, z in own.items())
-            lines.append(f'  {linkage.name(k)}: {{{places}}}')
+            taken |= own.keys()
+            points = ', '.join(f"'{name}': {_xy(z)}" for name, z in own.items())
+            lines.append(f'  {sketch.name(k)}: {{{points}}}')
     return ['markers:', *lines] if lines else []

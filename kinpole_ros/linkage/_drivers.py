@@ -1,4 +1,4 @@
-"""What drives a linkage, as a scene says it: a steady turn, a sine, or values over time."""
+"""The drivers of a discovered linkage: a steady turn, a sine, or a table over time."""
 
 from typing import NamedTuple
 
@@ -6,91 +6,120 @@ import numpy as np
 
 from kinpole_ros.planar._plane import Real
 
-# rms off a steady turn, rad, that is still called one; share of its amplitude off a sine.
-_STEADY = 0.05
-_SINE = 0.005
-# Values of a table, and as many of them for each swing.
-_VALUES = 61
-_EACH = 16
-_SHORTEST = 0.5  # s
-_TURN = 2 * np.pi
+# A turn of more than a revolution is steady if its rms residual is below this, rad.
+_MAX_STEADY = 0.05
+# A swing is a sine if its rms residual is below this share of the amplitude, and if it lasts this
+# many periods.
+_MAX_SINE, _MIN_PERIODS = 0.005, 0.5
+# Most frequencies that are scanned. Each step of the refinement is shorter by a factor.
+_MAX_FREQUENCIES, _REFINEMENT = 3000, 1.7
+# Points at which a sine is compared while frequencies are scanned, and refined.
+_SCANNED_POINTS, _REFINED_POINTS = 500, 2000
+# Values of a table, and those that each swing needs. The table is shortened by a factor until its
+# rms error is below a share of the range, or until it is shorter than this many seconds.
+_VALUES, _VALUES_PER_SWING = 61, 16
+_MAX_TABLE, _SHORTER, _MIN_SECONDS = 0.01, 0.7, 0.5
 
 
 class Drive(NamedTuple):
     """
-    How a variable goes over time.
+    How a variable is driven over time.
 
-    `kind` is rate (`values`: rate, start), sine (mean, amplitude, frequency, phase, with
-    mean + amplitude sin(2π frequency t + phase)) or table (times, values one after the other);
-    `off` is the rms of what it leaves over, as a share of the amplitude.
+    `kind` is rate (`values`: rate, start), sine (mean, amplitude, frequency, phase: mean +
+    amplitude sin(2π frequency t + phase)) or table (times, then values). `residual` is the rms
+    residual; that of a sine as a share of the amplitude.
     """
 
     kind: str
     values: tuple[float, ...]
-    off: float
+    residual: float
+
+    def text(self, name: str, offset: float, unit: str) -> str:
+        """The driver of a variable in a scene, in deg or m, with `offset` added to its values."""
+        factor = 180 / np.pi if unit == 'deg' else 1.0
+
+        def quantity(value: float) -> str:
+            return f'{value * factor:.6f} {unit}'
+
+        if self.kind == 'rate':
+            rate, start = self.values
+            return f'{{drive: {name}, rate: {rate:.9g} rad/s, start: {quantity(start + offset)}}}'
+        if self.kind == 'sine':
+            mean, amplitude, frequency, phase = self.values
+            return (
+                f'{{drive: {name}, mean: {quantity(mean + offset)}, '
+                f'amplitude: {quantity(amplitude)}, frequency: {frequency:.9g}, '
+                f'phase: {np.degrees(phase):.6f} deg}}'
+            )
+        half = len(self.values) // 2
+        times = ', '.join(f'{t:.4g}' for t in self.values[:half])
+        table = ', '.join(f'{(value + offset):.6f}' for value in self.values[half:])
+        return f'{{drive: {name}, times: [{times}], values: [{table}]}}'
 
 
-def fit_drive(seconds: Real, values: Real, turns: bool) -> Drive:
-    """A drive of values (T,) at `seconds` (T,), NaN for none; `turns`: it may turn steadily."""
+def fit_drive(seconds: Real, values: Real, may_turn: bool) -> Drive:
+    """Fit a drive to `values` (T,) at `seconds` (T,), NaN for none; `may_turn` allows a rate."""
     seen = np.isfinite(values)
     t, y = seconds[seen], values[seen]
     rate, start = np.polyfit(t, y, 1)
-    off = float(np.std(y - rate * t - start))
-    if turns and off < _STEADY and np.ptp(y) > _TURN:
-        return Drive('rate', (float(rate), float(start)), off)
-    sine = _sine(t, y)
-    if sine is not None:
-        return sine
-    last = min(float(t[-1]), 2 * _VALUES / _EACH / _usual_frequency(t, y))
+    residual = float(np.std(y - rate * t - start))
+    if may_turn and residual < _MAX_STEADY and np.ptp(y) > 2 * np.pi:
+        return Drive('rate', (float(rate), float(start)), residual)
+    return _fit_sine(t, y) or _fit_table(t, y)
+
+
+def _fit_table(t: Real, y: Real) -> Drive:
+    last = min(float(t[-1]), 2 * _VALUES / _VALUES_PER_SWING / _usual_frequency(t, y))
     while True:
         times = np.linspace(0.0, last, _VALUES)
         table = np.interp(times, t, y)
-        part = (t >= 0) & (t <= last)
-        off = float(np.sqrt(np.mean((np.interp(t[part], times, table) - y[part]) ** 2)))
-        # A spline through the values is better by far than the straight lines that are tried.
-        if off < 0.01 * np.ptp(y[part]) or last < _SHORTEST:
+        covered = (t >= 0) & (t <= last)
+        off = np.interp(t[covered], times, table) - y[covered]
+        # The scene's spline is more accurate than the straight lines that are tried here.
+        if float(np.sqrt(np.mean(off**2))) < _MAX_TABLE * np.ptp(y[covered]) or (
+            last < _MIN_SECONDS
+        ):
             return Drive('table', (*times.tolist(), *table.tolist()), 1.0)
-        last *= 0.7
+        last *= _SHORTER
 
 
-def _sine(t: Real, y: Real) -> Drive | None:
-    """The sine that fits best, if one fits at all; frequencies by scanning, then by halving."""
+def _fit_sine(t: Real, y: Real) -> Drive | None:
+    """The best sine, None if none fits. Frequencies are scanned, then refined by steps."""
     length = float(t[-1] - t[0])
-    usual = length / max(len(t) - 1, 1)
-    guess = _usual_frequency(t, y)
-    highest = min(3 * guess + 2 / length, 0.5 / usual)
+    interval = length / max(len(t) - 1, 1)
+    highest = min(3 * _usual_frequency(t, y) + 2 / length, 0.5 / interval)
     frequencies = np.arange(0.25 / length, max(highest, 0.5 / length), 0.2 / length)
-    if len(frequencies) > 3000:
+    if len(frequencies) > _MAX_FREQUENCIES:
         return None
-    some = slice(None, None, max(1, min(len(t) // 500, int(0.2 / highest / usual) or 1)))
-    left = [_left_over(t[some], y[some], f)[0] for f in frequencies]
-    some = slice(None, None, max(1, len(t) // 2000))
-    t, y = t[some], y[some]
-    best = float(frequencies[int(np.argmin(left))])
-    step = 0.1 / length
-    while step > 1e-9 * best:
-        around = [best - step, best, best + step]
-        best = around[int(np.argmin([_left_over(t, y, f)[0] for f in around]))]
-        step /= 1.7
-    off, (mean, a, b) = _left_over(t, y, best)
+    step = max(1, min(len(t) // _SCANNED_POINTS, int(0.2 / highest / interval) or 1))
+    residuals = [_sine_fit(t[::step], y[::step], f)[0] for f in frequencies]
+    step = max(1, len(t) // _REFINED_POINTS)
+    t, y = t[::step], y[::step]
+    best = float(frequencies[int(np.argmin(residuals))])
+    change = 0.1 / length
+    while change > 1e-9 * best:
+        near = [best - change, best, best + change]
+        best = near[int(np.argmin([_sine_fit(t, y, f)[0] for f in near]))]
+        change /= _REFINEMENT
+    residual, (mean, a, b) = _sine_fit(t, y, best)
     amplitude = float(np.hypot(a, b))
-    # Less than half a swing may be anything.
-    if off > _SINE * amplitude or best * length < 0.5:
+    if residual > _MAX_SINE * amplitude or best * length < _MIN_PERIODS:
         return None
     phase = float(np.arctan2(b, a))
-    return Drive('sine', (float(mean), amplitude, best, phase), off / amplitude)
+    return Drive('sine', (float(mean), amplitude, best, phase), residual / amplitude)
 
 
 def _usual_frequency(t: Real, y: Real) -> float:
-    """How often it crosses its median, of two crossings a period."""
+    """Frequency by the crossings of the median, two a period."""
     length = float(t[-1] - t[0])
-    # What is nearer than a twentieth of its range to the median is not a crossing yet.
+    # Values within a twentieth of the range of the median are noise, not a crossing.
     clear = np.sign(y - np.median(y))[np.abs(y - np.median(y)) > 0.05 * np.ptp(y)]
     return max(int((np.diff(clear) != 0).sum()) / (2 * length), 0.25 / length)
 
 
-def _left_over(t: Real, y: Real, frequency: float) -> tuple[float, Real]:
-    angle = _TURN * frequency * t
+def _sine_fit(t: Real, y: Real, frequency: float) -> tuple[float, Real]:
+    """Rms residual, and mean and factors of sine and cosine (3,), by least squares."""
+    angle = 2 * np.pi * frequency * t
     rows = np.stack((np.ones(len(t)), np.sin(angle), np.cos(angle)), axis=1)
-    found, *_ = np.linalg.lstsq(rows, y, rcond=None)
-    return float(np.std(y - rows @ found)), found
+    solution, *_ = np.linalg.lstsq(rows, y, rcond=None)
+    return float(np.std(y - rows @ solution)), solution

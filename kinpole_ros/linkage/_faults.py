@@ -1,8 +1,8 @@
 """
-Which dimension of a scene is wrong, by how much: the one whose correction explains the residuals.
+Which dimension of a scene is wrong, and by how much, from the residuals of its joints.
 
-All are tried by one linearized least squares: what a correction would take off the sum of squares
-(the score test, as data snooping in geodesy: Baarda 1968), the best first, then what is left.
+Each correction is tried in one linearized least squares, by what it takes off the sum of squares
+(the score test, as data snooping in geodesy: Baarda 1968): the best one first, then again.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,26 +10,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._residuals import point_dimensions
-from kinpole_ros.linkage._unknowns import Normal, always_free, independent
-from kinpole_ros.mechanism import Equations
+from kinpole_ros.linkage._least_squares import Normal, always_free, independent
+from kinpole_ros.mechanism import Dimension, Equations
 from kinpole_ros.planar._plane import Real
 
-# What is taken off, of 1, 2, 3 unknowns at once, by chance as seldom as 5 deviations of one.
-_BY_CHANCE = (25.0, 28.7, 31.8)
-# Off for each unknown, where several explain the same; those as good but for this much are named.
+# Least reduction of the sum of squares by 1, 2 and 3 unknowns at once. By chance it is exceeded as
+# rarely as 5 standard deviations.
+_MIN_REDUCTION = (25.0, 28.7, 31.8)
+# Reduction that each further unknown must bring, and the difference of two explanations up to which
+# both are named.
 _PRICE, _AS_GOOD = 10.0, 15.0
-_MOST_FAULTS = 6
-# What others leave so little of, of its square, cannot be told from them.
+_MAX_FAULTS = 6
+# An unknown depends on those before it if they leave less than this share of its column, squared.
 _DEPENDENT = 1e-7
 
 
 class Fault(NamedTuple):
     """
-    What is wrong with a scene, in words or by the name of a point, length or angle: `subject`.
+    What is wrong with a scene: `subject`, a point, length or angle by name, or words.
 
-    It is `off` by so much, m or rad as `unit` says, `deviation` being that of it, all of it
-    `deviations` off; `step` are its corrections by unknown. `others` would explain as much.
+    It is `off` by this much, m or rad as `unit` says, with the standard deviation `deviation`;
+    `deviations` is its significance. `step` are its corrections by unknown. `alternatives` explain
+    about as much.
     """
 
     subject: str
@@ -38,81 +40,131 @@ class Fault(NamedTuple):
     deviation: float
     deviations: float
     step: dict[int, float]
-    others: tuple[str, ...]
+    alternatives: tuple[str, ...]
+
+    def message(self, dimensions: Sequence[Dimension]) -> str:
+        """Say what is wrong, by how much, and what would be right."""
+        factor, unit = (1e3, 'mm') if self.unit == 'm' else (180 / np.pi, 'deg')
+        off = (
+            f'{self.off * factor:.4g} {unit} off (deviation {self.deviation * factor:.2g} {unit}; '
+            f'{self.deviations:.0f} deviations)'
+        )
+        alternatives = f'; or else {", ".join(self.alternatives)}' if self.alternatives else ''
+        rows = [k for k, dimension in enumerate(dimensions) if dimension.name == self.subject]
+        if not rows:
+            return (
+                f'{self.subject} are {off}, all by the same, from where the scene has them'
+                f'{alternatives}: correct their places in the scene, or the dimensions named'
+            )
+        before = [dimensions[k].value for k in rows]
+        after = [dimensions[k].value + self.step.get(k, 0.0) for k in rows]
+        texts = [', '.join(f'{value:.6g}' for value in values) for values in (before, after)]
+        stated, right = (f'[{text}]' if len(rows) > 1 else text for text in texts)
+        return (
+            f'{self.subject} is {off}: the scene says {stated} {self.unit}, the bodies move as '
+            f'with {right} {self.unit}{alternatives}'
+        )
 
 
-def faults(
+class _Candidate(NamedTuple):
+    """A correction of some unknowns, and the reduction of the sum of squares by it."""
+
+    subject: str
+    unknowns: list[int]
+    reduction: float
+
+    @property
+    def score(self) -> float:
+        return self.reduction - _PRICE * len(self.unknowns)
+
+
+def find_faults(
     equations: Equations,
     normal: Normal,
     measured: Sequence[str],
     excess: Callable[[list[int], Real], float],
 ) -> list[Fault]:
     """
-    What is wrong with the scene that left so much; `measured` are the bodies with markers.
+    Find what is wrong with a scene, the most significant first.
 
-    A point is wrong in both coordinates; the markers of a body may sit elsewhere, all together.
-    `excess` tells by how much variances are to be larger, once unknowns are corrected by so much.
+    A point is wrong in both coordinates; all markers of a body may sit elsewhere. `measured` are
+    the bodies with markers. `excess` is the factor of the variances once some unknowns are
+    corrected by a change.
     """
     count = len(equations.dimensions)
-    tried = point_dimensions(equations.dimensions)
+    subjects = _dimensions_by_name(equations.dimensions)
     for b, body in enumerate(measured):
         first = count + 3 + 3 * b
-        tried[f'the markers of {body}'] = [first, first + 1, first + 2]
-    known = always_free(equations)
-    found: list[Fault] = []
-    while len(found) < _MOST_FAULTS and tried:
-        base, _, _ = independent(normal.square, known)
-        reduced, gradient = _reduced(normal, base)
-        best = []
-        for name, rows in tried.items():
-            gain, step = _gain(reduced, gradient, np.diag(normal.square), rows)
-            best.append((gain - _PRICE * len(step), gain, name, step))
+        subjects[f'the markers of {body}'] = [first, first + 1, first + 2]
+    free = always_free(equations)
+    faults: list[Fault] = []
+    while len(faults) < _MAX_FAULTS and subjects:
+        base, _ = independent(normal.square, free)
+        square, gradient = _eliminated(normal, base)
+        candidates = [
+            _candidate(subject, unknowns, square, gradient, np.diag(normal.square))
+            for subject, unknowns in subjects.items()
+        ]
         # Of two that are the same, as the ends of one link, the one that is not an origin.
-        best.sort(key=lambda row: (-round(row[0], 3), -_value(equations, tried[row[2]])))
-        price, gain, name, step = best[0]
-        if not step or gain < _BY_CHANCE[len(step) - 1]:
+        candidates.sort(
+            key=lambda c: (-round(c.score, 3), -_magnitude(equations, subjects[c.subject]))
+        )
+        best = candidates[0]
+        if not best.unknowns or best.reduction < _MIN_REDUCTION[len(best.unknowns) - 1]:
             break
-        # What is left with it, and all before, corrected.
-        columns, _, inverse = independent(normal.square, [*base, *step])
-        change = -inverse @ normal.gradient[columns]
-        more = excess(columns, change)
-        if gain < _BY_CHANCE[len(step) - 1] * more:
+        columns, covariance = independent(normal.square, [*base, *best.unknowns])
+        change = -covariance @ normal.gradient[columns]
+        factor = excess(columns, change)
+        if best.reduction < _MIN_REDUCTION[len(best.unknowns) - 1] * factor:
             break
-        own = [columns.index(k) for k in step]
+        alternatives = tuple(
+            c.subject for c in candidates[1:] if c.score > best.score - _AS_GOOD * factor
+        )
+        own = [columns.index(k) for k in best.unknowns]
         lengths = [k for k in own if _kind(equations, columns[k]) == 'length'] or own
         off = change[lengths]
         size = float(np.linalg.norm(off)) or 1e-300
-        spread = inverse[np.ix_(lengths, lengths)] * more
-        others = tuple(row[2] for row in best[1:] if row[0] > price - _AS_GOOD * more)
-        fault = Fault(
-            name,
-            {'length': 'm', 'angle': 'rad'}[_kind(equations, columns[lengths[0]])],
-            size,
-            float(np.sqrt(off @ spread @ off)) / size,
-            float(np.sqrt(gain / more)),
-            {columns[k]: float(change[k]) for k in own},
-            others,
+        variance = off @ (covariance[np.ix_(lengths, lengths)] * factor) @ off
+        faults.append(
+            Fault(
+                best.subject,
+                {'length': 'm', 'angle': 'rad'}[_kind(equations, columns[lengths[0]])],
+                size,
+                deviation=float(np.sqrt(variance)) / size,
+                deviations=float(np.sqrt(best.reduction / factor)),
+                step={columns[k]: float(change[k]) for k in own},
+                alternatives=alternatives,
+            )
         )
-        found.append(fault)
-        known += step
-        del tried[name]
-    return found
+        free += best.unknowns
+        del subjects[best.subject]
+    return faults
 
 
-def _value(equations: Equations, rows: Sequence[int]) -> float:
-    known = [k for k in rows if k < len(equations.dimensions)]
-    return float(np.linalg.norm([equations.dimensions[k].value for k in known]))
+def _dimensions_by_name(dimensions: Sequence[Dimension]) -> dict[str, list[int]]:
+    """Numbers of the dimensions that the scene's file states, by name: of both coordinates."""
+    numbers: dict[str, list[int]] = {}
+    for k, dimension in enumerate(dimensions):
+        if dimension.path:
+            numbers.setdefault(dimension.name, []).append(k)
+    return numbers
+
+
+def _magnitude(equations: Equations, unknowns: Sequence[int]) -> float:
+    """Magnitude of a point, length or angle as the scene has it."""
+    stated = [k for k in unknowns if k < len(equations.dimensions)]
+    return float(np.linalg.norm([equations.dimensions[k].value for k in stated]))
 
 
 def _kind(equations: Equations, unknown: int) -> str:
-    """Whether an unknown, numbered as in `Left`, is a 'length' or an 'angle'."""
+    """Whether an unknown is a 'length' or an 'angle'."""
     count = len(equations.dimensions)
     if unknown < count:
         return equations.dimensions[unknown].kind
     return 'angle' if (unknown - count) % 3 == 2 else 'length'
 
 
-def _reduced(normal: Normal, base: list[int]) -> tuple[Real, Real]:
+def _eliminated(normal: Normal, base: list[int]) -> tuple[Real, Real]:
     """Normal matrix (U, U) and gradient (U,) of all unknowns with those of `base` eliminated."""
     square, gradient = normal.square, normal.gradient
     if not base:
@@ -126,23 +178,23 @@ def _reduced(normal: Normal, base: list[int]) -> tuple[Real, Real]:
     )
 
 
-def _gain(
-    square: Real, gradient: Real, before: Real, rows: Sequence[int]
-) -> tuple[float, list[int]]:
+def _candidate(
+    subject: str, unknowns: Sequence[int], square: Real, gradient: Real, diagonal: Real
+) -> _Candidate:
     """
-    What correcting `rows` takes off the sum of squares, and which of them can be told.
+    Try a correction of the `unknowns` that are independent of each other and of those eliminated.
 
-    `before` (U,) is the diagonal before anything was eliminated.
+    `diagonal` (U,) is that of the normal matrix before the elimination.
     """
     used: list[int] = []
-    for k in rows:
-        trial = [*used, k]
-        rest = square[k, k]
+    for k in unknowns:
+        remainder = square[k, k]
         if used:
-            rest -= square[k, used] @ np.linalg.solve(square[np.ix_(used, used)], square[used, k])
-        if rest > _DEPENDENT * before[k]:
-            used = trial
+            across = np.linalg.solve(square[np.ix_(used, used)], square[used, k])
+            remainder -= square[k, used] @ across
+        if remainder > _DEPENDENT * diagonal[k]:
+            used.append(k)
     if not used:
-        return 0.0, []
-    part = np.linalg.solve(square[np.ix_(used, used)], gradient[used])
-    return float(gradient[used] @ part), used
+        return _Candidate(subject, [], 0.0)
+    step = np.linalg.solve(square[np.ix_(used, used)], gradient[used])
+    return _Candidate(subject, used, float(gradient[used] @ step))

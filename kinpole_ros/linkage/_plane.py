@@ -1,91 +1,97 @@
-"""The plane that markers move in, and the unit they are in, from their places alone."""
+"""The plane of a recorded motion, the unit of length, and the noise of tracks."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.tracking.plane import NORMALS
+from kinpole_ros.tracking.plane import AXES, NORMALS, Plane, plane_along
 
-# deg. A plane nearer to one of the axes' is taken for that: it costs 0.004% of a length.
-_LEVEL = 0.5
-# Of the largest extent: a motion narrower than that is a line, which lies in many planes.
-_LINE = 1e-3
-# The same where what is across the line is no more than this many times what is out of the plane.
-_STRAIGHT, _NARROW = 0.05, 3.0
-# m. A body larger than that is none; its unit is mm.
-_LARGEST_BODY = 20.0
+# A plane nearer than this, deg, to one of the axes is taken for that: it costs 0.004% of a length.
+_LEVEL_DEG = 0.5
+# The motion is along a line, which lies in many planes, if its extent across is below one of these:
+# a share of that along; or a larger share, and this many times the extent out of the plane.
+_LINE, _WIDE_LINE, _LINE_RATIO = 1e-3, 0.05, 3.0
+# No body is larger than this, m; a larger one is in mm.
+_MAX_BODY_SIZE = 20.0
 
 
-class Plane(NamedTuple):
+class MotionPlane(NamedTuple):
     """
-    `name` is xy, yz or zx where it is one of them, else ''; `normal` (3,), `axes` (2, 3) in it.
+    The plane of a motion.
 
-    `tilt` is the angle to the nearest of these three, deg; `source` says where it is from:
-    'motion', 'layout' (of the markers, since all moves along one line) or 'given'. `spread` is the
-    rms of what is out of the plane, `across` and `size` are those of the motion in it, least and
-    largest.
+    `tilt` is the angle to the nearest plane of the axes, deg. `source` is 'motion', 'layout' (of
+    the markers, for a motion along one line) or 'given'. `spread` is the rms motion out of the
+    plane, `across` and `size` are the least and the largest rms motion in it.
     """
 
-    name: str
-    normal: np.ndarray
-    axes: np.ndarray
+    plane: Plane
     tilt: float
     source: str
     spread: float
     across: float
     size: float
 
+    @property
+    def name(self) -> str:
+        """xy, yz or zx where the plane is one of these, else ''."""
+        return next((name for name, axes in AXES.items() if axes == self.plane.axes), '')
+
+    @property
+    def normal(self) -> np.ndarray:
+        """The unit normal (3,)."""
+        return self.plane.normal
+
     def project(self, points: np.ndarray) -> Complex:
-        """Points (..., 3) in the plane, complex."""
-        flat = points @ self.axes.T
-        return np.asarray(flat[..., 0] + 1j * flat[..., 1])
+        """Points (..., 3) as complex numbers of the plane (...)."""
+        return self.plane.project(points)[0]
 
 
 def fit_plane(
     points: np.ndarray, given: np.ndarray | None = None, turns: np.ndarray | float = 0.0
-) -> Plane:
+) -> MotionPlane:
     """
     Fit the plane of the motion of tracks (T, n, 3), NaN for none.
 
-    Its normal is the direction in which they leave their means the least: the eigenvector of the
-    smallest eigenvalue of their scatter, to which `turns` (3, 3) may add that of bodies about the
-    other axes. The normal `given` (3,) is taken as it is. Where all moves along one line, the
-    markers' own arrangement decides which plane through it is taken.
+    The normal is the direction of least scatter of the markers about their means, to which `turns`
+    (3, 3) may add the scatter of rotation vectors about the other axes. A normal `given` (3,) is
+    taken as it is. Where all moves along one line, the arrangement of the markers decides which
+    plane through the line is taken.
     """
-    scatter = scatter_about(points, 0)
+    scatter = _scatter(points, 0)
     values, vectors = np.linalg.eigh(scatter + turns)
-    normal, source = vectors[:, 0], 'motion'
     sizes = np.sqrt(np.maximum(values, 0))
+    is_line = sizes[1] < _WIDE_LINE * sizes[2] and (
+        sizes[1] < max(_LINE * sizes[2], _LINE_RATIO * sizes[0])
+    )
     if given is not None:
         normal, source = given / np.linalg.norm(given), 'given'
-    elif sizes[1] < max(_LINE * sizes[2], _NARROW * sizes[0]) and sizes[1] < _STRAIGHT * sizes[2]:
-        line = vectors[:, 2]
-        across = np.eye(3) - np.outer(line, line)
-        layout = across @ scatter_about(points, 1) @ across
-        # Not the line itself, though nothing is left along it.
-        layout += np.trace(layout) * np.outer(line, line) + np.outer(line, line)
-        normal, source = np.linalg.eigh(layout)[1][:, 0], 'layout'
-    if given is None:
+    else:
+        normal, source = vectors[:, 0], 'motion'
+        if is_line:
+            along = np.outer(vectors[:, 2], vectors[:, 2])
+            layout = (np.eye(3) - along) @ _scatter(points, 1) @ (np.eye(3) - along)
+            # The normal must not be along the line, where no scatter is left.
+            layout += np.trace(layout) * along + along
+            normal, source = np.linalg.eigh(layout)[1][:, 0], 'layout'
         normal = normal * np.sign(normal[np.abs(normal).argmax()])
-    cosines = {name: abs(float(normal @ axis)) for name, axis in NORMALS.items()}
-    nearest = max(cosines, key=lambda name: cosines[name])
-    tilt = float(np.degrees(np.arccos(min(cosines[nearest], 1.0))))
-    is_level = tilt < _LEVEL and normal @ NORMALS[nearest] > 0
-    name = nearest if is_level else ''
-    if name:
-        normal = np.array(NORMALS[name])
-    axes = _axes(name, normal)
+    cosines = {name: float(normal @ axis) for name, axis in NORMALS.items()}
+    nearest = max(cosines, key=lambda name: abs(cosines[name]))
+    tilt = float(np.degrees(np.arccos(min(abs(cosines[nearest]), 1.0))))
+    if tilt < _LEVEL_DEG and cosines[nearest] > 0:
+        normal = np.array(NORMALS[nearest])
+    plane = plane_along(normal)
+    axes = plane.basis[:2]
     inside = np.sqrt(np.maximum(np.linalg.eigvalsh(axes @ scatter @ axes.T), 0))
     spread = float(np.sqrt(max(normal @ scatter @ normal, 0.0)))
-    return Plane(name, normal, axes, tilt, source, spread, float(inside[0]), float(inside[1]))
+    return MotionPlane(plane, tilt, source, spread, float(inside[0]), float(inside[1]))
 
 
-def scatter_about(points: np.ndarray, axis: int) -> np.ndarray:
+def _scatter(points: np.ndarray, axis: int) -> np.ndarray:
     """
-    Compute the mean scatter (3, 3) of points (T, n, 3), NaN for none, about their means.
+    Mean scatter (3, 3) of points (T, n, 3), NaN for none.
 
-    About those of each marker over time for `axis` 0, of each frame over the markers for 1.
+    For `axis` 0 about the mean of each marker over time, for 1 about that of each frame.
     """
     seen = np.isfinite(points[..., :1])
     count = np.maximum(seen.sum(axis=axis, keepdims=True), 1)
@@ -94,41 +100,30 @@ def scatter_about(points: np.ndarray, axis: int) -> np.ndarray:
     return np.asarray(off.T @ off / max(int(seen.sum()), 1))
 
 
-def _axes(name: str, normal: np.ndarray) -> np.ndarray:
-    """Two axes (2, 3) of the plane: of the frame where it is level, else the nearest to these."""
-    k = (
-        int(np.abs(normal).argmax())
-        if not name
-        else list('xyz').index({'xy': 'z', 'yz': 'x', 'zx': 'y'}[name])
-    )
-    first = np.eye(3)[(k + 1) % 3]
-    first = first - (first @ normal) * normal
-    first /= np.linalg.norm(first)
-    return np.stack((first, np.cross(normal, first)))
+def unit_scale(largest: float) -> float:
+    """Length of a unit, m: 1 or 0.001, by the largest distance of two markers of one body."""
+    return 0.001 if largest > _MAX_BODY_SIZE else 1.0
 
 
-def scale_of(largest: float) -> float:
-    """Length of a unit, m, by the largest distance of two markers of one body."""
-    return 0.001 if largest > _LARGEST_BODY else 1.0
-
-
-def noise_of(tracks: Complex) -> Real:
+def track_noise(tracks: Complex) -> Real:
     """
-    Noise (n,) of tracks (T, n) per axis, from their fourth differences, which a motion hardly has.
+    Noise (n,) of tracks (T, n) per axis, by the median of fourth differences; NaN for too few.
 
-    By the median, so that points of another marker do not count; NaN where there are too few.
+    The motion hardly contributes to these differences, and points of other markers do not change
+    the median.
     """
     steep = tracks[:-4] - 4 * tracks[1:-3] + 6 * tracks[2:-2] - 4 * tracks[3:-1] + tracks[4:]
-    both = np.concatenate((steep.real, steep.imag))
-    seen = np.isfinite(both) & np.isfinite(np.concatenate((steep.real, steep.real)))
-    both[~seen] = np.nan
-    enough = seen.sum(axis=0) >= 10
-    both[:, ~enough] = 0.0
-    noise = np.nanmedian(np.abs(both), axis=0) / (0.67449 * np.sqrt(70))
-    return np.where(enough, noise, np.nan)
+    values = np.concatenate((steep.real, steep.imag))
+    seen = np.isfinite(np.concatenate((steep.real, steep.real)))
+    values[~seen] = np.nan
+    has_enough = seen.sum(axis=0) >= 10
+    values[:, ~has_enough] = 0.0
+    # 0.67449: median over standard deviation; 70: sum of the squared coefficients.
+    noise = np.nanmedian(np.abs(values), axis=0) / (0.67449 * np.sqrt(70))
+    return np.where(has_enough, noise, np.nan)
 
 
-def noise_in_space(points: np.ndarray) -> Real:
-    """Noise (n,) of tracks (T, n, 3) per axis, as `noise_of` has it."""
-    planes = np.stack([noise_of(points[..., k] + 1j * points[..., (k + 1) % 3]) for k in range(3)])
-    return np.asarray(np.sqrt(np.mean(planes**2, axis=0)))
+def space_noise(points: np.ndarray) -> Real:
+    """Noise (n,) of tracks (T, n, 3) per axis, as `track_noise` has it."""
+    planes = [track_noise(points[..., k] + 1j * points[..., (k + 1) % 3]) for k in range(3)]
+    return np.asarray(np.sqrt(np.mean(np.stack(planes) ** 2, axis=0)))

@@ -1,30 +1,35 @@
-"""Where a rigid body was in every frame, and how well its markers tell."""
+"""Poses of rigid bodies in the plane, frame by frame, and which markers are fixed on them."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._columns import medians, quantiles
+from kinpole_ros.linkage._rigid import MIN_FRAMES, Groups, quantiles, single_markers
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.tracking.statistics import medians
 
-# Residuals beyond so many deviations are of another marker.
-_OUTLIER = 6.0
+GROUND, GROUND_NUMBER = 'ground', -1
+# Residuals beyond this many standard deviations are of another marker.
+_OUTLIER_SIGMAS = 6.0
 _ROUNDS = 3
-# As many are enough to see whether a marker is on a body, and fewer say nothing.
-_FRAMES = 3000
-_FEWEST = 30
+# A marker is on a body if it is no farther from a fixed place than this many standard deviations,
+# or than this many times the body's own markers.
+_ON_BODY = 2.0
+# A marker on the axis of a pin is on both bodies if it is off each by less than this many standard
+# deviations, or by less than this many times the smaller of both.
+_SHARED, _SHARED_RATIO = 1.3, 1.3
+_SAMPLED_FRAMES = 3000
 
 
 class Pose(NamedTuple):
     """
     A body's motion over T frames, and its markers.
 
-    `position` (T,) complex is where the mean of its markers is, `angle` (T,) its turn from the
-    first frame on, rad, both NaN where it was not seen. `shape` (n,) are its markers in its own
-    axes about their mean. `noise` is that of a marker per axis as the fit leaves it,
-    `position_variance` (per axis) and `angle_variance` are those of one frame. `share` (n,) is how
-    often each of its markers was seen and fits.
+    `position` (T,), complex, is that of the mean of its markers, `angle` (T,) its angle from the
+    first frame on, rad, both NaN where it was not seen. `shape` (n,) are its markers about their
+    mean in its own axes. `noise` is the rms residual of a marker per axis; `position_variance` (per
+    axis) and `angle_variance` are those of one frame.
     """
 
     position: Complex
@@ -33,7 +38,6 @@ class Pose(NamedTuple):
     noise: float
     position_variance: float
     angle_variance: float
-    share: Real
 
     @property
     def size(self) -> float:
@@ -42,112 +46,138 @@ class Pose(NamedTuple):
 
     @property
     def seen(self) -> np.ndarray:
-        """Frames (T,) in which it was."""
+        """Whether it was seen in each frame (T,)."""
         return np.isfinite(self.angle)
 
 
-GROUND = 'ground'
-
-
 def ground(frames: int) -> Pose:
-    """The body that stands still."""
-    nothing = np.zeros(frames)
-    return Pose(nothing + 0j, nothing, np.zeros(1, complex), 0.0, 0.0, 0.0, np.ones(1))
+    """The pose of the ground, which stands still."""
+    zeros = np.zeros(frames)
+    return Pose(zeros + 0j, zeros, np.zeros(1, complex), 0.0, 0.0, 0.0)
 
 
 def fit_body(tracks: Complex) -> Pose:
     """
-    The motion of a body of the tracks (T, n), complex, NaN for none.
+    Fit the motion of a body to its tracks (T, n), complex, NaN for none.
 
-    Generalized Procrustes: poses by the shape, the shape by the poses (Gower 1975), with what is of
-    another marker left out.
+    Generalized Procrustes: poses by the shape, the shape by the poses (Gower 1975). Points of other
+    markers are left out from the second round on.
     """
     seen = np.isfinite(tracks.real)
     full = int(seen.sum(axis=1).argmax())
     shape = np.where(seen[full], tracks[full] - np.mean(tracks[full][seen[full]]), np.nan)
     used = seen.copy()
     for _ in range(_ROUNDS + 1):
-        known = np.isfinite(shape)
-        fit = fit_pose(tracks, np.where(known, shape, 0), (used & known).astype(float))
-        turn = np.exp(1j * fit.angle)
-        local = (tracks - fit.position[:, None]) * turn.conj()[:, None]
-        # What does not fit is left out from the second round on, when the shape is known.
+        has_place = np.isfinite(shape)
+        weights = (used & has_place).astype(float)
+        fit = fit_pose(tracks, np.where(has_place, shape, 0), weights)
+        is_fitted = np.isfinite(fit.angle)
+        local = (tracks - fit.position[:, None]) * np.exp(1j * fit.angle).conj()[:, None]
         with np.errstate(invalid='ignore'):
             off = np.abs(local - shape)
-            off[~np.isfinite(fit.angle)] = np.nan
-            fitted = off[:, known]
-            fitted = fitted[np.isfinite(fitted)]
-            usual = np.median(fitted) / 1.1774 if len(fitted) else 0.0
-            used = seen & ~(off > _OUTLIER * usual + 1e-12)
-        local = np.where(used & np.isfinite(fit.angle)[:, None], local, np.nan)
+            off[~is_fitted] = np.nan
+            residuals = off[:, has_place]
+            residuals = residuals[np.isfinite(residuals)]
+            # The median of a Rayleigh distribution is 1.1774 standard deviations.
+            noise = np.median(residuals) / 1.1774 if len(residuals) else 0.0
+            used = seen & ~(off > _OUTLIER_SIGMAS * noise + 1e-12)
+        local = np.where(used & is_fitted[:, None], local, np.nan)
         counts = np.isfinite(local.real).sum(axis=0)
-        mean = np.nansum(local, axis=0) / np.maximum(counts, 1)
-        shape = np.where(counts > 0, mean, np.nan)
         if not counts.any():
-            # Its markers were never seen together where they keep their distances.
             return _never_seen(tracks)
+        shape = np.where(counts > 0, np.nansum(local, axis=0) / np.maximum(counts, 1), np.nan)
         shape = shape - np.mean(shape[np.isfinite(shape)])
     used &= np.isfinite(shape)
-    # A body of two markers that are not as far from each other as they should be.
     fit = fit_pose(tracks, np.nan_to_num(shape), used.astype(float))
     freedom = np.maximum(2 * used.sum(axis=1) - 3, 0)
     square = np.nansum(np.where(used, np.abs(fit.residual) ** 2, 0), axis=1)
     noise = float(np.sqrt(square[freedom > 0].sum() / max(freedom.sum(), 1)))
-    good = np.isfinite(fit.angle) & ~_flipped(fit.angle)
-    if not good.any():
+    valid = np.isfinite(fit.angle) & ~_is_flipped(fit.angle)
+    if not valid.any():
         return _never_seen(tracks)
     angle = np.full(len(tracks), np.nan)
-    angle[good] = np.unwrap(fit.angle[good])
-    # Shape and positions are about the mean of all; with some unseen they are known a little less.
+    angle[valid] = np.unwrap(fit.angle[valid])
     variance = noise**2
     return Pose(
-        np.where(good, fit.position, np.nan),
+        np.where(valid, fit.position, np.nan),
         angle,
         shape,
         noise,
-        variance * float(np.mean(1 / fit.weight[good])),
-        variance * float(np.mean(1 / fit.spread[good])),
-        used.mean(axis=0),
+        variance * float(np.mean(1 / fit.weight[valid])),
+        variance * float(np.mean(1 / fit.spread[valid])),
     )
 
 
 def _never_seen(tracks: Complex) -> Pose:
     """The pose of a body of which no frame of the tracks (T, n) has two markers that fit."""
     frames, count = tracks.shape
-    unknown = np.full(frames, np.nan)
+    nan = np.full(frames, np.nan)
     shape = np.full(count, complex(np.nan, np.nan))
-    return Pose(unknown + 0j, unknown, shape, 0.0, np.inf, np.inf, np.zeros(count))
+    return Pose(nan + 0j, nan, shape, 0.0, np.inf, np.inf)
 
 
-def _flipped(angle: Real) -> np.ndarray:
-    """Frames (T,) that are turned against those before and after: two markers exchanged."""
+def _is_flipped(angle: Real) -> np.ndarray:
+    """Frames (T,) turned against those around them, as where two markers are exchanged."""
     seen = np.isfinite(angle).nonzero()[0]
     step = np.abs(np.angle(np.exp(1j * np.diff(angle[seen]))))
-    over = np.abs(np.angle(np.exp(1j * (angle[seen][2:] - angle[seen][:-2]))))
+    over_two = np.abs(np.angle(np.exp(1j * (angle[seen][2:] - angle[seen][:-2]))))
     flipped = np.zeros(len(angle), bool)
-    flipped[seen[1:-1][np.minimum(step[:-1], step[1:]) > 1 + over]] = True
+    flipped[seen[1:-1][np.minimum(step[:-1], step[1:]) > 1 + over_two]] = True
     return flipped
 
 
-def off_body(pose: Pose, track: Complex, noise: float) -> tuple[float, complex]:
+def off_body(pose: Pose, tracks: Complex, noise: float) -> tuple[Real, Complex]:
     """
-    How far from fixed on a body a track (T,) is, in deviations, and its place there.
+    How far tracks (T, n) are from fixed on a body, in standard deviations, and where they are.
 
-    A median, so that other points do not count.
+    Both are (n,), by quantiles, so that points of other markers do not count. Infinitely far for a
+    track that is hardly ever seen.
     """
-    off, place = off_body_all(pose, track[:, None], noise)
-    return float(off[0]), complex(place[0])
-
-
-def off_body_all(pose: Pose, tracks: Complex, noise: float) -> tuple[Real, Complex]:
-    """Compute the same of tracks (T, n), for each (n,); infinitely far for one hardly seen."""
-    every = slice(None, None, max(1, len(tracks) // _FRAMES))
-    turn = np.exp(-1j * pose.angle[every])
-    local = np.ascontiguousarray((tracks[every] - pose.position[every, None]).T) * turn
-    (real, counts), (imag, _) = medians(local.real), medians(local.imag)
-    place = real + 1j * imag
-    (far,), _ = quantiles(np.abs(local - place[:, None]), (0.9,))
-    variance = noise**2 + pose.position_variance + np.abs(place) ** 2 * pose.angle_variance / 2
+    rows = slice(None, None, max(1, len(tracks) // _SAMPLED_FRAMES))
+    turn = np.exp(-1j * pose.angle[rows])
+    local = np.ascontiguousarray((tracks[rows] - pose.position[rows, None]).T) * turn
+    position = medians(local.real) + 1j * medians(local.imag)
+    (far,), counts = quantiles(np.abs(local - position[:, None]), (0.9,))
+    variance = noise**2 + pose.position_variance + np.abs(position) ** 2 * pose.angle_variance / 2
+    # The 90% quantile of a Rayleigh distribution is 2.146 standard deviations.
     off = far / 2.146 / np.sqrt(np.maximum(variance, 1e-300))
-    few = counts < _FEWEST
-    return np.where(few, np.inf, off), np.where(few, complex(np.nan), place)
+    is_rare = counts < MIN_FRAMES
+    return np.where(is_rare, np.inf, off), np.where(is_rare, complex(np.nan), position)
+
+
+def refine_groups(tracks: Complex, groups: Groups) -> tuple[Groups, list[Pose]]:
+    """
+    Correct the bodies of tracks (T, N) by their motion, and fit their poses.
+
+    The distance to a marker near the axis of a pin hardly changes; the motion of the body over all
+    frames shows more. Markers fixed on a body are added, others removed.
+    """
+    poses = [fit_body(tracks[:, body]) for body in groups.bodies]
+    noise = float(np.median([pose.noise for pose in poses if pose.noise > 0] or [0.0]))
+    bodies = [list(body) for body in groups.bodies]
+    for body, pose in zip(bodies, poses, strict=True):
+        if len(body) > 2:
+            off, _ = off_body(pose, tracks, noise)
+            limit = _ON_BODY * max(1.0, float(np.median(off[body])))
+            body += [k for k in np.flatnonzero(off < limit).tolist() if k not in body]
+    for k in range(tracks.shape[1]):
+        holders = [body for body in bodies if k in body and len(body) > 2]
+        if len(holders) > 1:
+            # The body is fitted without the marker, which would draw the fit to itself.
+            without = [fit_body(tracks[:, [m for m in body if m != k]]) for body in holders]
+            far = [float(off_body(pose, tracks[:, [k]], noise)[0][0]) for pose in without]
+            for body, distance in zip(holders, far, strict=True):
+                if distance > max(_SHARED, _SHARED_RATIO * min(far)):
+                    body.remove(k)
+    sets = [set(body) for body in bodies]
+    refined = [
+        sorted(body)
+        for k, body in enumerate(sets)
+        if len(body) > 1 and body not in sets[:k] and not any(body < larger for larger in sets)
+    ]
+    if refined != groups.bodies:
+        poses = [fit_body(tracks[:, body]) for body in refined]
+    seen = [k for k, pose in enumerate(poses) if pose.seen.any()]
+    refined, poses = [refined[k] for k in seen], [poses[k] for k in seen]
+    single = single_markers(refined, groups.fixed, tracks.shape[1])
+    return groups._replace(bodies=refined, single=single), poses

@@ -1,33 +1,35 @@
-"""Which tracks keep their distances, and so are of one rigid body."""
+"""Which markers keep their distances, and so are of one rigid body."""
 
+from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._columns import quantiles
 from kinpole_ros.planar._plane import Complex, Real
 
-# Frames of a pair of tracks that distances are looked at in, and fewer than which say nothing.
-_FRAMES = 3000
-_FEWEST = 30
-# Spreads of a distance over its noise: below the first all are rigid, beyond the last none is. The
-# widest gap up to there parts them, which a lens or a soft mount moves up.
-_RIGID, _LOOSE = 2.5, 40.0
-# A ratio that noise alone makes.
-_PLAIN = 1.5
-# Times the limit that distances of one body may vary by where it bends.
-_NEARLY = 1.5
-# Share of the frames at either end of a distance's range that may be of another marker.
-_TAIL = 0.01
-_TAIL_WIDTH = 4.6527  # that range of a normal distribution, in standard deviations
+_SAMPLED_FRAMES = 3000
+# Fewer common frames say nothing about a distance.
+MIN_FRAMES = 30
+# The variation of a distance over its noise is that of a rigid pair below the first ratio, and not
+# beyond the second. Between, lens distortion and soft mounts shift the limit: it is put in the
+# widest gap.
+RIGID_RATIO, _LOOSE_RATIO = 2.5, 40.0
+# A pair of markers that is a body of its own must be as rigid as noise alone makes it.
+_NOISE_RATIO = 1.5
+# Two cliques are one body if the distances between them vary by less than this many limits.
+_BEND_RATIO = 1.5
+# Share of the frames at each end of a range that may be of another marker, and the width of the
+# range without them for a normal distribution, in standard deviations.
+_TAIL, _TAIL_WIDTH = 0.01, 4.6527
 
 
 class Groups(NamedTuple):
     """
-    `bodies` are lists of columns, largest first; a column on the axis of a pin may be in two.
+    Columns of the markers of each body, largest body first.
 
-    `fixed` are columns that stand still and `single` those that are rigid with nothing.
+    A marker on the axis of a pin may be in two bodies. `fixed` are markers that stand still,
+    `single` markers that move and are rigid with no other.
     """
 
     bodies: list[list[int]]
@@ -35,136 +37,186 @@ class Groups(NamedTuple):
     single: list[int]
 
 
+def sampled(points: np.ndarray, frames: int) -> np.ndarray:
+    """About `frames` of the points (T, ...), evenly spaced."""
+    return points[:: max(1, len(points) // frames)]
+
+
+def quantiles(rows: Real, shares: Sequence[float]) -> tuple[Real, np.ndarray]:
+    """
+    Quantiles (len(shares), n) of the finite values of each row (n, T), as numpy.quantile has them.
+
+    NaN for a row without values. Also returns the number of values (n,). numpy.nanquantile takes
+    one row at a time.
+    """
+    ordered = np.sort(rows, axis=1)
+    counts = np.isfinite(ordered).sum(axis=1)
+    numbers, last = np.arange(len(rows)), np.maximum(counts - 1, 0)
+    result = np.full((len(shares), len(rows)), np.nan)
+    for row, share in zip(result, shares, strict=True):
+        position = last * share
+        below = np.floor(position).astype(np.int64)
+        fraction = position - below
+        low, high = ordered[numbers, below], ordered[numbers, np.minimum(below + 1, last)]
+        step = high - low
+        row[:] = np.where(fraction < 0.5, low + step * fraction, high - step * (1 - fraction))
+    return result, counts
+
+
+def spreads(rows: Real) -> tuple[Real, Real]:
+    """
+    Standard deviation (n,) of each row (n, T) by its range without the tails, and its median.
+
+    The deviation is infinite for a row of too few values.
+    """
+    (low, median, high), counts = quantiles(rows, (_TAIL, 0.5, 1 - _TAIL))
+    return np.where(counts < MIN_FRAMES, np.inf, (high - low) / _TAIL_WIDTH), median
+
+
+def distance_spreads(points: np.ndarray, frames: int) -> tuple[Real, Real]:
+    """
+    Standard deviations and medians (n, n) of the distances of all pairs of points.
+
+    Points are (T, n) complex or (T, n, 3), NaN for none; about `frames` of them are used. Pairs
+    that are hardly ever seen in the same frames have an infinite deviation and the median 0.
+    """
+    rows = np.ascontiguousarray(np.moveaxis(sampled(points, frames), 1, 0))
+    deviation = np.full((len(rows), len(rows)), np.inf)
+    median = np.zeros(deviation.shape)
+    for k in range(len(rows) - 1):
+        off = rows[k + 1 :] - rows[k]
+        distance = np.abs(off) if off.ndim == 2 else np.sqrt(np.einsum('ntk,ntk->nt', off, off))
+        row, middle = spreads(distance)
+        deviation[k, k + 1 :] = deviation[k + 1 :, k] = row
+        median[k, k + 1 :] = median[k + 1 :, k] = np.where(np.isinf(row), 0.0, middle)
+    return deviation, median
+
+
+def complete_linkage(
+    distance: Real, may_merge: Callable[[int, int, float], bool] = lambda i, j, height: True
+) -> Iterator[tuple[int, int, float]]:
+    """
+    Merge clusters two by two, those first whose largest distance (n, n) is least.
+
+    Yields each merger (i, j, height): cluster j becomes a part of i. Infinite distances are never
+    merged, nor pairs that `may_merge` rejects.
+    """
+    between = distance.copy()
+    np.fill_diagonal(between, np.inf)
+    while len(between) > 1:
+        i, j = (int(k) for k in np.unravel_index(between.argmin(), between.shape))
+        height = float(between[i, j])
+        if not np.isfinite(height):
+            return
+        if not may_merge(i, j, height):
+            between[i, j] = between[j, i] = np.inf
+            continue
+        yield i, j, height
+        between[i] = between[:, i] = np.maximum(between[i], between[j])
+        between[i, i] = np.inf
+        between[j] = between[:, j] = np.inf
+
+
 def group(tracks: Complex, noise: Real) -> Groups:
-    """Bodies of tracks (T, n), complex, NaN for none, whose `noise` (n,) is per axis."""
+    """Group tracks (T, n), complex, NaN for none, whose `noise` (n,) is per axis, into bodies."""
     count = tracks.shape[1]
-    some = tracks[:: max(1, len(tracks) // _FRAMES)]
-    finite = noise[np.isfinite(noise)]
-    known = np.where(np.isfinite(noise), noise, np.median(finite) if len(finite) else 0.0)
-    places = some[np.isfinite(some)]
-    extent = np.abs(places - places.mean()).max() if len(places) else 0.0
-    floor = 1e-9 * float(extent)
-    known = np.maximum(np.nan_to_num(known), floor)
-    ratio = np.full((count, count), np.inf)
-    rows = np.ascontiguousarray(some.T)
-    for one in range(count - 1):
-        spread = _spreads(np.abs(rows[one] - rows[one + 1 :]))
-        row = spread / np.hypot(known[one], known[one + 1 :])
-        ratio[one, one + 1 :] = ratio[one + 1 :, one] = row
-    still = np.maximum(_spreads(rows.real), _spreads(rows.imag)) / known
+    rows = np.ascontiguousarray(sampled(tracks, _SAMPLED_FRAMES).T)
+    noise = _complete_noise(noise, rows)
+    deviation, _ = distance_spreads(tracks, _SAMPLED_FRAMES)
+    ratio = deviation / np.hypot(noise[:, None], noise)
+    motion = np.maximum(spreads(rows.real)[0], spreads(rows.imag)[0]) / noise
     limit = _limit(ratio)
-    rigid = ratio < limit
-    fixed = (still < min(limit, 2 * _RIGID)).nonzero()[0].tolist()
-    # Of those that stand still one is enough to tell what turns about it.
-    standing = np.isin(np.arange(count), fixed)
-    rigid[np.ix_(standing, standing)] = False
-    cliques = [sorted(c) for c in _cliques(rigid) if len(c) > 1]
-    bodies = _merge(cliques, ratio, limit)
-    held = {k for body in bodies for k in body}
-    single = [k for k in range(count) if k not in held and not standing[k]]
-    return Groups(bodies, fixed, single)
+    is_rigid = ratio < limit
+    is_fixed = motion < min(limit, 2 * RIGID_RATIO)
+    # One marker that stands still is enough to show what turns about it.
+    is_rigid[np.ix_(is_fixed, is_fixed)] = False
+    cliques = [sorted(clique) for clique in _cliques(is_rigid) if len(clique) > 1]
+    bodies = _merged_cliques(cliques, ratio, limit)
+    fixed = is_fixed.nonzero()[0].tolist()
+    return Groups(bodies, fixed, single_markers(bodies, fixed, count))
 
 
-def _spreads(rows: Real) -> Real:
-    """Standard deviations of rows (n, T), NaN for none, as of their ranges without their tails."""
-    (low, high), counts = quantiles(rows, (_TAIL, 1 - _TAIL))
-    return np.where(counts < _FEWEST, np.inf, (high - low) / _TAIL_WIDTH)
+def single_markers(bodies: list[list[int]], fixed: list[int], count: int) -> list[int]:
+    """Those of `count` markers that are of no body and do not stand still."""
+    return sorted(set(range(count)).difference(fixed, *bodies))
+
+
+def _complete_noise(noise: Real, rows: Complex) -> Real:
+    """Noise (n,) with the median where it is NaN, and no less than rounding of the rows (n, T)."""
+    finite = noise[np.isfinite(noise)]
+    complete = np.where(np.isfinite(noise), noise, np.median(finite) if len(finite) else 0.0)
+    points = rows[np.isfinite(rows)]
+    extent = np.abs(points - points.mean()).max() if len(points) else 0.0
+    return np.maximum(complete, 1e-9 * float(extent))
 
 
 def _limit(ratio: Real) -> float:
     """
     Where the ratios (n, n) of rigid pairs end: in the middle of the widest gap that is possible.
 
-    Gaps are those between the ratios at which clusters of markers merge (complete linkage): a
-    marker near a pin keeps its distance to some of the next body, but not to all.
+    Gaps are between the heights at which clusters of markers merge. A marker near a pin keeps its
+    distance to some markers of the next body, but not to all.
     """
-    merged = np.concatenate([_linkage(ratio[np.ix_(k, k)]) for k in _separate(ratio < _LOOSE)])
-    inside = np.sort(merged[(merged > _RIGID) & (merged < _LOOSE)])
-    if not len(inside):
-        return 2 * _RIGID
-    least = np.max(merged[merged <= _RIGID], initial=1.0)
-    steps = np.log(np.concatenate(([least], inside, [_LOOSE])))
+    clusters = complete_linkage(np.where(ratio < _LOOSE_RATIO, ratio, np.inf))
+    heights = np.array([height for _, _, height in clusters])
+    between = np.sort(heights[heights > RIGID_RATIO])
+    if not len(between):
+        return 2 * RIGID_RATIO
+    least = np.max(heights[heights <= RIGID_RATIO], initial=1.0)
+    steps = np.log(np.concatenate(([least], between, [_LOOSE_RATIO])))
     k = int(np.diff(steps).argmax())
-    return max(_RIGID, float(np.exp((steps[k] + steps[k + 1]) / 2)))
-
-
-def _separate(edges: np.ndarray) -> list[list[int]]:
-    """Sets of numbers that no edge (n, n) joins to another set: clusters are in one of them."""
-    rest = set(range(len(edges)))
-    found: list[list[int]] = []
-    while rest:
-        reached = [min(rest)]
-        rest.remove(reached[0])
-        for k in reached:
-            more = [m for m in edges[k].nonzero()[0].tolist() if m in rest]
-            reached += more
-            rest.difference_update(more)
-        found.append(sorted(reached))
-    return found
-
-
-def _linkage(ratio: Real) -> Real:
-    """The largest ratios in clusters of markers (n,), merged two by two with it least each time."""
-    between = ratio.copy()
-    np.fill_diagonal(between, np.inf)
-    heights = []
-    while len(between) > 1:
-        one, other = sorted(np.unravel_index(between.argmin(), between.shape))
-        heights.append(between[one, other])
-        between[one] = between[:, one] = np.maximum(between[one], between[other])
-        between = np.delete(np.delete(between, other, axis=0), other, axis=1)
-    return np.array(heights)
+    return max(RIGID_RATIO, float(np.exp((steps[k] + steps[k + 1]) / 2)))
 
 
 def _cliques(edges: np.ndarray) -> list[set[int]]:
     """All maximal cliques of a graph (n, n) (Bron and Kerbosch 1973, with pivots)."""
-    near = [set(row.nonzero()[0].tolist()) for row in edges]
-    found: list[set[int]] = []
+    neighbors = [set(row.nonzero()[0].tolist()) for row in edges]
+    cliques: list[set[int]] = []
 
-    def grow(clique: set[int], rest: set[int], done: set[int]) -> None:
-        if not rest and not done:
-            found.append(clique)
+    def grow(clique: set[int], candidates: set[int], excluded: set[int]) -> None:
+        if not candidates and not excluded:
+            cliques.append(clique)
             return
-        pivot = max(rest | done, key=lambda k: len(near[k] & rest))
-        for k in sorted(rest - near[pivot]):
-            grow(clique | {k}, rest & near[k], done & near[k])
-            rest = rest - {k}
-            done = done | {k}
+        pivot = max(candidates | excluded, key=lambda k: len(neighbors[k] & candidates))
+        for k in sorted(candidates - neighbors[pivot]):
+            grow(clique | {k}, candidates & neighbors[k], excluded & neighbors[k])
+            candidates = candidates - {k}
+            excluded = excluded | {k}
 
-    grow(set(), set(range(len(near))), set())
-    return found
+    grow(set(), set(range(len(neighbors))), set())
+    return cliques
 
 
-def _merge(cliques: list[list[int]], ratio: Real, limit: float) -> list[list[int]]:
+def _merged_cliques(cliques: list[list[int]], ratio: Real, limit: float) -> list[list[int]]:
     """
-    Bodies of cliques: those that share two markers are one, since two hold a body of the plane.
+    Bodies of cliques. Cliques that share two markers are one body: two markers fix a planar body.
 
-    Unless most of their other distances change: then some marker is near a pin, and is on one of
-    them only. Two markers alone are a body if one of them is in no larger one: distances
-    are constant by chance, too, as between markers of two cranks in step. And if both are
-    on bodies by then, only if they are as rigid as these.
+    That is not so where most of their other distances change: then a marker is near a pin and of
+    one body only. Two markers alone are a body if one of them is in no larger body, since
+    distances are also constant by chance, as between two cranks in step. If both are in larger
+    bodies by then, they must be as rigid as these.
     """
-    large = [c for c in cliques if len(c) > 2]
-    large.sort(key=lambda c: (-len(c), max(ratio[pair] for pair in combinations(c, 2))))
+    large = [set(clique) for clique in cliques if len(clique) > 2]
+    large.sort(key=lambda c: (-len(c), max(ratio[pair] for pair in combinations(sorted(c), 2))))
     bodies: list[set[int]] = []
     for clique in large:
-        near = [body for body in bodies if len(body & set(clique)) > 1]
-        one = next((body for body in near if _agree(body, set(clique), ratio, limit)), None)
-        if one is not None:
-            one |= set(clique)
-        elif len(set(clique).difference(*bodies)) > 1 or not near:
-            bodies.append(set(clique))
-    held = set().union(*bodies) if bodies else set()
-    pairs = [set(c) for c in cliques if len(c) == 2 and not set(c) <= held]
+        near = [body for body in bodies if len(body & clique) > 1]
+        match = next((body for body in near if _are_rigid(body, clique, ratio, limit)), None)
+        if match is not None:
+            match |= clique
+        elif len(clique.difference(*bodies)) > 1 or not near:
+            bodies.append(clique)
+    members = set().union(*bodies)
+    pairs = [set(clique) for clique in cliques if len(clique) == 2 and not set(clique) <= members]
     for pair in sorted(pairs, key=lambda pair: ratio[tuple(pair)]):
-        if not pair <= held or ratio[tuple(pair)] < _PLAIN:
+        if not pair <= members or ratio[tuple(pair)] < _NOISE_RATIO:
             bodies.append(pair)
-            held |= pair
+            members |= pair
     return [sorted(body) for body in bodies]
 
 
-def _agree(one: set[int], other: set[int], ratio: Real, limit: float) -> bool:
-    """Whether the markers that only one of two has keep their distances, as far as known."""
-    between = ratio[np.ix_(sorted(one - other), sorted(other - one))]
-    known = between[np.isfinite(between)]
-    return len(known) == 0 or bool(np.median(known) < _NEARLY * limit)
+def _are_rigid(body: set[int], clique: set[int], ratio: Real, limit: float) -> bool:
+    """Whether markers that only one of both has keep their distances to those of the other."""
+    between = ratio[np.ix_(sorted(body - clique), sorted(clique - body))]
+    between = between[np.isfinite(between)]
+    return len(between) == 0 or bool(np.median(between) < _BEND_RATIO * limit)

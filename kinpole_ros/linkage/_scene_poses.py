@@ -1,7 +1,8 @@
 """
-Poses of a scene's bodies as measured, frame by frame, with their covariances.
+Measured poses of a scene's bodies with their covariances, and the residuals of its joints there.
 
-The tracker's frames lie anywhere in the bodies; the scene's markers tell how its own lie there.
+The frames of tracked bodies lie anywhere in the bodies. The scene's markers show how the scene's
+frames lie in them. A pose is a complex position, m, and an angle with whole turns.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,21 +10,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism import Equations, part_sum
-from kinpole_ros.planar import fit_pose
+from kinpole_ros.linkage._matches import BodyMatch
+from kinpole_ros.mechanism import (
+    Anchor,
+    Equations,
+    Pose,
+    Rolling,
+    constraint_rows,
+    joint_at,
+    part_sum,
+    wheel_state,
+)
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.estimate import Estimate, FramePoses
 
-
-class Lie(NamedTuple):
-    """
-    How a body of the scene lies among the tracked: it is their number `tracked`; `markers` (k,) of
-    its markers are the scene's, at `known` (k,) in the scene's frame of it, complex, m.
-    """
-
-    tracked: int
-    markers: np.ndarray
-    known: Complex
+# How each wheel stood at first, by the number of its joint.
+Anchors = dict[int, Anchor]
 
 
 class ScenePoses(NamedTuple):
@@ -31,11 +33,10 @@ class ScenePoses(NamedTuple):
     Poses (T, B) of bodies in the plane of the markers: `position` (complex, m) and `angle` (rad).
 
     `cofactor` (T, B, 3, 3) is the covariance of x, y and angle over the square of the `noise`
-    (T, B) of a marker, m; `seen` (T, B) is where all this is known, and `bodies` (B,) numbers them
-    among those of the equations.
+    (T, B) of a marker, m. `seen` (T, B) says where a pose is known, and `bodies` (B,) numbers the
+    bodies in the equations.
     """
 
-    stamp: np.ndarray
     position: Complex
     angle: Real
     cofactor: Real
@@ -44,81 +45,132 @@ class ScenePoses(NamedTuple):
     bodies: tuple[int, ...]
 
     @property
+    def instants(self) -> int:
+        """Number of instants T."""
+        return len(self.angle)
+
+    @property
     def covariance(self) -> Real:
-        """That of x, y and angle (T, B, 3, 3)."""
+        """Covariance of x, y and angle (T, B, 3, 3)."""
         return self.cofactor * self.noise[..., None, None] ** 2
 
-    def part(self, some: np.ndarray | slice) -> 'ScenePoses':
-        """Some of the instants."""
-        return self._replace(**{name: getattr(self, name)[some] for name in _BY_INSTANT})
+    def at_instants(self, rows: np.ndarray | slice) -> 'ScenePoses':
+        """The poses of some instants."""
+        return ScenePoses._make([*(array[rows] for array in self[:-1]), self.bodies])
 
-    def of_bodies(self, some: np.ndarray) -> 'ScenePoses':
-        """Some of the bodies, by where they are among the B."""
-        parts = {name: getattr(self, name)[:, some] for name in _BY_INSTANT if name != 'stamp'}
-        return self._replace(**parts, bodies=tuple(self.bodies[k] for k in some.tolist()))
-
-
-_BY_INSTANT = ('stamp', 'position', 'angle', 'cofactor', 'noise', 'seen')
+    def of_bodies(self, columns: np.ndarray) -> 'ScenePoses':
+        """The poses of some of the B bodies."""
+        bodies = tuple(self.bodies[k] for k in columns.tolist())
+        return ScenePoses._make([*(array[:, columns] for array in self[:-1]), bodies])
 
 
 def scene_poses(
-    equations: Equations, values: Real, lies: Mapping[str, Lie], estimate: Estimate
+    equations: Equations, values: Real, matches: Mapping[str, BodyMatch], estimate: Estimate
 ) -> ScenePoses | None:
     """
-    The poses of the bodies of `equations` that estimates (T, B), or one (B,), tell, None if they
-    keep none.
+    Poses of the bodies of `equations` from estimates (T, B) or (B,); None if they keep no poses.
 
-    Dimensions are at `values`, which place what is on one body.
+    The dimensions have these `values`, which place a scene's frames on one body.
     """
     if estimate.frame_poses is None:
         return None
-    about = np.asarray(estimate.stamp), estimate.shape, estimate.missing, *estimate.frame_poses
-    if not about[0].ndim:
-        about = tuple(np.asarray(part)[None] for part in about)
-    stamp, shapes, missing = about[:3]
-    seen = FramePoses(*about[3:])
-    parts, bodies = [], []
-    for body, lie in lies.items():
+    arrays = estimate.shape, estimate.missing, *estimate.frame_poses
+    if not np.ndim(estimate.stamp):
+        arrays = tuple(np.asarray(array)[None] for array in arrays)
+    shapes, missing = arrays[:2]
+    measured = FramePoses(*arrays[2:])
+    rows, bodies = [], []
+    for body, match in matches.items():
         home, offset = equations.frames[body]
         number = equations.bodies.index(home)
         if number in bodies:
             continue
         bodies.append(number)
-        b = lie.tracked
-        marked = shapes[:, b, lie.markers]
-        frame = fit_pose(marked, lie.known, np.isfinite(marked).astype(float))
-        turn = np.exp(1j * frame.angle)
-        origin = frame.position - turn * part_sum(offset, values)[0]
-        known = (seen.angle_information[:, b] > 0) & (missing[:, b] == '')
-        known &= np.isfinite(frame.angle)
-        about_angle = 1 / np.where(known, seen.angle_information[:, b], 1.0)
-        about_place = 1 / np.where(known, seen.position_information[:, b], 1.0)
-        facing = np.exp(1j * seen.angle[:, b])
-        middle = seen.middle[:, b]
-        of_middle = np.maximum(about_place - np.abs(middle) ** 2 * about_angle, 0.0)
-        arm = 1j * facing * (origin - middle)
+        b = match.tracked
+        frame_position, frame_angle = match.fit_frame(shapes[:, b])
+        origin = frame_position - np.exp(1j * frame_angle) * part_sum(offset, values)[0]
+        seen = (measured.angle_information[:, b] > 0) & (missing[:, b] == '')
+        seen &= np.isfinite(frame_angle)
+        angle_cofactor = 1 / np.where(seen, measured.angle_information[:, b], 1.0)
+        position_cofactor = 1 / np.where(seen, measured.position_information[:, b], 1.0)
+        turn = np.exp(1j * measured.angle[:, b])
+        middle = measured.middle[:, b]
+        # The position of the middle is independent of the angle, that of another point is not.
+        at_middle = np.maximum(position_cofactor - np.abs(middle) ** 2 * angle_cofactor, 0.0)
+        arm = 1j * turn * (origin - middle)
         by_angle = np.stack((arm.real, arm.imag, np.ones(len(arm))), axis=-1)
-        covariance = about_angle[:, None, None] * by_angle[:, :, None] * by_angle[:, None]
-        covariance[:, [0, 1], [0, 1]] += of_middle[:, None]
-        position = seen.position[:, b] + facing * origin
-        angle = seen.angle[:, b] + frame.angle
-        parts.append((position, angle, covariance, seen.noise[:, b], known))
-    position, angle, cofactor, noise, known = (
-        np.stack(part, axis=1) for part in zip(*parts, strict=True)
-    )
-    return ScenePoses(stamp, position, angle, cofactor, noise, known, tuple(bodies))
+        cofactor = angle_cofactor[:, None, None] * by_angle[:, :, None] * by_angle[:, None]
+        cofactor[:, [0, 1], [0, 1]] += at_middle[:, None]
+        position = measured.position[:, b] + turn * origin
+        angle = measured.angle[:, b] + frame_angle
+        rows.append((position, angle, cofactor, measured.noise[:, b], seen))
+    columns = (np.stack(row, axis=1) for row in zip(*rows, strict=True))
+    return ScenePoses._make([*columns, tuple(bodies)])
 
 
-def concatenated(parts: Sequence[ScenePoses], most: int) -> ScenePoses:
+def concatenated(blocks: Sequence[ScenePoses], limit: int) -> ScenePoses:
     """
-    All of them in one, of `most` instants at the most, evenly, with the noise as it was known but
-    for the first quarter, when it was hardly known.
+    Join blocks of poses, of up to `limit` instants, evenly spaced.
+
+    The noise of each body is its rms without the first quarter, when it was hardly known.
     """
-    every = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _BY_INSTANT}
-    whole = parts[0]._replace(**every)
-    for b in range(len(whole.bodies)):
-        later = np.flatnonzero(whole.seen[:, b])
+    columns = zip(*(block[:-1] for block in blocks), strict=True)
+    poses = ScenePoses._make([*map(np.concatenate, columns), blocks[0].bodies])
+    for b in range(len(poses.bodies)):
+        later = np.flatnonzero(poses.seen[:, b])
         later = later[len(later) // 4 :]
-        whole.noise[:, b] = np.sqrt(np.mean(whole.noise[later, b] ** 2)) if len(later) else np.nan
-    count = len(whole.stamp)
-    return whole if count <= most else whole.part(np.arange(most) * count // most)
+        poses.noise[:, b] = np.sqrt(np.mean(poses.noise[later, b] ** 2)) if len(later) else np.nan
+    count = poses.instants
+    return poses if count <= limit else poses.at_instants(np.arange(limit) * count // limit)
+
+
+class Residuals(NamedTuple):
+    """
+    Residuals (T, m), m or rad: two rows for a pin, in the ground's axes, or those of its kind.
+
+    `by_pose` (T, m, bodies, 3) are their derivatives by x, y (m) and angle of each body, and
+    `by_dimension` (T, m, dimensions) those by the dimensions. `joint` (m,) numbers the joints.
+    """
+
+    value: Real
+    by_pose: Real
+    by_dimension: Real
+    joint: np.ndarray
+
+    def without(self, rows: np.ndarray) -> 'Residuals':
+        """The same without the rows of a mask (m,)."""
+        value, by_pose, by_dimension = (array[:, ~rows] for array in self[:3])
+        return Residuals(value, by_pose, by_dimension, self.joint[~rows])
+
+
+def residuals(
+    equations: Equations, values: Real, position: Complex, angle: Real, anchors: Anchors
+) -> Residuals:
+    """
+    Residuals of the bodies of `equations` at poses (T, bodies), with dimensions of these `values`.
+
+    How wheels stand at the first instant is kept in `anchors`, since no scene says which teeth are
+    in mesh.
+    """
+    bodies = {body: k for k, body in enumerate(equations.bodies)}
+    value, by_pose, by_dimension, numbers = [], [], [], []
+    for number in range(len(equations.joints)):
+        joint, sizes = joint_at(equations, number, values)
+        i, j = bodies[joint.one], bodies[joint.other]
+        poses = Pose(position[:, i], angle[:, i]), Pose(position[:, j], angle[:, j])
+        if isinstance(joint, Rolling):
+            anchors.setdefault(number, wheel_state(joint, *poses))
+        rows = constraint_rows(joint, *poses, anchors.get(number))
+        by = np.zeros((*rows.value.shape, len(bodies), 3))
+        by[:, :, i] += rows.slope[:, :, :3]
+        by[:, :, j] += rows.slope[:, :, 3:6]
+        value.append(rows.value)
+        by_pose.append(by)
+        by_dimension.append(rows.slope[:, :, 6:] @ sizes)
+        numbers += [number] * len(rows.direction)
+    return Residuals(
+        np.concatenate(value, axis=1),
+        np.concatenate(by_pose, axis=1),
+        np.concatenate(by_dimension, axis=1),
+        np.array(numbers),
+    )

@@ -1,29 +1,46 @@
 """
-Points in no order as tracks: each point is linked to the one that the last two places lead to.
+Points in no order linked to tracks, each point to the track whose prediction it is nearest to.
 
-A track ends where two ways of going on are about as likely: what is found later of bodies tells
-which it was. So a track is of one marker, but a marker may have many tracks.
+A track ends where two continuations are about equally likely, so that it is of one marker. A marker
+may have many tracks; the bodies found later connect them.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-# A point is of a track if it is no farther from where it should be than so many times the track's
-# usual error, and in doubt if another is nearer than so many times.
-_GATE = 8.0
-_DOUBT = 2.5
-# Frames over which a track goes on unseen.
-_LONGEST_GAP = 10
-# Points after which a track is one that others may be mistaken for.
-_YOUNG = 3
+# A point continues a track up to the first number of prediction errors away. It is in doubt if a
+# second point or track is within the second number.
+_GATE, _DOUBT = 8.0, 2.5
+# Frames over which a track, and a young track, goes on unseen.
+_MAX_GAP, _MAX_YOUNG_GAP = 10, 3
+# Points after which a track may cause doubt, and after which its error is known.
+_MIN_AGE, _SETTLED_AGE = 3, 6
+# Least prediction error of a track, as a share of the median of all.
+_MIN_ERROR = 0.3
+# One more track is worth a window shorter by this power of two.
+_WINDOW_BITS = 4
+# Windows that are compared for each length.
+_STARTS = 400
+
+_LIVE = np.dtype(
+    [
+        ('number', np.int64),
+        ('position', float, 3),
+        ('speed', float, 3),
+        ('error', float),
+        ('step', np.int64),
+        ('age', np.int64),
+    ]
+)
 
 
 class Tracks(NamedTuple):
     """
-    K tracks: `number` (T, n) says of which track a point is, -1 for none; `first` and `last` (K,)
-    are the frames that each begins and ends with.
+    K tracks of points in no order.
+
+    `number` (T, n) is the track of each point, -1 for none; `first` and `last` (K,) are the frames
+    that each track begins and ends with.
     """
 
     number: np.ndarray
@@ -31,149 +48,120 @@ class Tracks(NamedTuple):
     last: np.ndarray
 
     def dense(self, points: np.ndarray, chosen: np.ndarray, frames: slice) -> np.ndarray:
-        """Points (F, len(chosen), 3) of some tracks, NaN where they have none."""
+        """Points (F, len(chosen), ...) of some tracks in some frames, NaN where they have none."""
         number = self.number[frames]
         column = np.full(len(self.first) + 1, -1)
         column[chosen] = np.arange(len(chosen))
         column = column[number]
-        rows, places = np.nonzero(column >= 0)
-        dense = np.full((len(number), len(chosen), points.shape[-1]), np.nan, points.dtype)
-        dense[rows, column[rows, places]] = points[frames][rows, places]
+        rows, slots = np.nonzero(column >= 0)
+        dense = np.full((len(number), len(chosen), *points.shape[2:]), np.nan, points.dtype)
+        dense[rows, column[rows, slots]] = points[frames][rows, slots]
         return dense
 
 
-class _Live:
-    """The tracks that go on: where each was last, how it moves, and how well it is predicted."""
-
-    def __init__(self) -> None:
-        self.number = np.zeros(0, np.int64)
-        self.place = np.zeros((0, 3))
-        self.speed = np.zeros((0, 3))
-        self.error = np.zeros(0)
-        self.step = np.zeros(0, np.int64)
-        self.age = np.zeros(0, np.int64)
-
-    def keep(self, which: np.ndarray) -> None:
-        for name in ('number', 'place', 'speed', 'error', 'step', 'age'):
-            setattr(self, name, getattr(self, name)[which])
-
-    def begin(self, numbers: np.ndarray, places: np.ndarray, error: np.ndarray, step: int) -> None:
-        count = len(numbers)
-        self.number = np.concatenate((self.number, numbers))
-        self.place = np.concatenate((self.place, places))
-        self.speed = np.concatenate((self.speed, np.zeros((count, 3))))
-        self.error = np.concatenate((self.error, error))
-        self.step = np.concatenate((self.step, np.full(count, step)))
-        self.age = np.concatenate((self.age, np.zeros(count, np.int64)))
-
-
-def link(
-    points: np.ndarray, steps: np.ndarray, progress: Callable[[float], None] | None = None
-) -> Tracks:
+def link(points: np.ndarray, steps: np.ndarray) -> Tracks:
     """
-    Tracks of points (T, n, 3) in no order, NaN for none; `steps` (T,) number the frames.
+    Link points (T, n, 3) in no order, NaN for none, to tracks; `steps` (T,) number the frames.
 
-    Mutual nearest neighbors of what is predicted by constant velocity. Sequential by nature.
+    Mutual nearest neighbors of the predictions by constant velocity, frame by frame.
     """
     seen = np.isfinite(points[..., 0])
     number = np.full(seen.shape, -1, np.int64)
-    live = _Live()
+    live = np.zeros(0, _LIVE)
     total = 0
     for k, step in enumerate(steps.tolist()):
-        if progress is not None and k % 500 == 0:
-            progress(k / len(steps))
         columns = seen[k].nonzero()[0]
-        found = points[k, columns]
+        measured = points[k, columns]
         taken = np.full(len(columns), -1, np.int64)
-        if len(live.number) and len(found):
-            taken = _go_on(live, found, step)
-        # A point that comes once is soon forgotten.
-        unseen = step - live.step
-        live.keep(unseen < np.where(live.age < _YOUNG, 3, _LONGEST_GAP))
-        new = (taken < 0).nonzero()[0]
-        if len(new):
-            taken[new] = np.arange(total, total + len(new))
-            live.begin(taken[new], found[new], _spacing(found)[new] / (2 * _GATE), step)
-            total += len(new)
+        if len(live) and len(measured):
+            live, taken = _continued(live, measured, step)
+        gap = step - live['step']
+        live = live[gap < np.where(live['age'] < _MIN_AGE, _MAX_YOUNG_GAP, _MAX_GAP)]
+        begun = (taken < 0).nonzero()[0]
+        if len(begun):
+            taken[begun] = np.arange(total, total + len(begun))
+            total += len(begun)
+            new = np.zeros(len(begun), _LIVE)
+            new['number'], new['position'], new['step'] = taken[begun], measured[begun], step
+            new['error'] = _spacing(measured)[begun] / (2 * _GATE)
+            live = np.concatenate((live, new))
         number[k, columns] = taken
-    rows, places = (number >= 0).nonzero()
-    which = number[rows, places]
+    rows, slots = (number >= 0).nonzero()
+    tracks = number[rows, slots]
     first = np.full(total, len(steps))
     last = np.zeros(total, np.int64)
-    np.minimum.at(first, which, rows)
-    np.maximum.at(last, which, rows)
+    np.minimum.at(first, tracks, rows)
+    np.maximum.at(last, tracks, rows)
     return Tracks(number, first, last)
 
 
-def _go_on(live: _Live, found: np.ndarray, step: int) -> np.ndarray:
-    """The track (m,) of each point found, -1 for none; ends the tracks that are in doubt."""
-    gap = step - live.step
-    ahead = live.place + live.speed * gap[:, None]
-    off = np.sqrt(((ahead[:, None] - found) ** 2).sum(axis=-1))
-    error = live.error * gap**1.5
+def _continued(live: np.ndarray, measured: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray]:
+    """Live tracks continued by measured points (m, 3), without doubtful ones; track of each."""
+    gap = step - live['step']
+    predicted = live['position'] + live['speed'] * gap[:, None]
+    off = np.sqrt(((predicted[:, None] - measured) ** 2).sum(axis=-1))
+    error = live['error'] * gap**1.5
     nearest = off.argmin(axis=1)
     rows = np.arange(len(off))
     best = off[rows, nearest]
-    good = (off.argmin(axis=0)[nearest] == rows) & (best < _GATE * error)
-    near = (off < _DOUBT * error[:, None]) & (live.age >= _YOUNG)[:, None]
-    doubt = near & ((near.sum(axis=1) > 1)[:, None] | (near.sum(axis=0) > 1))
-    ended = doubt.any(axis=1)
-    good &= ~ended
-    taken = np.full(len(found), -1, np.int64)
-    rows, nearest = rows[good], nearest[good]
-    taken[nearest] = live.number[rows]
-    steps = gap[rows]
-    live.speed[rows] = (found[nearest] - live.place[rows]) / steps[:, None]
-    live.place[rows] = found[nearest]
-    # Young tracks learn fast; the first step has no speed to go by.
-    rate = np.where(live.age[rows] < 6, 0.5, 0.1)
-    error = best[rows] / steps**1.5
-    usual = np.median(live.error)
-    live.error[rows] += np.where(live.age[rows] > 0, rate * (error - live.error[rows]), 0)
-    live.error[rows] = np.maximum(live.error[rows], 0.3 * usual)
-    live.step[rows] = step
-    live.age[rows] += 1
-    live.keep(~ended)
-    return taken
+    is_mutual = (off.argmin(axis=0)[nearest] == rows) & (best < _GATE * error)
+    near = (off < _DOUBT * error[:, None]) & (live['age'] >= _MIN_AGE)[:, None]
+    ambiguous = near & ((near.sum(axis=1) > 1)[:, None] | (near.sum(axis=0) > 1))
+    is_ended = ambiguous.any(axis=1)
+    rows = (is_mutual & ~is_ended).nonzero()[0]
+    nearest, best, gap = nearest[rows], best[rows], gap[rows]
+    taken = np.full(len(measured), -1, np.int64)
+    taken[nearest] = live['number'][rows]
+    age = live['age'][rows]
+    live['speed'][rows] = (measured[nearest] - live['position'][rows]) / gap[:, None]
+    live['position'][rows] = measured[nearest]
+    # The error of the first step is that of an unknown speed. Young tracks adapt fast.
+    rate = np.where(age < _SETTLED_AGE, 0.5, 0.1)
+    median = np.median(live['error'])
+    new_error = best / gap**1.5 - live['error'][rows]
+    live['error'][rows] += np.where(age > 0, rate * new_error, 0)
+    live['error'][rows] = np.maximum(live['error'][rows], _MIN_ERROR * median)
+    live['step'][rows] = step
+    live['age'][rows] += 1
+    return live[~is_ended], taken
 
 
-def _spacing(found: np.ndarray) -> np.ndarray:
-    """Distance (m,) of each point to its nearest neighbor."""
-    if len(found) == 1:
+def _spacing(points: np.ndarray) -> np.ndarray:
+    """Distance (m,) of each point (m, 3) to its nearest neighbor."""
+    if len(points) == 1:
         return np.ones(1)
-    distances = np.sqrt(((found[:, None] - found) ** 2).sum(axis=-1))
+    distances = np.sqrt(((points[:, None] - points) ** 2).sum(axis=-1))
     np.fill_diagonal(distances, np.inf)
     return np.asarray(distances.min(axis=1))
 
 
 def best_window(
-    tracks: Tracks, wanted: int, steps: np.ndarray, least: int
+    tracks: Tracks, enough: int, steps: np.ndarray, least: int
 ) -> tuple[slice, np.ndarray]:
     """
     The frames over which the most tracks last, and these tracks.
 
-    A marker more is worth a window a sixteenth as long; `wanted` are enough; a window is of `least`
-    steps or more.
+    A track more is worth a window a sixteenth as long, up to `enough` tracks. The window has at
+    least `least` steps.
     """
     count = len(steps)
     best: tuple[float, int, int] = (-np.inf, 0, count)
     length = count
     while length >= min(least, count):
-        starts = np.unique(np.linspace(0, count - length, 400).astype(np.int64))
-        # Unseen at the ends, it may begin late and end early.
-        slack = min(_LONGEST_GAP, length // 20)
-        covers = (tracks.first <= starts[:, None] + slack) & (
-            tracks.last >= starts[:, None] + length - 1 - slack
-        )
-        held = np.minimum(covers.sum(axis=1), wanted)
-        k = int(held.argmax())
-        score = held[k] + 0.25 * np.log2(length)
+        starts = np.unique(np.linspace(0, count - length, _STARTS).astype(np.int64))
+        lasting = np.minimum(_lasting(tracks, starts[:, None], length).sum(axis=1), enough)
+        k = int(lasting.argmax())
+        score = lasting[k] + np.log2(length) / _WINDOW_BITS
         if score > best[0]:
-            best = score, int(starts[k]), int(starts[k]) + length
+            best = score, int(starts[k]), length
         length = length // 2 if length > 2 * least else (least if length > least else 0)
         if not length:
             break
-    frames = slice(best[1], best[2])
-    slack = min(_LONGEST_GAP, (best[2] - best[1]) // 20)
-    lasting = (tracks.first <= best[1] + slack) & (tracks.last >= best[2] - 1 - slack)
-    return frames, lasting.nonzero()[0]
+    _, start, length = best
+    return slice(start, start + length), _lasting(tracks, start, length).nonzero()[0]
+
+
+def _lasting(tracks: Tracks, start: np.ndarray | int, length: int) -> np.ndarray:
+    """Which tracks last from `start` on; they may begin a little late and end a little early."""
+    slack = min(_MAX_GAP, length // 20)
+    return np.asarray((tracks.first <= start + slack) & (tracks.last >= start + length - 1 - slack))

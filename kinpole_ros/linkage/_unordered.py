@@ -1,292 +1,293 @@
 """
-Points in no order: bodies from where they can be followed, then followed through all the rest.
+Points in no order: bodies are found where points can be followed, then followed everywhere.
 
 Single points are lost where they pass each other, bodies of known shape are not. So bodies are
-looked for in a stretch that can be followed, found again in all frames, and what is left over is
-looked through for more.
+sought in a window in which points can be followed, then followed through all frames, and the points
+that remain are searched for more.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._follow import follow
-from kinpole_ros.linkage._plane import Plane, fit_plane, noise_in_space, noise_of
-from kinpole_ros.linkage._poses import Pose, fit_body, off_body
+from kinpole_ros.linkage._follow import follow, stacked_shapes
+from kinpole_ros.linkage._plane import MotionPlane, fit_plane, space_noise, track_noise
+from kinpole_ros.linkage._poses import Pose, fit_body, off_body, refine_groups
 from kinpole_ros.linkage._record import Record, UndiscoveredError
 from kinpole_ros.linkage._rigid import group
-from kinpole_ros.linkage._settle import settle
 from kinpole_ros.linkage._tracks import Tracks, best_window, link
-from kinpole_ros.planar._plane import Complex
+from kinpole_ros.planar._plane import Complex, Real
 
-# s. Bodies that move against each other do so in so long, as a rule.
-_LEAST_WINDOW = 0.5
-# Frames in which bodies are looked for; they are followed through all others after that.
-_STRETCH = 4000
+# Bodies usually move against each other within this time, s.
+_MIN_WINDOW = 0.5
+# Frames in which bodies are sought.
+_SEARCHED_FRAMES = 4000
 _ROUNDS = 6
-# Noises, and share of the least extent in the plane, that points without names may leave it by.
-_OUT_NOISE, _OUT = 10.0, 0.2
-# Tracks that are looked at for more markers of a body: the longest, of so many frames or more.
-_MOST_TRACKS = 200
-_SHORTEST = 30
-# Deviations that a point may be off a body and still be of it, seen but for a while.
-_ON = 1.7
-# Share of the points of a frame that may be left over.
-_FEW = 0.02
+# Points without names may leave their plane by this many times the noise, or by this share of the
+# least extent of the motion in it.
+_OUT_NOISE, _OUT_SHARE = 10.0, 0.2
+# Number of the longest tracks examined as further markers of a body, and their least length.
+_MAX_TRACKS, _MIN_TRACK = 200, 30
+# Standard deviations that a track of some frames may be off a body and still be on it.
+_ON_BODY = 1.7
+# A new marker is this many times the noise away from the others.
+_NEW_MARKER = 8
+# Share of the points that may remain.
+_REMAINING = 0.02
 # Share of the frames that a body must be seen in.
-_SELDOM = 0.2
+_MIN_SEEN = 0.2
+
+
+class _Body(NamedTuple):
+    """A body with its pose in all frames, and its markers' numbers: one marker may be on two."""
+
+    pose: Pose
+    numbers: list[int]
 
 
 def order_points(
     record: Record, normal: np.ndarray | None, progress: Callable[[float], None] | None
-) -> tuple[Complex, Plane]:
+) -> tuple[Complex, MotionPlane]:
     """
     Tracks (T, N), complex, NaN for none, of a record of points in no order, and their plane.
 
-    The plane is that with the `normal` (3,), or that of the motion.
-
-    Raises UndiscoveredError where the points cannot be followed.
+    The plane is that with the `normal` (3,), or that of the motion. Raises UndiscoveredError where
+    the points cannot be followed.
     """
-    stretch = _liveliest(record.points)
-    part = record._replace(stamps=record.stamps[stretch], points=record.points[stretch])
-    steps = part.steps()
-    least = round(_LEAST_WINDOW * 1e9 / record.interval)
-    left = part.points.copy()
-    flat: Complex = np.zeros(0, complex)
-    shapes: list[Complex] = []
-    # The numbers of each body's markers: one on the axis of a pin has one on both bodies.
-    same: list[list[int]] = []
+    searched = _liveliest(record.points)
+    window = record._replace(stamps=record.stamps[searched], points=record.points[searched])
+    steps = window.steps()
+    min_steps = round(_MIN_WINDOW * 1e9 / record.interval)
+    remaining = window.points.copy()
+    bodies: list[_Body] = []
     tracks: Complex = np.zeros((len(steps), 0), complex)
-    plane: Plane | None = None
+    plane: MotionPlane | None = None
     noise = 0.0
-    count = np.isfinite(part.points[..., 0]).sum()
+    count = np.isfinite(window.points[..., 0]).sum()
     for number in range(_ROUNDS):
         if progress is not None:
             progress(0.7 * number / _ROUNDS)
-        found = link(left, steps)
-        wanted = int(np.quantile(np.isfinite(left[..., 0]).sum(axis=1), 0.99))
-        frames, chosen = best_window(found, wanted, steps, least)
-        solid = found.dense(left, chosen, frames)
+        linked = link(remaining, steps)
+        enough = int(np.quantile(np.isfinite(remaining[..., 0]).sum(axis=1), 0.99))
+        frames, chosen = best_window(linked, enough, steps, min_steps)
+        points = linked.dense(remaining, chosen, frames)
         if plane is None:
-            if len(chosen) < 2:
-                raise UndiscoveredError(
-                    'no two points can be followed for half a second; fix: give the markers '
-                    'names, or take more frames a second'
-                )
-            plane = fit_plane(solid, normal)
-            noises = noise_in_space(solid)
-            noises = noises[np.isfinite(noises)]
-            usual = float(np.median(noises)) if len(noises) else 0.0
-            if plane.spread > max(_OUT_NOISE * usual, _OUT * plane.across):
-                raise UndiscoveredError(
-                    f'the points leave any plane by {plane.spread / plane.size:.0%} of their way, '
-                    'and have no names that hold: without names they are followed in a plane only; '
-                    'fix: give the markers names'
-                )
-            flat = plane.project(part.points)
-        poses, same, tracks = _found_again(_split(tracks, shapes), same, tracks)
-        shapes, more = _add_markers(poses, found, plane.project(left), noise)
-        for shape, numbers in zip(shapes, same, strict=True):
-            numbers += [_new(same) + k for k in range(len(shape) - len(numbers))]
-        grown = _grow(shapes, same, poses, plane.project(solid), frames, noise, more, len(steps))
-        if grown is None:
+            plane = _fit_plane(points, normal)
+            flat = plane.project(window.points)
+        bodies, tracks = _refitted(bodies, tracks)
+        bodies, has_added = _with_more_markers(bodies, linked, plane.project(remaining), noise)
+        in_window = plane.project(points)
+        new = _new_bodies(bodies, in_window, frames, noise, len(steps))
+        if not new and not has_added:
             break
-        shapes, position, angle, noise = grown
-        tracks = follow(flat, steps, shapes, _numbers(same), position, angle, noise)
-        used = _used(flat, tracks)
-        left[used] = np.nan
-        left[~used] = part.points[~used]
-        if np.isfinite(left[..., 0]).sum() < _FEW * count:
+        bodies += new
+        noises = [body.pose.noise for body in bodies if body.pose.noise > 0]
+        of_tracks = track_noise(in_window)
+        noise = float(np.median([*noises, *of_tracks[np.isfinite(of_tracks)]]))
+        shapes = stacked_shapes(
+            [body.pose.shape for body in bodies], [body.numbers for body in bodies]
+        )
+        tracks = follow(flat, steps, shapes, _stacked_poses(bodies), noise)
+        is_used = np.zeros(flat.shape, bool)
+        for track in tracks.T:
+            is_used |= flat == track[:, None]
+        remaining = np.where(is_used[..., None], np.nan, window.points)
+        if np.isfinite(remaining[..., 0]).sum() < _REMAINING * count:
             break
-    if plane is None or not shapes:
+    if plane is None or not bodies:
         raise UndiscoveredError(
             'no two points keep their distance; fix: put two or more markers on each body, and see '
             'that they sit tight'
         )
     if len(steps) < len(record.stamps):
-        rest = None if progress is None else (lambda share: progress(0.7 + 0.3 * share))
-        tracks = _everywhere(record, stretch, plane, shapes, same, tracks, noise, rest)
-    return _merged(tracks, shapes, same), plane
-
-
-def _new(same: list[list[int]]) -> int:
-    """The first number that no marker has."""
-    return 1 + max((k for numbers in same for k in numbers), default=-1)
-
-
-def _numbers(same: list[list[int]]) -> np.ndarray:
-    return np.array([k for numbers in same for k in numbers])
-
-
-def _merged(tracks: Complex, shapes: list[Complex], same: list[list[int]]) -> Complex:
-    """Tracks with those of one marker as one, without bodies that were hardly ever seen."""
-    body = np.repeat(np.arange(len(shapes)), [len(shape) for shape in shapes])
-    seen = np.isfinite(tracks.real)
-    often = [seen[:, body == b].mean() > _SELDOM for b in range(len(shapes))]
-    columns: dict[int, Complex] = {}
-    for k, number in enumerate(_numbers(same).tolist()):
-        if not often[body[k]]:
-            continue
-        if number in columns:
-            columns[number] = np.where(seen[:, k], tracks[:, k], columns[number])
-        else:
-            columns[number] = tracks[:, k]
-    return np.stack(list(columns.values()), axis=1)
+        tracks = _followed_everywhere(record, searched, plane, bodies, tracks, noise, progress)
+    return _unique_tracks(bodies, tracks), plane
 
 
 def _liveliest(points: np.ndarray) -> slice:
-    """The stretch in which the points move the most."""
-    if len(points) <= _STRETCH:
+    """The frames in which the points (T, n, 3) move the most."""
+    if len(points) <= _SEARCHED_FRAMES:
         return slice(0, len(points))
     with np.errstate(invalid='ignore'):
         mean = np.nanmean(points, axis=1)
         around = np.sqrt(np.nanmean((points - mean[:, None]) ** 2, axis=(1, 2)))
     best, most = 0, -1.0
-    for first in range(0, len(points) - _STRETCH + 1, _STRETCH // 2):
-        rows = slice(first, first + _STRETCH)
-        # A frame without points counts for nothing.
+    for first in range(0, len(points) - _SEARCHED_FRAMES + 1, _SEARCHED_FRAMES // 2):
+        rows = slice(first, first + _SEARCHED_FRAMES)
         moved = float(np.nanstd(mean[rows], axis=0).max() + np.nanstd(around[rows]))
+        # An earlier window is kept unless a later one is clearly better.
         if moved > 1.2 * most:
             best, most = first, moved
-    return slice(best, best + _STRETCH)
+    return slice(best, best + _SEARCHED_FRAMES)
 
 
-def _split(tracks: Complex, shapes: list[Complex]) -> list[Pose]:
-    """The poses of the bodies found so far, gaps filled."""
+def _fit_plane(points: np.ndarray, normal: np.ndarray | None) -> MotionPlane:
+    """The plane of tracks (F, K, 3); raises UndiscoveredError if they leave any plane."""
+    if points.shape[1] < 2:
+        raise UndiscoveredError(
+            'no two points can be followed for half a second; fix: give the markers '
+            'names, or take more frames a second'
+        )
+    plane = fit_plane(points, normal)
+    noises = space_noise(points)
+    noises = noises[np.isfinite(noises)]
+    noise = float(np.median(noises)) if len(noises) else 0.0
+    if plane.spread > max(_OUT_NOISE * noise, _OUT_SHARE * plane.across):
+        raise UndiscoveredError(
+            f'the points leave any plane by {plane.spread / plane.size:.0%} of their way, '
+            'and have no names that hold: without names they are followed in a plane only; '
+            'fix: give the markers names'
+        )
+    return plane
+
+
+def _stacked_poses(bodies: list[_Body]) -> tuple[Complex, Real]:
+    """Positions and angles (T, B)."""
+    return (
+        np.stack([body.pose.position for body in bodies], axis=1),
+        np.stack([body.pose.angle for body in bodies], axis=1),
+    )
+
+
+def _fit_tracks(bodies: list[_Body], tracks: Complex) -> list[Pose]:
+    """Poses of the bodies fitted to their tracks (T, N), with gaps filled."""
     poses = []
     first = 0
-    for shape in shapes:
-        pose = fit_body(tracks[:, first : first + len(shape)])
-        first += len(shape)
+    for body in bodies:
+        pose = fit_body(tracks[:, first : first + len(body.numbers)])
+        first += len(body.numbers)
         seen = pose.seen.nonzero()[0]
         if len(seen):
-            every = np.arange(len(tracks))
             real, imag, angle = (
-                np.interp(every, seen, part[seen])
-                for part in (pose.position.real, pose.position.imag, pose.angle)
+                np.interp(np.arange(len(tracks)), seen, values[seen])
+                for values in (pose.position.real, pose.position.imag, pose.angle)
             )
             pose = pose._replace(position=real + 1j * imag, angle=angle)
         poses.append(pose)
     return poses
 
 
-def _found_again(
-    poses: list[Pose], same: list[list[int]], tracks: Complex
-) -> tuple[list[Pose], list[list[int]], Complex]:
-    """Bodies, numbers and tracks of the markers that were found at all, two or more of a body."""
-    there = [np.isfinite(pose.shape) for pose in poses]
-    there = [found & (found.sum() > 1) for found in there]
-    kept = [k for k, found in enumerate(there) if found.any()]
-    numbers = [np.array(same[k])[there[k]].tolist() for k in kept]
-    columns = np.concatenate(there) if there else slice(None)
-    shown = [poses[k]._replace(shape=poses[k].shape[there[k]]) for k in kept]
-    return shown, numbers, tracks[:, columns]
+def _refitted(bodies: list[_Body], tracks: Complex) -> tuple[list[_Body], Complex]:
+    """Bodies and tracks of the markers that were followed at all, two or more of a body."""
+    refitted, columns = [], [np.zeros(0, bool)]
+    for body, pose in zip(bodies, _fit_tracks(bodies, tracks), strict=True):
+        followed = np.isfinite(pose.shape)
+        followed &= followed.sum() > 1
+        columns.append(followed)
+        if followed.any():
+            numbers = np.array(body.numbers)[followed].tolist()
+            refitted.append(_Body(pose._replace(shape=pose.shape[followed]), numbers))
+    return refitted, tracks[:, np.concatenate(columns)]
 
 
-def _add_markers(
-    poses: list[Pose], found: Tracks, flat: Complex, noise: float
-) -> tuple[list[Complex], bool]:
-    """The shapes of bodies with what tracks of points (T, n) are fixed on them; whether any is."""
-    shapes = [pose.shape for pose in poses]
-    added = False
-    length = found.last - found.first
-    for track in np.argsort(-length, kind='stable')[:_MOST_TRACKS].tolist() if poses else []:
-        frames = slice(int(found.first[track]), int(found.last[track]) + 1)
-        if frames.stop - frames.start < _SHORTEST:
+def _part(pose: Pose, frames: slice) -> Pose:
+    return pose._replace(position=pose.position[frames], angle=pose.angle[frames])
+
+
+def _next_number(bodies: list[_Body]) -> int:
+    return 1 + max((number for body in bodies for number in body.numbers), default=-1)
+
+
+def _with_more_markers(
+    bodies: list[_Body], linked: Tracks, flat: Complex, noise: float
+) -> tuple[list[_Body], bool]:
+    """Bodies with the linked points (T, n) that are fixed on them, and whether there are any."""
+    shapes = [body.pose.shape for body in bodies]
+    length = linked.last - linked.first
+    longest = np.argsort(-length, kind='stable')[:_MAX_TRACKS] if bodies else []
+    for track in longest:
+        frames = slice(int(linked.first[track]), int(linked.last[track]) + 1)
+        if frames.stop - frames.start < _MIN_TRACK:
             break
-        own = found.dense(flat[..., None], np.array([track]), frames)[:, 0, 0]
-        fits = [
-            off_body(
-                pose._replace(position=pose.position[frames], angle=pose.angle[frames]), own, noise
+        points = linked.dense(flat, np.array([track]), frames)
+        off, positions = (
+            np.concatenate(values)
+            for values in zip(
+                *(off_body(_part(body.pose, frames), points, noise) for body in bodies), strict=True
             )
-            for pose in poses
-        ]
-        body = min(range(len(fits)), key=lambda k: fits[k][0])
-        off, place = fits[body]
-        others = [fit[0] for k, fit in enumerate(fits) if k != body]
-        # What may be of two bodies, by so short a track, is of neither yet.
-        if off > _ON or min(others, default=np.inf) < 2 * _ON:
+        )
+        k = int(off.argmin())
+        # A short track that may be of two bodies is of neither yet.
+        if off[k] > _ON_BODY or np.delete(off, k).min(initial=np.inf) < 2 * _ON_BODY:
             continue
-        if np.abs(place - shapes[body]).min() > 8 * noise:
-            shapes[body] = np.append(shapes[body], place)
-            added = True
-    return shapes, added
+        if np.abs(positions[k] - shapes[k]).min() > _NEW_MARKER * noise:
+            shapes[k] = np.append(shapes[k], positions[k])
+    grown: list[_Body] = []
+    for body, shape in zip(bodies, shapes, strict=True):
+        first = _next_number([*grown, *bodies])
+        numbers = [*body.numbers, *range(first, first + len(shape) - len(body.numbers))]
+        grown.append(_Body(body.pose._replace(shape=shape), numbers))
+    has_added = any(len(a.numbers) > len(b.numbers) for a, b in zip(grown, bodies, strict=True))
+    return grown, has_added
 
 
-def _grow(
-    shapes: list[Complex],
-    same: list[list[int]],
-    poses: list[Pose],
-    flat: Complex,
-    frames: slice,
-    noise: float,
-    added: bool,
-    frame_count: int,
-) -> tuple[list[Complex], Complex, np.ndarray, float] | None:
-    """
-    Bodies with those that tracks (F, K) over some frames make: shapes, poses (T, B) and noise.
-
-    None where there are no new ones and nothing was `added` to others.
-    """
-    of_tracks = noise_of(flat)
-    free = np.ones(flat.shape[1], bool)
-    for k in range(flat.shape[1]):
-        for pose in poses:
-            there = pose._replace(position=pose.position[frames], angle=pose.angle[frames])
-            free[k] &= not off_body(there, flat[:, k], noise)[0] < _ON
-    rest = flat[:, free]
-    new: list[Pose] = []
-    base = _new(same)
-    if rest.shape[1] > 1:
-        groups, _ = settle(rest, group(rest, of_tracks[free]))
-        fixed = [groups.fixed] if len(groups.fixed) > 1 else []
-        for body in (*groups.bodies, *fixed):
-            new.append(fit_body(rest[:, body]))
-            same.append([base + k for k in body])
-    if not new and not added:
-        return None
-    noises = [pose.noise for pose in (*poses, *new) if pose.noise > 0]
-    usual = float(np.median([*noises, *of_tracks[np.isfinite(of_tracks)]]))
-    position = np.full((frame_count, len(poses) + len(new)), np.nan + 0j)
-    angle = np.full(position.shape, np.nan)
-    for k, pose in enumerate(poses):
-        position[:, k], angle[:, k] = pose.position, pose.angle
-    for k, pose in enumerate(new, len(poses)):
-        position[frames, k], angle[frames, k] = pose.position, pose.angle
-    return [*shapes, *(pose.shape for pose in new)], position, angle, usual
+def _new_bodies(
+    bodies: list[_Body], tracks: Complex, frames: slice, noise: float, frame_count: int
+) -> list[_Body]:
+    """Bodies of tracks (F, K) in some frames that are not on any of the known `bodies`."""
+    is_free = np.ones(tracks.shape[1], bool)
+    for body in bodies:
+        is_free &= ~(off_body(_part(body.pose, frames), tracks, noise)[0] < _ON_BODY)
+    free = tracks[:, is_free]
+    new: list[_Body] = []
+    if free.shape[1] < 2:
+        return new
+    groups, _ = refine_groups(free, group(free, track_noise(tracks)[is_free]))
+    first = _next_number(bodies)
+    for columns in (*groups.bodies, *([groups.fixed] if len(groups.fixed) > 1 else [])):
+        pose = fit_body(free[:, columns])
+        position = np.full(frame_count, np.nan + 0j)
+        angle = np.full(frame_count, np.nan)
+        position[frames], angle[frames] = pose.position, pose.angle
+        numbers = [first + k for k in columns]
+        new.append(_Body(pose._replace(position=position, angle=angle), numbers))
+    return new
 
 
-def _used(flat: Complex, tracks: Complex) -> np.ndarray:
-    """Which of the points (T, n) are on a track (T, N)."""
-    used = np.zeros(flat.shape, bool)
-    for k in range(tracks.shape[1]):
-        used |= flat == tracks[:, k, None]
-    return used
-
-
-def _everywhere(
+def _followed_everywhere(
     record: Record,
-    stretch: slice,
-    plane: Plane,
-    shapes: list[Complex],
-    same: list[list[int]],
+    searched: slice,
+    plane: MotionPlane,
+    bodies: list[_Body],
     tracks: Complex,
     noise: float,
     progress: Callable[[float], None] | None,
 ) -> Complex:
-    """The bodies of a stretch followed through all frames."""
-    poses = _split(tracks, shapes)
-    position = np.full((len(record.stamps), len(shapes)), np.nan + 0j)
+    """Tracks of bodies in all frames, from those (F, N) in the searched frames."""
+    poses = _fit_tracks(bodies, tracks)
+    position = np.full((len(record.stamps), len(bodies)), np.nan + 0j)
     angle = np.full(position.shape, np.nan)
-    position[stretch] = np.stack([pose.position for pose in poses], axis=1)
-    angle[stretch] = np.stack([pose.angle for pose in poses], axis=1)
-    learned = [
-        np.where(np.isfinite(p.shape), p.shape, s) for p, s in zip(poses, shapes, strict=True)
+    position[searched] = np.stack([pose.position for pose in poses], axis=1)
+    angle[searched] = np.stack([pose.angle for pose in poses], axis=1)
+    shapes = [
+        np.where(np.isfinite(pose.shape), pose.shape, body.pose.shape)
+        for pose, body in zip(poses, bodies, strict=True)
     ]
-    flat = plane.project(record.points)
-    begin = stretch.start, stretch.stop - 1
-    found = follow(
-        flat, record.steps(), learned, _numbers(same), position, angle, noise, progress, begin
+    result = follow(
+        plane.project(record.points),
+        record.steps(),
+        stacked_shapes(shapes, [body.numbers for body in bodies]),
+        (position, angle),
+        noise,
+        None if progress is None else (lambda share: progress(0.7 + 0.3 * share)),
+        (searched.start, searched.stop - 1),
     )
-    found[stretch] = tracks
-    return found
+    result[searched] = tracks
+    return result
+
+
+def _unique_tracks(bodies: list[_Body], tracks: Complex) -> Complex:
+    """Tracks (T, N) with those of one marker merged, without bodies that were hardly ever seen."""
+    columns: dict[int, Complex] = {}
+    first = 0
+    for body in bodies:
+        own = tracks[:, first : first + len(body.numbers)]
+        first += len(body.numbers)
+        seen = np.isfinite(own.real)
+        if seen.mean() <= _MIN_SEEN:
+            continue
+        for k, number in enumerate(body.numbers):
+            previous = columns.get(number, own[:, k])
+            columns[number] = np.where(seen[:, k], own[:, k], previous)
+    return np.stack(list(columns.values()), axis=1)

@@ -1,42 +1,47 @@
 """
 The dimensions of a scene from measured markers: least squares over the poses of all frames.
 
-What the data do not tell is left as the scene has it, and said; what they tell has its deviation.
+Dimensions that the data do not determine keep the scene's values.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._gears import meshed
+from kinpole_ros.linkage._least_squares import Solution
 from kinpole_ros.linkage.positions import Positions
 from kinpole_ros.linkage.theory import Theory
-from kinpole_ros.mechanism import Dimension, Scene, SceneError
+from kinpole_ros.mechanism import Dimension, Equations, Part, Scene, SceneError, part_sum
+from kinpole_ros.planar._plane import Real
 from kinpole_ros.tracking.estimate import Estimate
 
-_MOST = 6000  # instants, evenly over the recording: more take time and tell little
+# Instants, evenly over the recording; more take time and change little.
+_MAX_INSTANTS = 6000
+# Newton steps. A radius is off by a share of 1e-4, which squared twice is below rounding.
+_MESH_STEPS = 3
+# Factor of the variances from which the lines mention it.
+_NOTED_EXCESS = 1.5
 
 
 class Fitted(NamedTuple):
     """
-    A dimension of a scene as fitted: its `value` (m or rad) and the `deviation` of that.
+    A fitted dimension of a scene: its `value` and standard `deviation`, m or rad.
 
-    `held` where the data tell it from none of the others; then the value is the scene's.
+    `undetermined` says that the data do not determine it; then the value is the scene's.
     """
 
     dimension: Dimension
     value: float
     deviation: float
-    held: bool
+    undetermined: bool
 
 
 class Fit(NamedTuple):
     """
-    What a fit came to: the dimensions, and chi^2 over its degrees of freedom, before and after.
+    Fitted dimensions, and chi^2 over its degrees of freedom, before and after.
 
-    `excess` is what deviations were enlarged by, squared, since residuals last from instant to
-    instant.
+    Variances were scaled by `excess`, since residuals are correlated over time.
     """
 
     dimensions: list[Fitted]
@@ -49,40 +54,34 @@ class Fit(NamedTuple):
 
 def free_dimensions(scene: Scene, names: Sequence[str]) -> list[int]:
     """
-    The numbers of the dimensions of these names, of all for none.
+    Numbers of the dimensions of these names, of all for none.
 
-    A name is that of a point (rocker.B), of a vector's length or angle (r2.length), of a vector
-    (r2), a joint (piston) or a body (rocker): all of theirs. Raises SceneError for others.
+    A name is that of a point (rocker.B), of a vector's length or angle (r2.length), or of a vector
+    (r2), joint (piston) or body (rocker) with all of its dimensions. Raises SceneError for others.
     """
     dimensions = scene.equations.dimensions
-    used = _used(scene)
-    # Of those that only tell where a frame lies the ones at zero stay.
-    free = sorted((k for k in used if dimensions[k].path), key=lambda k: not dimensions[k].value)
+    used = [k for k in _used_dimensions(scene.equations) if dimensions[k].path]
+    # Zeros come last: of dimensions that only place a frame, they are the ones that stay.
+    used.sort(key=lambda k: not dimensions[k].value)
     if not names:
-        return free
-    found: list[int] = []
+        return used
+    numbers: list[int] = []
     for name in names:
-        own = [
-            k
-            for k in free
-            if dimensions[k].name == name or dimensions[k].name.startswith(f'{name}.')
-        ]
+        own = [k for k in used if f'{dimensions[k].name}.'.startswith(f'{name}.')]
         if not own:
-            known = ', '.join(dict.fromkeys(dimensions[k].name for k in free))
-            raise SceneError(f'--free {name} is no dimension that joints use: give some of {known}')
-        found += [k for k in own if k not in found]
-    return found
+            valid = ', '.join(dict.fromkeys(dimensions[k].name for k in used))
+            raise SceneError(f'--free {name} is no dimension that joints use: give some of {valid}')
+        numbers += [k for k in own if k not in numbers]
+    return numbers
 
 
-def _used(scene: Scene) -> list[int]:
-    """The dimensions on which joints depend."""
-    used: set[int] = set()
-    for joint in scene.equations.joints:
-        for part in (*joint.a, *joint.b):
-            used |= {part.first, part.second}
-        numbers = joint.along, joint.turned, joint.radius, joint.circle
-        used |= {number for number in numbers if number is not None}
-    return sorted(used)
+def _used_dimensions(equations: Equations) -> list[int]:
+    """Numbers of the dimensions on which joints depend."""
+    used: set[int | None] = set()
+    for joint in equations.joints:
+        used |= {k for part in (*joint.a, *joint.b) for k in (part.first, part.second)}
+        used |= {joint.along, joint.turned, joint.radius, joint.circle}
+    return sorted(number for number in used if number is not None)
 
 
 def fit_scene(theory: Theory, estimates: Iterable[Estimate], free: Sequence[int]) -> Fit:
@@ -91,59 +90,61 @@ def fit_scene(theory: Theory, estimates: Iterable[Estimate], free: Sequence[int]
 
     Raises SceneError where no joint connects bodies that are seen.
     """
-    positions = Positions(theory.scene, theory.lies, _MOST)
+    positions = Positions(theory.scene, theory.matches, _MAX_INSTANTS)
     for estimate in estimates:
-        positions.add(estimate)
-    before = positions.solved()
-    after = positions.solved(tuple(free))
+        positions.append(estimate)
+    before, after = positions.solve(), positions.solve(tuple(free))
     if before is None or after is None:
         raise SceneError(
             f'{theory.scene.name}: no joint of the scene is between bodies that are seen at the '
             'same time: see that parameters and scene have the same names, and the view of markers'
         )
-    solved = meshed(theory.scene.equations, after[0])
-    deviation = dict(zip(solved.free, np.sqrt(np.diag(solved.covariance)).tolist(), strict=True))
-    dimensions = theory.scene.equations.dimensions
+    equations = theory.scene.equations
+    solution, first = meshed(equations, after[0]), before[0]
+    deviations = np.sqrt(np.diag(solution.covariance)).tolist()
+    deviation = dict(zip(solution.free, deviations, strict=True))
     rows = [
-        Fitted(dimensions[k], float(solved.values[k]), deviation.get(k, 0.0), k not in deviation)
+        Fitted(
+            equations.dimensions[k],
+            float(solution.values[k]),
+            deviation.get(k, 0.0),
+            k not in deviation,
+        )
         for k in free
     ]
-    first = before[0]
     return Fit(
         rows,
-        first.normal.chi_square / first.freedom,
-        solved.normal.chi_square / solved.freedom,
-        round(solved.freedom),
-        solved.excess,
-        len(after[1].stamp),
+        ratio_before=first.normal.chi_square / first.freedom,
+        ratio=solution.normal.chi_square / solution.freedom,
+        freedom=round(solution.freedom),
+        excess=solution.excess,
+        instants=after[1].instants,
     )
 
 
 def fitted_lines(fit: Fit) -> list[str]:
-    """What a fit came to, for people."""
+    """Describe a fit in lines for a terminal."""
     lines = []
     width = max(len(_label(row.dimension)) for row in fit.dimensions)
     for row in sorted(
         fit.dimensions, key=lambda row: (str(row.dimension.path), row.dimension.axis)
     ):
-        size, unit = (1.0, 'm') if row.dimension.kind == 'length' else (180 / np.pi, 'deg')
-        label = f'{_label(row.dimension):{width}}'
-        if row.held:
-            lines.append(
-                f'{label}  {row.value * size:.9g} {unit}, held: the data do not tell it from the '
-                'others'
+        factor, unit = (1.0, 'm') if row.dimension.kind == 'length' else (180 / np.pi, 'deg')
+        line = f'{_label(row.dimension):{width}}  {row.value * factor:.9g} {unit}, '
+        if row.undetermined:
+            line += 'held: the data do not tell it from the others'
+        else:
+            stated = row.dimension.value
+            line += (
+                f'deviation {row.deviation * factor:.2g}; the scene has {stated * factor:.9g}, '
+                f'{(row.value - stated) * factor:+.3g}'
             )
-            continue
-        change = (row.value - row.dimension.value) * size
-        lines.append(
-            f'{label}  {row.value * size:.9g} {unit}, deviation {row.deviation * size:.2g}; the '
-            f'scene has {row.dimension.value * size:.9g}, {change:+.3g}'
-        )
+        lines.append(line)
     lines.append(
         f'chi^2/n {fit.ratio:.4g} (n = {fit.freedom}, {fit.instants} instants), with the scene as '
         f'it is {fit.ratio_before:.4g}'
     )
-    if fit.excess > 1.5:
+    if fit.excess > _NOTED_EXCESS:
         lines.append(
             'residuals last from instant to instant: deviations are '
             f'{fit.excess**0.5:.2g} times as large as by the noise of the markers alone'
@@ -155,3 +156,76 @@ def _label(dimension: Dimension) -> str:
     if dimension.path[0] != 'bodies':
         return dimension.name
     return f'{dimension.name} {"xy"[dimension.axis]}'
+
+
+_Point = tuple[str, tuple[Part, ...]]  # of a body
+
+
+class _Arm(NamedTuple):
+    """A body between the hubs of two gears: its points there, and the numbers of the radii."""
+
+    center: tuple[Part, ...]
+    hub: tuple[Part, ...]
+    circle: int
+    radius: int
+
+
+def meshed(equations: Equations, solution: Solution) -> Solution:
+    """
+    Correct the dimensions of a solution so that the radii of gears add up to their arms.
+
+    The poses determine each of these lengths with its own noise, but gears whose radii do not add
+    up never mesh. The corrections are as small as the covariance allows.
+    """
+    arms = list(_arms(equations))
+    if not arms:
+        return solution
+    values, covariance = solution.values.copy(), solution.covariance
+    own = [k for k, number in enumerate(solution.free) if number < len(values)]
+    numbers = [solution.free[k] for k in own]
+    for _ in range(_MESH_STEPS):
+        misfit, by = _arm_misfits(arms, values)
+        slopes = np.zeros((len(arms), len(covariance)))
+        slopes[:, own] = by[:, numbers]
+        gain = covariance @ slopes.T @ np.linalg.pinv(slopes @ covariance @ slopes.T)
+        values[numbers] -= (gain @ misfit)[own]
+    projection = np.eye(len(covariance)) - gain @ slopes
+    return solution._replace(values=values, covariance=projection @ covariance @ projection.T)
+
+
+def _arms(equations: Equations) -> Iterator[_Arm]:
+    pins = _pinned_points(equations)
+    for joint in equations.joints:
+        if joint.circle is None or joint.radius is None:
+            continue
+        # Points by body, at the center of the circle and at the hub of the wheel.
+        centers, hubs = (
+            dict(next((points for points in pins if point in points), {point}))
+            for point in ((joint.one, joint.a), (joint.other, joint.b))
+        )
+        if arms := sorted(centers.keys() & hubs.keys()):
+            yield _Arm(centers[arms[0]], hubs[arms[0]], joint.circle, joint.radius)
+
+
+def _pinned_points(equations: Equations) -> list[set[_Point]]:
+    """The sets of points of bodies that pins hold at one place."""
+    sets: list[set[_Point]] = []
+    for joint in equations.joints:
+        if joint.along is None and joint.radius is None:
+            points: set[_Point] = {(joint.one, joint.a), (joint.other, joint.b)}
+            connected = [group for group in sets if group & points]
+            sets = [group for group in sets if not group & points]
+            sets.append(points.union(*connected))
+    return sets
+
+
+def _arm_misfits(arms: Sequence[_Arm], values: Real) -> tuple[Real, Real]:
+    """Length of each arm (k,) less that of its radii, m, and its derivatives (k, dimensions)."""
+    misfit, slopes = np.empty(len(arms)), np.empty((len(arms), len(values)))
+    for row, arm in enumerate(arms):
+        (a, by_a), (b, by_b) = part_sum(arm.center, values), part_sum(arm.hub, values)
+        total = values[arm.circle] + values[arm.radius]
+        misfit[row] = abs(b - a) - abs(total)
+        slopes[row] = ((by_b - by_a) * np.conj(b - a)).real / abs(b - a)
+        slopes[row, [arm.circle, arm.radius]] -= np.sign(total)
+    return misfit, slopes

@@ -1,19 +1,19 @@
 """
-A scene compared with the measurement: what the linkage's theory says of the tracked bodies.
+A scene compared with the measurement: rates, relative centers and balances of the tracked bodies.
 
-The scene's markers tell how its body frames lie in the measured bodies. Their positions are held
-against its joints, whatever drives it (`positions`). Where its one driver is the angle of a tracked
-body, it can also be put where the rig is, at its rates, and these be held against all else.
+The scene's markers show how its body frames lie in the measured bodies. Their positions are
+compared with the joints, whatever drives the scene (`positions`). If its one driver is the angle of
+a tracked body, the scene is also moved to where the rig is, and its rates are compared.
 """
 
+import re
 from collections.abc import Container
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from kinpole_ros.linkage._places import match_places
-from kinpole_ros.linkage._scene_poses import Lie
-from kinpole_ros.linkage.positions import Positions, PositionsFound
+from kinpole_ros.linkage._matches import BodyMatch, MismatchError, match_bodies
+from kinpole_ros.linkage.positions import PositionReport, Positions
 from kinpole_ros.mechanism import (
     GROUND,
     Force,
@@ -27,25 +27,23 @@ from kinpole_ros.mechanism import (
     load_scene,
     part_sum,
 )
-from kinpole_ros.planar import (
-    Port,
-    center_offset,
-    fit_pose,
-    measured_balance,
-    to_complex,
-)
-from kinpole_ros.tracking.estimate import SIGNIFICANT, Estimate, Numbers
+from kinpole_ros.planar import Port, center_offset, covariance, measured_balance, point_motion
+from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.tracking.estimate import SIGNIFICANT, Estimate, Numbers, Vectors
 from kinpole_ros.tracking.parameters import POSE_TYPES, ParameterError, Settings, of_poses
 
-# ns. A recording is looked at as often: never at one place of the turn, whatever the rate is like.
-_EVERY = 618_033_989
+# Time between instants whose rates are compared, ns: the golden ratio, so that no rate of a
+# machine always shows the same position.
+_COMPARED_NS = 618_033_989
+# Names that may be part of a topic's.
+_TOKEN = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 
 
 class Difference(NamedTuple):
     """
-    A measured figure less the theory's, or the distance of the two, and its deviation.
+    A measured quantity less the scene's, or the distance of both, and its standard deviation.
 
-    `subject` is the body or joint, `what` the figure, both in `unit`.
+    `subject` is the body or joint, `what` the quantity; value and deviation are in `unit`.
     """
 
     subject: str
@@ -56,7 +54,7 @@ class Difference(NamedTuple):
 
 
 class DeviationSummary(NamedTuple):
-    """A difference over a recording: its rms, and that of it in deviations, of some instants."""
+    """A difference over `instants` of a recording: rms, and rms in standard deviations."""
 
     subject: str
     what: str
@@ -66,18 +64,24 @@ class DeviationSummary(NamedTuple):
     instants: int
 
 
+class PointOfInterest(NamedTuple):
+    """A point of the tracked body `body` (complex, m, in the scene's frame of it)."""
+
+    body: str
+    name: str
+    point: complex
+
+
 class Theory(NamedTuple):
     """
-    A scene and how it goes with the tracked bodies.
+    A scene, and how it matches the tracked bodies.
 
-    `places` gives each body of both its number among the tracked, its number in the scene, which
-    of its tracked markers are the scene's (k,), and where those are in the scene's frame, complex,
-    m. `driver` is the body that the scene's one driver turns, '' where it is no tracked body's
-    angle. `loads` are those of the scene, each on a body that is tracked.
+    `matches` are the bodies of both. `driver` is the body that the scene's one driver turns, ''
+    where that is no tracked body's angle. `loads` are those of the scene, each on a tracked body.
     """
 
     scene: Scene
-    places: dict[str, tuple[int, int, np.ndarray, np.ndarray]]
+    matches: dict[str, BodyMatch]
     driver: str
     loads: tuple[Load, ...]
 
@@ -86,138 +90,109 @@ class Theory(NamedTuple):
         """Whether the scene has loads, and a tracked body that can balance them."""
         return bool(self.loads) and bool(self.driver or self.scene.held_by)
 
-    @property
-    def lies(self) -> dict[str, Lie]:
-        """How the bodies of both lie in each other."""
-        return {body: Lie(b, here, known) for body, (b, _, here, known) in self.places.items()}
-
 
 def load_theory(settings: Settings) -> Theory:
     """
-    Load the scene that the parameter `scene` names, and find the tracked bodies in it.
+    Load the scene that the parameter `scene` names, and match it with the tracked bodies.
 
-    Raises ParameterError where the scene cannot be used, or does not go with the bodies.
+    Raises ParameterError where the scene cannot be used, or does not match the bodies.
     """
     try:
         scene = load_scene(settings.scene)
     except SceneError as error:
         raise ParameterError(f'parameter scene: {error}') from None
-
-    def refuse(why: str) -> ParameterError:
-        return ParameterError(f'parameter scene is {settings.scene}: {why}')
-
-    places = {}
-    posed = settings.marker_type in POSE_TYPES
-    # The frames of poses are those of the scene's bodies.
-    shapes = of_poses(settings).shapes if posed else {}
-    for b, (body, markers) in enumerate(settings.bodies.items()):
-        if posed and body in scene.mechanism.bodies:
-            shape = np.array(shapes[body])
-            places[body] = (b, scene.mechanism.bodies.index(body), np.arange(len(shape)), shape)
-            continue
-        if body not in scene.marker_names:
-            continue
-        names = scene.marker_names[body]
-        number = scene.mechanism.bodies.index(body)
-        if not markers:
-            # The rig gives only the shape: the scene's markers are found in it by their places.
-            known = to_complex(scene.markers[body])
-            pairs = match_places(known, np.array(settings.shapes[body]))
-            if pairs is None:
-                raise refuse(
-                    f'the {len(known)} markers of its {body} are not where parameter {body}.shape '
-                    'has them; give both the same distances between the markers'
-                )
-            places[body] = (b, number, pairs[1], known[pairs[0]])
-            continue
-        here = [k for k, marker in enumerate(markers) if marker in names]
-        if len(here) < 2:
-            raise refuse(
-                f'its {body} has the markers {", ".join(names)}; parameter {body}.markers must '
-                'name two of them at least'
-            )
-        known = to_complex(scene.markers[body])[[names.index(markers[k]) for k in here]]
-        places[body] = (b, number, np.array(here), known)
-    if not places:
-        raise refuse(
-            f'it has markers on {", ".join(scene.markers) or "no body"}, and the parameter bodies '
-            f'names {", ".join(settings.bodies)}; give both the same names'
-        )
+    is_posed = settings.marker_type in POSE_TYPES
+    shapes = of_poses(settings).shapes if is_posed else settings.shapes
+    try:
+        matches = match_bodies(scene, settings.bodies, shapes, is_posed)
+        loads = tuple(on_tracked(scene, load, matches) for load in scene.loads)
+        for load in loads:
+            if load.body not in matches:
+                raise MismatchError(f'it has a load on {load.body}, which is not tracked')
+        if scene.held_by is not None:
+            for body in (scene.held_by.body, scene.held_by.of):
+                if body not in (*matches, GROUND):
+                    raise MismatchError(f'its loads are held_by {body}, which is not tracked')
+    except MismatchError as error:
+        raise ParameterError(f'parameter scene is {settings.scene}: {error}') from None
     drivers, turns = scene.mechanism.drivers, scene.mechanism.assembly.turns
     driven = [
         body
-        for body, place in places.items()
-        if len(drivers) == 1 and np.array_equal(turns[place[1]], drivers[0].row)
+        for body, match in matches.items()
+        if len(drivers) == 1 and np.array_equal(turns[match.in_scene], drivers[0].row)
     ]
-    loads = tuple(on_tracked(scene, load, places) for load in scene.loads)
-    for load in loads:
-        if load.body not in places:
-            raise refuse(f'it has a load on {load.body}, which is not tracked')
-    if scene.held_by is not None:
-        for body in (scene.held_by.body, scene.held_by.of):
-            if body not in (*places, GROUND):
-                raise refuse(f'its loads are held_by {body}, which is not tracked')
-    return Theory(scene, places, driven[0] if driven else '', loads)
+    return Theory(scene, matches, driven[0] if driven else '', loads)
 
 
 def on_tracked(scene: Scene, load: Load, tracked: Container[str]) -> Load:
-    """The load on a tracked body that is one with its own, as vectors are that turn together."""
+    """The load moved to a tracked body that is one with its own, as vectors that turn with it."""
     if load.body in tracked:
         return load
     equations = scene.equations
-    values = [one.value for one in equations.dimensions]
+    values = np.array([dimension.value for dimension in equations.dimensions])
     home, offset = equations.frames[load.body]
-    for body, (other, of_other) in equations.frames.items():
-        if other == home and body in tracked:
-            moved = part_sum(offset, values)[0] - part_sum(of_other, values)[0]
+    for body, (home_of_body, offset_of_body) in equations.frames.items():
+        if home_of_body == home and body in tracked:
             if isinstance(load, Force):
+                moved = part_sum(offset, values)[0]
+                moved -= part_sum(offset_of_body, values)[0]
                 return load._replace(body=body, point=load.point + moved)
             return load._replace(body=body)
     return load
 
 
 # Origin (complex, m) and angle of the scene's body frames in those of the tracked bodies, (T,).
-Frames: TypeAlias = dict[str, tuple[np.ndarray, np.ndarray]]
+Frames: TypeAlias = dict[str, tuple[Complex, Real]]
+
+
+def body_frames(theory: Theory, estimate: Estimate) -> Frames:
+    """How the scene's frames lie in the tracked bodies, of bodies whose shape is known."""
+    frames = {}
+    for body, match in theory.matches.items():
+        frame = match.fit_frame(estimate.shape[..., match.tracked, :])
+        if np.isfinite(frame[1]).any():
+            frames[body] = frame
+    return frames
 
 
 def rate_differences(theory: Theory, estimate: Estimate) -> list[Difference]:
     """
-    Of bodies, their angular velocity (rad/s) less what the scene says, the driver being as seen.
+    Angular velocities (rad/s) of bodies less those of the scene, driven as measured.
 
-    Only for bodies of which enough is known; empty where the scene cannot be put where the rig is.
+    Only of bodies whose rates are estimated; empty where the scene cannot be moved to the rig.
     """
     if not theory.driver:
         return []
-    b, _, _, _ = theory.places[theory.driver]
-    frames = body_frames(theory, estimate)
+    b, frames = theory.matches[theory.driver].tracked, body_frames(theory, estimate)
     if theory.driver not in frames or estimate.missing[b]:
         return []
     mechanism = theory.scene.mechanism
     start = float(mechanism.drivers[0].motion(np.zeros(1))[0, 0])
     turned = estimate.angle[0, b] + frames[theory.driver][1] - start
-    swept = _swept(mechanism, start, (turned + np.pi) % (2 * np.pi) - np.pi)
-    if swept is None:
+    motion = _swept(mechanism, start, (turned + np.pi) % (2 * np.pi) - np.pi)
+    if motion is None:
         return []
     # Per rad of the driver: the ratio of the rates, and how it changes.
-    ratio, bend = swept.angle[1, :, 0], swept.angle[2, :, 0]
+    ratio, ratio_change = motion.angle[1, :, 0], motion.angle[2, :, 0]
     rate, noise = estimate.angle[1, b], estimate.angle_covariance[:2, :2, b]
-    found = []
-    for body, (own, number, _, _) in theory.places.items():
+    differences = []
+    for body, match in theory.matches.items():
+        own, number = match.tracked, match.in_scene
         if body == theory.driver or estimate.missing[own] or not np.isfinite(ratio[number]):
             continue
-        by = np.array([bend[number] * rate, ratio[number]])
-        variance = estimate.angle_covariance[1, 1, own] + by @ noise @ by
-        value = estimate.angle[1, own] - ratio[number] * rate
+        by = np.array([ratio_change[number] * rate, ratio[number]])
+        deviation = float(np.sqrt(estimate.angle_covariance[1, 1, own] + by @ noise @ by))
+        value = float(estimate.angle[1, own] - ratio[number] * rate)
         what = 'angular velocity less theory'
-        found.append(Difference(body, what, 'rad/s', float(value), float(np.sqrt(variance))))
-    return found
+        differences.append(Difference(body, what, 'rad/s', value, deviation))
+    return differences
 
 
-def _swept(mechanism: Mechanism, start: float, ahead: float) -> Motion | None:
-    """With the driver `ahead` of its start, or the other way round if it cannot go there so."""
-    for way in (ahead, ahead - np.copysign(2 * np.pi, ahead)):
+def _swept(mechanism: Mechanism, start: float, turn: float) -> Motion | None:
+    """The mechanism with its driver turned from its start, or turned there the other way round."""
+    for angle in (turn, turn - np.copysign(2 * np.pi, turn)):
         try:
-            return mechanism.sweep(np.array([start + way]))
+            return mechanism.sweep(np.array([start + angle]))
         except LinkageError:
             continue
     return None
@@ -225,30 +200,30 @@ def _swept(mechanism: Mechanism, start: float, ahead: float) -> Motion | None:
 
 def joint_offsets(theory: Theory, estimate: Estimate) -> list[Difference]:
     """
-    Of pins between two tracked bodies, how far off them the relative instant centers are (m).
+    Distances (m) of the relative instant centers of two tracked bodies from the pins of both.
 
-    The pin is where the scene has it on the bodies, as they are seen; `deviation` is the distance
-    that is one of Mahalanobis'. Only where the center is determined.
+    A pin is where the scene has it on the bodies as measured. The deviation is the distance over
+    its Mahalanobis distance. Only where the center is determined.
     """
     frames = body_frames(theory, estimate)
     pairs = {(int(j), int(i)): k for k, (j, i) in enumerate(zip(*estimate.pairs, strict=True))}
-    found = []
+    center = estimate.relative_icr
+    differences = []
     for joint in theory.scene.mechanism.assembly.joints:
-        if not isinstance(joint, Revolute) or not {joint.one, joint.other} <= set(frames):
+        if not isinstance(joint, Revolute) or not {joint.one, joint.other} <= frames.keys():
             continue
-        one, other = theory.places[joint.one][0], theory.places[joint.other][0]
-        k = pairs.get((max(one, other), min(one, other)))
-        center = estimate.relative_icr
+        b, c = (theory.matches[body].tracked for body in (joint.one, joint.other))
+        k = pairs.get((max(b, c), min(b, c)))
         if k is None or not center.determined[k]:
             continue
-        place, turn = frames[joint.one]
-        point = place + joint.a * np.exp(1j * turn)
-        at = estimate.origin(0)[one] + point * np.exp(1j * estimate.angle[0, one])
-        distance, deviations = center_offset(center.value[k], at, center.covariance[k])
+        origin, angle = frames[joint.one]
+        point = origin + joint.a * np.exp(1j * angle)
+        pin = estimate.origin(0)[b] + point * np.exp(1j * estimate.angle[0, b])
+        distance, deviations = center_offset(center.value[k], pin, center.covariance[k])
         if deviations > 0:
             off = float(distance), float(distance / deviations)
-            found.append(Difference(joint.name, 'relative center off the pin', 'm', *off))
-    return found
+            differences.append(Difference(joint.name, 'relative center off the pin', 'm', *off))
+    return differences
 
 
 class Comparison:
@@ -256,35 +231,35 @@ class Comparison:
 
     def __init__(self, theory: Theory) -> None:
         self._theory = theory
-        self._positions = Positions(theory.scene, theory.lies)
+        self._positions = Positions(theory.scene, theory.matches)
         self._latest: Estimate | None = None
-        # By subject, figure and unit: instants, and sums of squares of values and of deviations.
+        # By subject, quantity and unit: instants, sums of squares of values and of deviations.
         self._sums: dict[tuple[str, str, str], np.ndarray] = {}
 
-    def add(self, estimate: Estimate) -> None:
-        """Take estimates (T, B): all of their positions, and the rates of some instants."""
-        self._positions.add(estimate)
-        part = estimate.stamp // _EVERY
-        # The very first is known worst.
-        last = part[0] if self._latest is None else self._latest.stamp[-1] // _EVERY
-        for k in (part != np.append(last, part[:-1])).nonzero()[0]:
-            self._look(estimate[int(k)])
+    def append(self, estimate: Estimate) -> None:
+        """Append estimates (T, B): all of their positions, and the rates of some instants."""
+        self._positions.append(estimate)
+        period = estimate.stamp // _COMPARED_NS
+        # The first instant of all is the least certain, and is not compared.
+        last = period[0] if self._latest is None else self._latest.stamp[-1] // _COMPARED_NS
+        for k in (period != np.append(last, period[:-1])).nonzero()[0]:
+            self._compare(estimate[int(k)])
         self._latest = estimate
 
-    def _look(self, now: Estimate) -> None:
+    def _compare(self, now: Estimate) -> None:
         for off in (*rate_differences(self._theory, now), *joint_offsets(self._theory, now)):
             if off.deviation > 0:
                 sums = self._sums.setdefault(off[:3], np.zeros(3))
                 sums += 1, off.value**2, (off.value / off.deviation) ** 2
 
-    def positions(self) -> PositionsFound | None:
-        """What the positions say, None where they say nothing of the scene's joints."""
-        return self._positions.found()
+    def positions(self) -> PositionReport | None:
+        """Positions compared with the joints; None where they have nothing in common."""
+        return self._positions.report()
 
-    def found(self) -> list[DeviationSummary]:
-        """All differences of rates; empty where the scene could not be put where the rig is."""
+    def rates(self) -> list[DeviationSummary]:
+        """All differences of rates; empty where the scene could not be moved to the rig."""
         if not self._sums and self._latest is not None:
-            self._look(self._latest[-1])
+            self._compare(self._latest[-1])
         result = []
         for names, (instants, *squares) in self._sums.items():
             rms, deviations = np.sqrt(squares / instants).tolist()
@@ -294,69 +269,95 @@ class Comparison:
 
 def balance(theory: Theory, estimate: Estimate) -> Numbers:
     """
-    What balances the scene's loads at the velocities seen, (T,).
+    The effort that balances the scene's loads at the measured velocities, (T,).
 
-    A torque on the driven body, N m; or what the scene's `held_by` says: a torque on a body, or a
-    force, N, along `balance_direction`. Determined where all the bodies are known and what it acts
-    on moves by more than its noise.
+    A torque on the driven body, N m; or by the scene's `held_by` a torque on a body, or a force, N,
+    along `balance_direction`. Determined where all the bodies are estimated, and the input moves by
+    more than its noise.
     """
     frames = body_frames(theory, estimate)
-    held = theory.scene.held_by
-    acting = {theory.driver} if held is None else {held.body, held.of} - {GROUND}
+    holder = theory.scene.held_by
+    acting = {theory.driver} if holder is None else {holder.body, holder.of} - {GROUND}
     needed = acting | {load.body for load in theory.loads}
-    if not needed <= set(frames):
-        unknown = np.full(np.shape(estimate.stamp), np.nan)
-        return Numbers(unknown, unknown, np.isfinite(unknown))
-    through = Port(theory.places[theory.driver if held is None else held.body][0], 1.0)
-    way = balance_direction(theory, estimate)
-    if held is not None and held.point is not None and way is not None:
-        through = _port(theory, Force(held.body, held.point, way), frames, estimate)
-    ports = [_port(theory, load, frames, estimate) for load in theory.loads]
+    if not needed <= frames.keys():
+        nan = np.full(np.shape(estimate.stamp), np.nan)
+        return Numbers(nan, nan, np.isfinite(nan))
+    through = Port(theory.matches[theory.driver if holder is None else holder.body].tracked, 1.0)
+    direction = balance_direction(theory, estimate)
+    if holder is not None and holder.point is not None and direction is not None:
+        through = _port(theory, Force(holder.body, holder.point, direction), frames, estimate)
     value, variance, determined = measured_balance(
         through,
-        ports,
+        [_port(theory, load, frames, estimate) for load in theory.loads],
         np.moveaxis(estimate.position, -1, 1),
         np.moveaxis(estimate.angle, -1, 1),
         np.moveaxis(estimate.position_covariance, -1, 2),
         np.moveaxis(estimate.angle_covariance, -1, 2),
         SIGNIFICANT,
     )
-    known = [estimate.missing[..., theory.places[body][0]] == '' for body in needed]
-    return Numbers(
-        np.asarray(value), np.asarray(variance), np.asarray(determined) & np.all(known, axis=0)
-    )
+    is_estimated = [estimate.missing[..., theory.matches[body].tracked] == '' for body in needed]
+    determined = np.asarray(determined) & np.all(is_estimated, axis=0)
+    return Numbers(np.asarray(value), np.asarray(variance), determined)
 
 
 def balance_direction(theory: Theory, estimate: Estimate) -> np.ndarray | None:
-    """The direction (T,), complex, of the force that `balance` is, None where it is a torque."""
-    held = theory.scene.held_by
-    if held is None or held.point is None:
+    """Direction (T,), complex, of the force that `balance` computes; None for a torque."""
+    holder = theory.scene.held_by
+    if holder is None or holder.point is None:
         return None
-    way = np.full(np.shape(estimate.stamp), np.exp(1j * held.along))
+    direction = np.full(np.shape(estimate.stamp), np.exp(1j * holder.along))
     frames = body_frames(theory, estimate)
-    if held.of in frames:
-        turn = estimate.angle[0][..., theory.places[held.of][0]] + frames[held.of][1]
-        # Where it is not known, neither is the force.
-        way = way * np.exp(1j * np.where(np.isfinite(turn), turn, 0.0))
-    return np.asarray(way)
+    if holder.of in frames:
+        angle = estimate.angle[0][..., theory.matches[holder.of].tracked] + frames[holder.of][1]
+        # Where the angle is not known, the force is not determined either.
+        direction = direction * np.exp(1j * np.where(np.isfinite(angle), angle, 0.0))
+    return np.asarray(direction)
 
 
 def _port(theory: Theory, load: Load, frames: Frames, estimate: Estimate) -> Port:
-    b = theory.places[load.body][0]
+    b = theory.matches[load.body].tracked
     if isinstance(load, Force):
-        place, turn = frames[load.body]
-        # From the point whose velocity is known.
-        arm = place + load.point * np.exp(1j * turn) - estimate.reference[..., b]
+        origin, angle = frames[load.body]
+        # From the reference point, whose velocity is estimated.
+        arm = origin + load.point * np.exp(1j * angle) - estimate.reference[..., b]
         return Port(b, np.asarray(load.force, complex)[()], arm)
     return Port(b, complex(load.torque))  # type: ignore[arg-type]
 
 
-def body_frames(theory: Theory, estimate: Estimate) -> Frames:
-    """How the scene's frames lie in the tracked bodies, of those that are known."""
-    found = {}
-    for body, (b, _, markers, known) in theory.places.items():
-        shape = estimate.shape[..., b, markers]
-        fit = fit_pose(shape, known, np.isfinite(shape).astype(float))
-        if np.isfinite(fit.angle).any():
-            found[body] = (fit.position, fit.angle)
-    return found
+def points_of_interest(theory: Theory) -> list[PointOfInterest]:
+    """Points of tracked bodies that the scene names and no joint uses, for topics."""
+    used = {
+        end
+        for joint in theory.scene.mechanism.assembly.joints
+        for end in ((joint.one, joint.a), (joint.other, joint.b))
+    }
+    points = []
+    for name, (body, position) in theory.scene.points.items():
+        if body == GROUND or (body, position) in used:
+            continue
+        moved = on_tracked(theory.scene, Force(body, position, 0.0), theory.matches)
+        last = name.rpartition('.')[2]
+        if moved.body in theory.matches and _TOKEN.fullmatch(last):
+            assert isinstance(moved, Force)
+            points.append(PointOfInterest(moved.body, last, complex(moved.point)))
+    return points
+
+
+def measured_point(
+    theory: Theory, point: PointOfInterest, order: int, estimate: Estimate
+) -> Vectors:
+    """Position of a point (T,), m, or its derivative of `order` 1 to 4, as measured."""
+    b = theory.matches[point.body].tracked
+    frames = body_frames(theory, estimate)
+    if point.body not in frames:
+        nan = np.full(np.shape(estimate.stamp), complex(np.nan, np.nan))
+        return Vectors(nan, np.zeros((*nan.shape, 2, 2)), np.zeros(nan.shape, bool))
+    origin, turn = frames[point.body]
+    position, angle = estimate.position[..., b], estimate.angle[..., b]
+    arm = origin + point.point * np.exp(1j * turn) - estimate.reference[..., b]
+    motion = point_motion(order, arm, position, angle)
+    matrix = covariance(
+        motion, estimate.position_covariance[..., b], estimate.angle_covariance[..., b]
+    )
+    is_finite = np.isfinite(motion.value) & np.isfinite(matrix).all(axis=(-2, -1))
+    return Vectors(motion.value, matrix, is_finite & (estimate.missing[..., b] == ''))

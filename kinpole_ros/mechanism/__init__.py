@@ -1,7 +1,13 @@
-"""Mechanisms whose motion is known exactly: the truth that measured kinematics is held against."""
+"""Mechanisms as scenes: exact motion, instant centers, centrodes, statics and tolerances."""
 
 from kinpole_ros.mechanism._centers import Centers, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, Poles, centrodes, poles
+from kinpole_ros.mechanism._constraints import (
+    Anchor,
+    constraint_rows,
+    wheel_state,
+    why_no_reactions,
+)
 from kinpole_ros.mechanism._equations import (
     Dimension,
     Equation,
@@ -12,36 +18,16 @@ from kinpole_ros.mechanism._equations import (
 )
 from kinpole_ros.mechanism._joints import (
     GROUND,
-    Anchor,
     Belt,
     Pose,
     Revolute,
     Rolling,
     Slot,
     Strut,
-    constraint_rows,
     loop_form,
-    wheel_state,
 )
 from kinpole_ros.mechanism._kennedy import center_name, explain
-from kinpole_ros.mechanism._loops import LinkageError, with_laws
-from kinpole_ros.mechanism._mechanism import Mechanism, Motion
-from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
-from kinpole_ros.mechanism._pitch import write_pitch_curves
-from kinpole_ros.mechanism._polygon import Polygon, polygon
-from kinpole_ros.mechanism._reactions import (
-    Release,
-    reactions,
-    releases,
-    undetermined,
-    why_no_reactions,
-)
-from kinpole_ros.mechanism._rewrite import rewritten, value_spans
-from kinpole_ros.mechanism._scene import Scene, load_scene
-from kinpole_ros.mechanism._scene_file import scene_names, scene_text, scenes_folder
-from kinpole_ros.mechanism._share import share_folder
-from kinpole_ros.mechanism._start import mobility
-from kinpole_ros.mechanism._statics import (
+from kinpole_ros.mechanism._loads import (
     Force,
     Holder,
     Load,
@@ -49,11 +35,33 @@ from kinpole_ros.mechanism._statics import (
     Spring,
     Torque,
     Torsion,
+    inertial_loads,
+    spring_loads,
+)
+from kinpole_ros.mechanism._loops import LinkageError, with_laws
+from kinpole_ros.mechanism._mechanism import Mechanism, Motion
+from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
+from kinpole_ros.mechanism._pitch import write_pitch_curves
+from kinpole_ros.mechanism._polygon import Polygon, polygon
+from kinpole_ros.mechanism._reactions import Release, reactions, releases, undetermined
+from kinpole_ros.mechanism._scene import Scene, load_scene
+from kinpole_ros.mechanism._scene_file import (
+    rewritten,
+    scene_names,
+    scene_text,
+    scenes_folder,
+    share_folder,
+    value_spans,
+)
+from kinpole_ros.mechanism._scene_values import SceneError, quantity
+from kinpole_ros.mechanism._start import mobility
+from kinpole_ros.mechanism._statics import (
+    Port,
+    advantage,
     efforts,
     holding,
-    inertial_loads,
     load_rates,
-    spring_loads,
+    transmission_angles,
 )
 from kinpole_ros.mechanism._tolerance import (
     Tolerance,
@@ -61,8 +69,6 @@ from kinpole_ros.mechanism._tolerance import (
     propagate_tolerances,
     tolerances_of,
 )
-from kinpole_ros.mechanism._transmission import Port, advantage, transmission_angles
-from kinpole_ros.mechanism._units import SceneError, quantity
 
 __all__ = [
     'GROUND',

@@ -35,13 +35,13 @@ class Assembly(NamedTuple):
     """
     The loops of bodies and joints, and where the bodies are.
 
-    `bodies` (B) are those without the ground. Their origins are `places` (B, terms) times the
+    `bodies` (B) are those without the ground. Their origins are `origins` (B, terms) times the
     terms, complex; their angles are `turns` (B, n) times the variables. `joints` are as given.
     """
 
     loops: Loops
     bodies: tuple[str, ...]
-    places: Real
+    origins: Real
     turns: Real
     joints: tuple[Joint, ...]
 
@@ -69,7 +69,7 @@ def body_motion(assembly: Assembly, values: Real) -> tuple[Complex, Real]:
     terms = np.stack(
         [sum(comb(k, j) * length[j] * turn[k - j] for j in range(k + 1)) for k in orders]
     )
-    return assembly.places @ terms, assembly.turns @ values
+    return assembly.origins @ terms, assembly.turns @ values
 
 
 def poses_of(assembly: Assembly, values: Real) -> dict[str, Pose]:
@@ -81,9 +81,8 @@ def poses_of(assembly: Assembly, values: Real) -> dict[str, Pose]:
     return {GROUND: Pose(still + 0j, still)} | dict(zip(assembly.bodies, moving, strict=True))
 
 
-def joint_extent(assembly: Assembly, values: Real) -> tuple[Complex, float]:
-    """The middle (T,) of the joints, complex, m, at variables (n, T), and the linkage's size, m."""
-    poses = poses_of(assembly, values)
+def joint_extent(assembly: Assembly, poses: dict[str, Pose]) -> tuple[Complex, float]:
+    """The middle (T,) of the joints, complex, m, and the size of the linkage, m."""
     points = [
         poses[body].point(point)
         for joint in assembly.joints
@@ -230,9 +229,9 @@ def _parallel_arms_as_ties(loops: Loops, near: Real) -> Loops:
 
     Such a loop closes where both point the same way, which is one linear equation. As a loop it
     would be two equations for one unknown, singular at every position. The sum or difference of
-    two loops may be of this form too, as where the arm is the coupler of a four-bar. Of angles that
-    differ by whole turns the tie takes those next to `near` (n,), the variables with all angles
-    zero. Raises LinkageError for two lengths that differ.
+    two loops may be of this form too, as where the arm is the coupler of a four-bar. Whole turns
+    are those next to `near` (n,), the variables with all angles zero. Raises LinkageError for two
+    lengths that differ.
     """
     rows, right, kept_loops = [], [], list(range(len(loops.loops)))
     for m in range(len(loops.loops)):

@@ -76,7 +76,8 @@ def instant_centers(mechanism: Mechanism, values: Real, rates: Real | None = Non
     Returns
     -------
     Centers
-        Of all pairs of bodies, complex, m, in the ground's frame, with the steps that lead to them.
+        The centers of all pairs of bodies, m, in the ground's frame, with the steps that lead to
+        them.
 
     Raises
     ------
@@ -85,11 +86,11 @@ def instant_centers(mechanism: Mechanism, values: Real, rates: Real | None = Non
 
     """
     steps = deduce(mechanism, values)
-    places = kennedy_centers(mechanism, steps, values)
-    missing = np.isnan(places[2])
+    centers = kennedy_centers(mechanism, steps, values)
+    missing = np.isnan(centers[2])
     if missing.any():
-        places = np.where(missing, centers_by_rates(mechanism, values, rates), places)
-    return Centers(bodies_of(mechanism), pairs_of(mechanism), places, missing, steps)
+        centers = np.where(missing, centers_by_rates(mechanism, values, rates), centers)
+    return Centers(bodies_of(mechanism), pairs_of(mechanism), centers, missing, steps)
 
 
 def centers_by_rates(mechanism: Mechanism, values: Real, rates: Real | None = None) -> Real:
@@ -110,8 +111,9 @@ def centers_by_rates(mechanism: Mechanism, values: Real, rates: Real | None = No
             )
         rates = np.ones(1)
     weights = np.asarray(rates, float).reshape(len(velocity), 1, -1)
-    middle, size = joint_extent(mechanism.assembly, values)
-    position = np.stack([pose.position for pose in poses_of(mechanism.assembly, values).values()])
+    poses = poses_of(mechanism.assembly, values)
+    middle, size = joint_extent(mechanism.assembly, poses)
+    position = np.stack([pose.position for pose in poses.values()])
     omega = np.concatenate((np.zeros((1, len(middle))), (weights * turning).sum(axis=0)))
     shift = (weights * velocity).sum(axis=0) - 1j * omega[1:] * (position[1:] - middle)
     shift = np.concatenate((np.zeros((1, len(middle)), complex), shift)) / size

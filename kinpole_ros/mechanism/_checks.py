@@ -1,4 +1,4 @@
-"""Whether a scene's mechanism moves as it is driven, and from where it is said to start."""
+"""Checks of a scene's mechanism: its mobility, the range of its drivers, and its start."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -7,17 +7,18 @@ from math import pi
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly
-from kinpole_ros.mechanism._drivers import Driven
 from kinpole_ros.mechanism._joints import Rolling
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._reactions import loose_teeth
+from kinpole_ros.mechanism._scene_inputs import Driven
+from kinpole_ros.mechanism._scene_values import SceneError
 from kinpole_ros.mechanism._start import close_near, mobility
-from kinpole_ros.mechanism._units import SceneError
 from kinpole_ros.planar._plane import Real
 
-# rad. A start says roughly which way loops close; what gears alone determine is to be right.
-_ROUGHLY, _GEARED = pi / 2, 0.02
+# Errors of a stated start, rad: it gives roughly the branch of loops, but exactly the phase of
+# gears.
+_BRANCH_TOLERANCE, _GEAR_TOLERANCE = pi / 2, 0.02
 
 
 def check_mobility(assembly: Assembly, start: Real, drivers: int) -> None:
@@ -36,103 +37,97 @@ def check_mobility(assembly: Assembly, start: Real, drivers: int) -> None:
 
 
 def check_range(mechanism: Mechanism, driven: list[Driven]) -> None:
-    """Raise SceneError where the drivers ask for more than the linkage gives."""
+    """Raise SceneError where the drivers ask for a position that the linkage does not reach."""
     if not mechanism.linkage.blocks:
         return
-    driver = driven[0].driver
+    driver, size, unit = driven[0].driver, 1.0, 's'
     if len(driven) == 1:
         low, high, what = driver.low, driver.high, f'{driver.name} ='
+        size, unit = (180 / pi, 'deg') if mechanism.kind(0) == 'angle' else (1.0, 'm')
     else:
         low = min(0.0, *(one.begin for one in driven))
         high, what = max(one.end for one in driven), 'the time'
     path = mechanism.path(low, high)
-    reach = path.inputs[0], path.inputs[-1]
     slack = 1e-9 * max(1.0, abs(low), abs(high))
-    if path.period or (reach[0] <= low + slack and reach[1] >= high - slack):
+    if path.period or (path.inputs[0] <= low + slack and path.inputs[-1] >= high - slack):
         return
     dead = next((dead for dead in path.dead_points if dead.turns_back), None)
     why = '' if dead is None else f', a dead point of the loop {", ".join(dead.loop)}'
-
-    size, unit = 1.0, 's'
-    if len(driven) == 1:
-        size, unit = (180 / pi, 'deg') if mechanism.kind(0) == 'angle' else (1.0, 'm')
     least, most = _limits(mechanism, low, high)
-    # With more digits where these are what the asked and the given differ by.
+    # With enough digits to tell the requested ends from those that are reached.
     for digits in (6, 9, 12):
-        asked, given = (
+        requested, reached = (
             [None if end is None else f'{end * size:.{digits}g}' for end in ends]
             for ends in ((low, high), (least, most))
         )
-        if not set(asked) & set(given):
+        if not set(requested) & set(reached):
             break
-    if None not in given:
-        goes = f'goes from {given[0]} to {given[1]} {unit}'
-    elif given[0] is not None:
-        goes = f'goes no lower than {given[0]} {unit}'
+    if None not in reached:
+        goes = f'goes from {reached[0]} to {reached[1]} {unit}'
+    elif reached[0] is not None:
+        goes = f'goes no lower than {reached[0]} {unit}'
     else:
-        goes = f'goes no higher than {given[1]} {unit}'
+        goes = f'goes no higher than {reached[1]} {unit}'
     raise SceneError(
-        f"'drivers' ask for {what} {asked[0]} to {asked[1]} {unit}, but the linkage {goes}{why}: "
-        'drive it less far, or change lengths'
+        f"'drivers' ask for {what} {requested[0]} to {requested[1]} {unit}, but the linkage "
+        f'{goes}{why}: drive it less far, or change lengths'
     )
 
 
 def _limits(mechanism: Mechanism, low: float, high: float) -> tuple[float | None, float | None]:
     """
-    Where the linkage turns back below and above its start, None where it was not found to.
+    The inputs at which the linkage turns back below and above its start, None if it does not.
 
-    One driver is followed beyond the range asked for, `low` to `high`: an angle by a whole turn, a
-    length by twice all lengths. Several drivers are followed over the time asked for.
+    One driver is followed beyond the requested range: an angle by a whole turn, a length by twice
+    all lengths. Several drivers are followed over the requested time.
     """
     path = mechanism.path(low, high)
     start = float(path.inputs[path.start])
     if len(mechanism.drivers) == 1:
         lengths = 2 * float(np.abs(mechanism.assembly.loops.length0).sum())
-        reach = 2 * pi if mechanism.kind(0) == 'angle' else lengths
-        # Where it cannot be followed so far, the limits within the requested range are reported.
+        span = 2 * pi if mechanism.kind(0) == 'angle' else lengths
+        # If it cannot be followed so far, the limits within the requested range are reported.
         with suppress(LinkageError):
-            path = mechanism.path(start - reach, start + reach)
+            path = mechanism.path(start - span, start + span)
     limits = [dead.at for dead in path.dead_points if dead.turns_back]
     least = max((at for at in limits if at <= start), default=None)
     most = min((at for at in limits if at > start), default=None)
     if least is None and most is None:
         # It ends where no dead point was located.
-        ends = float(path.inputs[0]), float(path.inputs[-1])
-        return (ends[0] if ends[0] > low else None, ends[1] if ends[1] < high else None)
+        first, last = float(path.inputs[0]), float(path.inputs[-1])
+        return first if first > low else None, last if last < high else None
     return least, most
 
 
 def check_teeth(mechanism: Mechanism) -> None:
-    """Raise SceneError where a pressure angle leaves a wheel's hub to nothing that holds it."""
+    """Raise SceneError for teeth with a pressure angle if nothing else holds the hub of a wheel."""
     if not any(isinstance(joint, Rolling) for joint in mechanism.assembly.joints):
         return
-    names = loose_teeth(mechanism, mechanism.motion(np.zeros(1), 3).values[0, :, 0])
-    if names:
+    if names := loose_teeth(mechanism, mechanism.motion(np.zeros(1), 3).values[0, :, 0]):
         raise SceneError(
-            f"'joints: {', '.join(names)}': teeth with a pressure angle push apart, and nothing "
-            'holds the hub at its distance: hold it by an arm with pins, or by a pin or slide on '
-            'the ground'
+            f"'joints: {', '.join(names)}': teeth with a pressure angle push each other away, and "
+            'nothing holds the hub at its distance: hold it by an arm with pins, or by a pin or '
+            'slide on the ground'
         )
 
 
-def check_start(mechanism: Mechanism, said: Mapping[str, float]) -> None:
-    """Raise SceneError where a body is not at time 0 about where the scene says that it is."""
+def check_start(mechanism: Mechanism, stated: Mapping[str, float]) -> None:
+    """Raise SceneError where a body at time 0 is far from the start that the scene states."""
     loops, kinds = mechanism.assembly.loops, mechanism.assembly.kinds
     values = mechanism.motion(np.zeros(1), 3).values[0, :, 0]
-    # What loops do not hold follows from gears and drivers alone, and is said exactly.
-    in_loops = (loops.loops[:, :] != 0).any(axis=0)
-    loose = (loops.angles[in_loops] != 0).any(axis=0)
+    # Angles outside of all loops follow from gears and drivers alone.
+    in_loops = (loops.loops != 0).any(axis=0)
+    has_branches = (loops.angles[in_loops] != 0).any(axis=0)
     for k, name in enumerate(loops.variables):
-        if name not in said or kinds[name] != 'angle':
+        if name not in stated or kinds[name] != 'angle':
             continue
-        off = abs((values[k] - said[name] + pi) % (2 * pi) - pi)
-        if off > (_ROUGHLY if loose[k] else _GEARED):
-            now, meant = (np.degrees(x) % 360 for x in (values[k], said[name]))
-            fix = (
-                'another branch: start it there'
-                if loose[k]
-                else ('drivers and gears have it there: correct it, or give the joint its start')
-            )
-            raise SceneError(
-                f"'start: {name}' is {meant:.6g} deg, but at time 0 it is at {now:.6g} deg; {fix}"
-            )
+        error = abs((values[k] - stated[name] + pi) % (2 * pi) - pi)
+        if error <= (_BRANCH_TOLERANCE if has_branches[k] else _GEAR_TOLERANCE):
+            continue
+        actual, start = (np.degrees(x) % 360 for x in (values[k], stated[name]))
+        fix = 'drivers and gears have it there: correct it, or give the joint its start'
+        if has_branches[k]:
+            fix = 'another branch: start it there'
+        raise SceneError(
+            f"'start: {name}' is {start:.6g} deg, but at time 0 it is at {actual:.6g} deg; {fix}"
+        )

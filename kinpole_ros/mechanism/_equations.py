@@ -10,15 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from kinpole_ros.mechanism._constraints import SIZES
 from kinpole_ros.mechanism._joints import (
-    ALONG,
-    CIRCLE,
-    COLUMNS,
     GROUND,
-    POSE_COLUMNS,
-    RADIUS,
-    START,
-    TURNED,
     Belt,
     Joint,
     Revolute,
@@ -151,35 +145,23 @@ def joint_at(equations: Equations, number: int, values: Real) -> tuple[Joint, Re
         seventh on, by the dimensions.
 
     """
-    name, one, a, other, b, along, turned, radius, circle, start = equations.joints[number]
-    by_dimension = np.zeros((COLUMNS - POSE_COLUMNS, len(values)))
-    points = []
-    for row, parts in ((0, a), (2, b)):
-        point, slope = part_sum(parts, values)
-        points.append(point)
-        by_dimension[row], by_dimension[row + 1] = slope.real, slope.imag
-    sizes = {}
-    for column, dimension in (
-        (ALONG, along),
-        (TURNED, turned),
-        (RADIUS, radius),
-        (CIRCLE, circle),
-        (START, start),
-    ):
+    equation = equations.joints[number]
+    (a, by_a), (b, by_b) = part_sum(equation.a, values), part_sum(equation.b, values)
+    by_dimension = np.zeros((len(SIZES), len(values)))
+    by_dimension[:4] = by_a.real, by_a.imag, by_b.real, by_b.imag
+    sizes: dict[str, Any] = {}
+    for row, key in enumerate(SIZES[4:], 4):
+        dimension = getattr(equation, key)
         if dimension is not None:
-            by_dimension[column - POSE_COLUMNS, dimension] = 1.0
-            sizes[column] = float(values[dimension])
-    if radius is not None and start is not None:
-        sizes[START] -= equations.dimensions[start].value
-        line, round_ = sizes.get(ALONG, 0.0), sizes.get(CIRCLE, 0.0)
-        wheel = Rolling(
-            name, one, points[0], other, points[1], sizes[RADIUS], line, round_, sizes[START]
-        )
-        return wheel, by_dimension
-    if along is None:
-        return Revolute(name, one, points[0], other, points[1]), by_dimension
-    slot = Slot(name, one, points[0], sizes[ALONG], other, points[1], sizes.get(TURNED))
-    return slot, by_dimension
+            by_dimension[row, dimension] = 1.0
+            sizes[key] = float(values[dimension])
+    if equation.start is not None:
+        sizes['start'] -= equations.dimensions[equation.start].value
+    kind: type[Revolute | Slot | Rolling] = Revolute if equation.along is None else Slot
+    if equation.radius is not None:
+        kind = Rolling
+    joint = kind(name=equation.name, one=equation.one, a=a, other=equation.other, b=b, **sizes)
+    return joint, by_dimension
 
 
 class _Dimensions:

@@ -208,12 +208,6 @@ def loop_jacobian(loops: Loops, values: Real) -> tuple[Complex, Complex]:
     return loops.loops @ (length * turn), slope
 
 
-def loop_rates(loops: Loops, values: Real, rates: Real) -> Complex:
-    """Derivatives (terms, T) of the terms at variables (n, T) with these rates."""
-    length, turn = term_vectors(loops, values)
-    return turn * (loops.lengths @ rates + 1j * length * (loops.angles @ rates))
-
-
 def _by_stage(rows: Real, stage: np.ndarray) -> Real:
     """The distinct rows, in the order of the last stage that they need."""
     distinct = np.unique(rows, axis=0)
@@ -338,9 +332,11 @@ def _solving_order(
     return blocks
 
 
-def weigh(coefficients: np.ndarray, parts: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+def weigh(
+    coefficients: np.ndarray, vectors: np.ndarray, out: np.ndarray | None = None
+) -> np.ndarray:
     """
-    Coefficients (s, A) @ parts (..., A, T), most coefficients being zero.
+    Coefficients (s, A) @ vectors (..., A, T), most coefficients being zero.
 
     Rows of `out` (..., s, T) without coefficients are left as they are. For a single row the BLAS
     would call its threads, which on busy processors wait for each other much longer than this takes
@@ -348,9 +344,9 @@ def weigh(coefficients: np.ndarray, parts: np.ndarray, out: np.ndarray | None = 
     """
     is_new = out is None
     if out is None:
-        shape = (*parts.shape[:-2], len(coefficients), parts.shape[-1])
-        out = np.empty(shape, (coefficients if np.iscomplexobj(coefficients) else parts).dtype)
-    terms = parts.swapaxes(0, -2)
+        shape = (*vectors.shape[:-2], len(coefficients), vectors.shape[-1])
+        out = np.empty(shape, (coefficients if np.iscomplexobj(coefficients) else vectors).dtype)
+    terms = vectors.swapaxes(0, -2)
     for row, total in zip(coefficients.tolist(), out.swapaxes(0, -2), strict=True):
         is_first = True
         for weight, term in zip(row, terms, strict=True):

@@ -1,8 +1,8 @@
 """
-A linkage that is driven: where all its bodies are and how they move, at any time or input.
+A linkage that is driven: the poses of all its bodies and their motion, at any time or input.
 
-Combines what bodies and joints say (`_assembly`), the algebra of their loops (`_loops`), the
-branch they are on (`_path`) and what drives them (`_drive`).
+Combines bodies and joints (`_assembly`), the algebra of their loops (`_loops`), the branch they are
+on (`_path`) and their drivers (`_laws`).
 """
 
 from collections.abc import Callable
@@ -15,14 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import Assembly, body_motion
-from kinpole_ros.mechanism._dead_points import flattest, loop_of, unit_input
-from kinpole_ros.mechanism._guesses import Table, initial_guess, tabulate
+from kinpole_ros.mechanism._dead_points import loop_names, most_singular, unit_input
 from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce, sums, weigh
-from kinpole_ros.mechanism._path import Path, trace
+from kinpole_ros.mechanism._motions import ORDERS
+from kinpole_ros.mechanism._path import Path, Table, initial_guess, tabulate, trace
 from kinpole_ros.mechanism._solution import Solution, solve, sound_orders
 from kinpole_ros.planar._plane import Complex, Real
 
-ORDERS = 5  # position to snap
 # Positions at a time: fewer cost more calls, more leave the cache (1e5 of a four-bar to its
 # accelerations: 9.2 ms with 6144, 8.6 with 8192, 14.7 with 12500).
 _CHUNK = 8192
@@ -30,9 +29,9 @@ _CHUNK = 8192
 
 class Driver(NamedTuple):
     """
-    What prescribes a variable, or the difference of two: variables @ row = value.
+    A prescribed variable, or difference of two: variables @ row = value.
 
-    `name` is for people; `row` (n,); `motion(t)` gives the value and its derivatives (5, ...) at
+    `name` is for messages; `row` (n,); `motion(t)` gives the value and its derivatives (5, ...) at
     times (...) in s; `low` and `high` bound its range, infinite where only the linkage does.
     """
 
@@ -45,10 +44,11 @@ class Driver(NamedTuple):
 
 class Motion(NamedTuple):
     """
-    All bodies (B) of a linkage: `position` (5, B, ...) complex, m, of their origins, and `angle`
-    (5, B, ...), rad, with the derivatives by time, or by the input; `values` (5, n, ...) the
-    variables; `regular` (...) where the derivatives are determined, and `sound` (...) how many
-    orders have digits left, which next to change points are not all.
+    All bodies (B) of a linkage, with the derivatives by time or by the input.
+
+    `position` (5, B, ...) of their origins is complex, m; `angle` (5, B, ...), rad; `values`
+    (5, n, ...) are the variables. `regular` (...) tells where the derivatives are determined,
+    `sound` (...) how many orders have digits, which next to change points are not all.
     """
 
     position: Complex
@@ -63,7 +63,7 @@ class Mechanism:
     """
     Bodies on joints, with drivers.
 
-    `start` (n,) is the position it is drawn in, roughly: the branch is the one next to it, at the
+    `start` (n,) is roughly the position it is drawn in: the branch is the one next to it, at the
     inputs it has at time 0.
     """
 
@@ -78,30 +78,29 @@ class Mechanism:
         """Names (B,) of the moving bodies."""
         return self.assembly.bodies
 
+    @property
+    def driver_rows(self) -> Real:
+        """The rows (d, n) of the drivers."""
+        return np.array([driver.row for driver in self.drivers]).reshape(-1, len(self.start))
+
     @cached_property
     def linkage(self) -> Linkage:
         """The loops with the drivers, reduced to their unknowns; raises LinkageError."""
-        rows = np.array([driver.row for driver in self.drivers])
-        return reduce(self.assembly.loops._replace(drives=rows.reshape(-1, len(self.start))))
+        return reduce(self.assembly.loops._replace(drives=self.driver_rows))
 
     def motion(self, t: npt.ArrayLike, orders: int = ORDERS) -> Motion:
         """
-        How all bodies move at times of any shape (...), in s; `orders` are 3 up to accelerations.
+        The motion of all bodies at times of any shape (...), in s; `orders` 3 is to accelerations.
 
         Raises LinkageError where the linkage cannot follow its drivers so far, with the time.
         """
         times = np.asarray(t, dtype=float)
         flat = times.ravel()
-        found = self.at_inputs(self._inputs(flat), flat, orders)
-        position, angle, values = (
-            part.reshape(*part.shape[:2], *times.shape)
-            for part in (found.position, found.angle, found.values)
-        )
-        regular, sound = (part.reshape(times.shape) for part in (found.regular, found.sound))
-        return Motion(position, angle, values, regular, sound)
+        motion = self.at_inputs(self._inputs(flat), flat, orders)
+        return Motion(*(part.reshape((*part.shape[:-1], *times.shape)) for part in motion))
 
     def sweep(self, at: Real, orders: int = ORDERS) -> Motion:
-        """How all bodies move at the inputs `at` (T,) of the one driver, by that input."""
+        """The motion of all bodies at the inputs `at` (T,) of the one driver, by that input."""
         at = np.asarray(at, dtype=float)
         if len(self.drivers) != 1:
             raise LinkageError('a sweep is over one driver: hold the others')
@@ -115,25 +114,29 @@ class Mechanism:
         """
         rates = []
         for k in range(len(self.drivers)):
-            inputs = np.zeros((2, len(self.drivers), values.shape[1]))
-            inputs[0] = np.stack([driver.row for driver in self.drivers]) @ values
-            inputs[1, k] = 1.0
-            rates.append(solve(self.linkage, inputs, values, 2, close=False).values)
-        moved = [body_motion(self.assembly, found) for found in rates]
-        return np.stack([z[1] for z, _ in moved]), np.stack([angle[1] for _, angle in moved])
+            solution = self.rates(values, k)
+            position, angle = body_motion(self.assembly, solution.values)
+            rates.append((position[1], angle[1]))
+        velocity, omega = zip(*rates, strict=True)
+        return np.stack(velocity), np.stack(omega)
+
+    def rates(self, values: Real, driver: int | None = None) -> Solution:
+        """The first-order solution at variables (n, T), at unit rate of one driver or at rest."""
+        inputs = np.zeros((2, len(self.drivers), values.shape[1]))
+        inputs[0] = self.driver_rows @ values
+        if driver is not None:
+            inputs[1, driver] = 1.0
+        return solve(self.linkage, inputs, values, 2, close=False)
 
     def dead_loop(self, values: Real) -> tuple[str, ...]:
         """The joints, or vectors, of the loops that are in a dead point at variables (n,)."""
-        here = values[:, None]
-        inputs = np.zeros((2, len(self.drivers), 1))
-        inputs[0] = np.stack([driver.row for driver in self.drivers]) @ here
-        return loop_of(self.linkage, flattest(solve(self.linkage, inputs, here, 2, close=False)))
+        return loop_names(self.linkage, most_singular(self.rates(values[:, None])))
 
     def at_inputs(self, inputs: Real, times: Real | None, orders: int = ORDERS) -> Motion:
         """
-        How all bodies move at `inputs` (orders or more, d, T), derivatives by whatever theirs are.
+        The motion of all bodies at `inputs` (orders or more, d, T), by the parameter of these.
 
-        `times` (T,) are those of the inputs, which tell the way of several drivers.
+        `times` (T,) are those of the inputs, the parameter of the branch for several drivers.
         """
         along = inputs[0, 0] if len(self.drivers) == 1 else times
         return self._at(lambda part: inputs[:, :, part], inputs.shape[-1], along, times, orders)
@@ -146,7 +149,7 @@ class Mechanism:
         times: Real | None,
         orders: int,
     ) -> Motion:
-        """The same at `inputs(part)` for parts of all positions; `along` tells their way."""
+        """The motion at `inputs(part)` for parts of all positions; `along` is their parameter."""
         table = None
         if self.linkage.blocks and count:
             if along is None:
@@ -164,52 +167,48 @@ class Mechanism:
                 guess = np.zeros((len(self.start), here.shape[-1]))
             else:
                 guess = initial_guess(table, along[part])
-            found = solve(self.linkage, here, guess, orders, out=values[:, :, part])
-            if not found.closed.all():
+            solution = solve(self.linkage, here, guess, orders, out=values[:, :, part])
+            if not solution.closed.all():
                 when = None if times is None else times[part]
-                raise LinkageError(self._out_of_reach(here, when, found.closed))
-            regular[part] = found.regular
-            sound[part] = sound_orders(self.linkage, here, found)
-            self._place(found, position[:, :, part])
-        return Motion(position, self._angles(values), values, regular, sound)
-
-    def _angles(self, values: Real) -> Real:
-        """The angles (orders, B, T) of all bodies, without a copy where they are variables."""
+                raise LinkageError(self._out_of_reach(here, when, solution.closed))
+            regular[part] = solution.regular
+            sound[part] = sound_orders(self.linkage, here, solution)
+            self._fill_positions(solution, position[:, :, part])
         turns = self.assembly.turns
-        if np.array_equal(turns, np.eye(*turns.shape)):
-            return values[:, : len(turns)]
-        return weigh(turns, values)
+        # Without a copy where the angles of the bodies are the first variables.
+        are_variables = np.array_equal(turns, np.eye(*turns.shape))
+        angle = values[:, : len(turns)] if are_variables else weigh(turns, values)
+        return Motion(position, angle, values, regular, sound)
 
     @cached_property
-    def _places(self) -> tuple[Complex, Complex]:
-        return sums(self.linkage, self.assembly.places)
+    def _origin_sums(self) -> tuple[Complex, Complex]:
+        return sums(self.linkage, self.assembly.origins)
 
-    def _place(self, found: Solution, position: Complex) -> None:
-        """Fill in origins of all bodies (orders, B, T), from the angles and lengths of `solve`."""
-        constant, sliding = self._places
-        weigh(constant, found.turns[0], out=position[0])
+    def _fill_positions(self, solution: Solution, position: Complex) -> None:
+        """Fill in origins of all bodies (orders, B, T) from the angles and lengths of `solve`."""
+        constant, sliding = self._origin_sums
+        weigh(constant, solution.turns[0], out=position[0])
         moving = constant * self.linkage.turns.any(axis=1)
-        weigh(moving, found.turns[1:], out=position[1:])
+        weigh(moving, solution.turns[1:], out=position[1:])
         for v, coefficients in enumerate(sliding):
             if coefficients.any():
-                turned = weigh(coefficients, found.turns)
+                turned = weigh(coefficients, solution.turns)
                 for k in range(len(position)):
                     for j in range(k + 1):
-                        position[k] += comb(k, j) * found.slides[j, v] * turned[k - j]
+                        position[k] += comb(k, j) * solution.slides[j, v] * turned[k - j]
 
     def path(self, low: float, high: float) -> Path:
         """The branch over the inputs from `low` to `high`, or as far as it goes."""
-        known = self._path
-        if known is None or not known.covers(low, high):
-            one = len(self.drivers) == 1
-            start = float(self._inputs(np.zeros(1))[0, 0, 0]) if one else 0.0
-            low = min(low, start, low if known is None else known.asked[0])
-            high = max(high, start, high if known is None else known.asked[1])
-            inputs = unit_input if one else self._inputs
-            self._path = trace(self.linkage, start, self.start, low, high, inputs)
-            self._table = tabulate(self.linkage, self._path, inputs)
-        assert self._path is not None
-        return self._path
+        path = self._path
+        if path is None or not path.covers(low, high):
+            one_driver = len(self.drivers) == 1
+            start = float(self._inputs(np.zeros(1))[0, 0, 0]) if one_driver else 0.0
+            before = (low, high) if path is None else path.requested
+            low, high = min(low, start, before[0]), max(high, start, before[1])
+            inputs = unit_input if one_driver else self._inputs
+            path = trace(self.linkage, start, self.start, low, high, inputs)
+            self._path, self._table = path, tabulate(self.linkage, path, inputs)
+        return path
 
     def _inputs(self, times: Real) -> Real:
         """Values and derivatives (5, d, T) of the drivers."""
@@ -219,18 +218,18 @@ class Mechanism:
         first = int(np.argmin(closed))
         when = '' if times is None else f' at {times[first]:.6g} s'
         at = ', '.join(
-            f'{driver.name} = {self._shown(k, value)}'
+            f'{driver.name} = {self._with_unit(k, value)}'
             for k, (driver, value) in enumerate(zip(self.drivers, inputs[0, :, first], strict=True))
         )
         limits = ''
         if self._path is not None and len(self.drivers) == 1:
-            # The ends of the path are none: it may go on where nobody asked for it.
+            # The ends of the path are no limits: it may go on beyond the requested range.
             ends = sorted({dead.at for dead in self._path.dead_points if dead.turns_back})
-            limits = ' and '.join(self._shown(0, end) for end in ends)
+            limits = ' and '.join(self._with_unit(0, end) for end in ends)
             limits = limits and f', it turns back at {limits}'
         return f'the linkage cannot follow its drivers{when}, to {at}{limits}: drive it less far'
 
-    def _shown(self, k: int, value: float) -> str:
+    def _with_unit(self, k: int, value: float) -> str:
         """A value of a driver, with its unit."""
         return f'{np.degrees(value):.9g} deg' if self.kind(k) == 'angle' else f'{value:.9g} m'
 

@@ -1,47 +1,47 @@
 """
-The way of a linkage through its range of motion: branch by continuation, limits and dead points.
+The branch of a linkage over its range of motion, by continuation, and guesses for positions on it.
 
 From one position the next is predicted by the Taylor series that `solve` gives, in steps as long as
-the prediction is good, so a branch is followed and never jumped.
+the prediction is good, so a branch is followed and never changed.
 """
 
 from collections.abc import Sequence
-from math import pi
+from math import factorial, pi
 from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.mechanism._dead_points import (
+    Branch,
     DeadPoint,
     Inputs,
-    Way,
-    crossing,
-    flattest,
-    locate,
-    loop_of,
+    locate_change_point,
+    locate_limit,
+    loop_names,
+    most_singular,
     taylor,
     unit_input,
 )
 from kinpole_ros.mechanism._loops import Linkage, LinkageError
-from kinpole_ros.mechanism._solution import Solution
+from kinpole_ros.mechanism._solution import Solution, solve
 from kinpole_ros.mechanism._start import closing_starts
 from kinpole_ros.planar._plane import Real
 
-# The largest error of a predicted variable, rad or lengths over the largest, and the longest step.
-_GUESS_ERROR, LONGEST, _SHORTEST = 1e-3, 0.25, 1e-7
-MOST_NODES = 20_000
-# Right in a dead point, where a step is a rounding error's root, or next to it.
-_AT_REST = 1e-5
+# The largest error of a predicted variable, rad or lengths over the largest, and limits of steps.
+_GUESS_ERROR, _LONGEST, _SHORTEST = 1e-3, 0.25, 1e-7
+_MOST_NODES = 20_000
+# Determinants below this are those of a dead point, above the other far away from one.
+_DEAD, _EASY = 1e-5, 0.05
 
 
 class Path(NamedTuple):
     """
     Nodes of a branch over one input: `inputs` (K,), rising, `values` (5, n, K) by that input.
 
-    `period` is 2 pi where the input turns all the way round and everything returns, with the
-    whole turns that the variables make meanwhile in `winding` (n,); else 0. `dead_points` are those
-    met, from low to high inputs; the first and last node lie just inside limits, if there are any.
-    `start` is the node from which the others were found.
+    `period` is 2 pi where the input turns all the way round and everything returns, with the whole
+    turns that the variables make meanwhile in `winding` (n,); else 0. `dead_points` are those met,
+    from low to high inputs; the first and last node lie just inside limits, if there are any.
+    `requested` is the range that was asked for, `start` the first node that was solved.
     """
 
     inputs: Real
@@ -49,12 +49,12 @@ class Path(NamedTuple):
     period: float
     winding: Real
     dead_points: tuple[DeadPoint, ...]
-    asked: tuple[float, float]
+    requested: tuple[float, float]
     start: int
 
     def covers(self, low: float, high: float) -> bool:
-        """Whether inputs from `low` to `high` have been asked for before, or are all the same."""
-        return bool(self.period) or (self.asked[0] <= low and high <= self.asked[1])
+        """Whether inputs from `low` to `high` were requested before, or are all the same."""
+        return bool(self.period) or (self.requested[0] <= low and high <= self.requested[1])
 
 
 def trace(
@@ -68,45 +68,50 @@ def trace(
     """
     Follow the branch next to `guess` (n,) from the input `start` down to `low` and up to `high`.
 
-    Stops at limits. `inputs` gives the drivers (5, d, T) over whatever parametrizes the way, their
-    one input itself unless said otherwise. Raises LinkageError where the linkage cannot be
-    assembled at `start`.
+    It stops at limits. `inputs` gives the drivers (5, d, T) over the parameter of the branch, by
+    default their one input itself. Raises LinkageError where the linkage cannot be assembled at
+    `start`.
     """
-    way = Way(linkage, inputs)
-    first = way.at(start, guess)
+    branch = Branch(linkage, inputs)
+    first = branch.at(start, guess)
     if not first.closed[0]:
         drives = linkage.loops.drives
-        lacks = inputs(np.array([start]))[0, :, 0] - drives @ guess
-        raise LinkageError(_why_open(linkage, guess + np.linalg.pinv(drives) @ lacks))
-    if not (np.abs(first.determinant[:, 0]) > _AT_REST).all():
-        loop = ', '.join(loop_of(linkage, flattest(first)))
+        error = inputs(np.array([start]))[0, :, 0] - drives @ guess
+        raise LinkageError(_why_open(linkage, guess + np.linalg.pinv(drives) @ error))
+    if not (np.abs(first.determinant[:, 0]) > _DEAD).all():
+        loop = ', '.join(loop_names(linkage, most_singular(first)))
         raise LinkageError(
             f'the start is a dead point of the loop {loop}, from which it is not known where to '
             'go: start next to it'
         )
-    scale = _scales(linkage, first.values[0, :, 0])
+    is_angle = linkage.loops.is_angle
+    length = np.abs(linkage.loops.lengths @ first.values[0, :, 0] + linkage.loops.length0).max()
+    scale = np.where(is_angle, 1.0, length)
     period, winding = 0.0, np.zeros(len(guess))
     turn = start + 2 * pi
-    whole_turn = inputs is unit_input and _is_angle(linkage) and high - low >= 2 * pi - 1e-9
-    # Once round, everything may be as before: then that is the way for any number of turns.
-    up, dead_up = _follow(way, start, first, turn if whole_turn else high, scale)
-    if whole_turn and up and up[-1][0] >= turn - 1e-9:
-        after = way.at(turn, _guess_from(up, turn))
+    row = linkage.loops.drives[0]
+    turns_round = inputs is unit_input and high - low >= 2 * pi - 1e-9
+    turns_round = turns_round and is_angle[row != 0].all() and np.isclose(np.abs(row).sum(), 1)
+    # If all is as before after one turn, that is the path for any number of turns.
+    up, dead_up = _follow(branch, start, first, turn if turns_round else high, scale)
+    if turns_round and up and up[-1][0] >= turn - 1e-9:
+        near = min(up, key=lambda node: abs(node[0] - turn))
+        after = branch.at(turn, taylor(near[1], turn - near[0]))
         turns = (after.values[0, :, 0] - first.values[0, :, 0]) / (2 * pi)
-        whole = np.where(_angles(linkage), np.round(turns), 0.0)
-        if after.closed[0] and np.abs(turns - whole).max() < 1e-9 * max(1.0, scale.max()):
-            period, winding = 2 * pi, whole
+        whole_turns = np.where(is_angle, np.round(turns), 0.0)
+        if after.closed[0] and np.abs(turns - whole_turns).max() < 1e-9 * max(1.0, scale.max()):
+            period, winding = 2 * pi, whole_turns
             dead_up = [dead for dead in dead_up if dead.at < turn - 1e-9]
         elif high > turn:
-            more, dead_more = _follow(way, *up[-1], high, scale)
-            up, dead_up = up + more, dead_up + dead_more
-    if not period and whole_turn:
+            farther, dead_farther = _follow(branch, *up[-1], high, scale)
+            up, dead_up = up + farther, dead_up + dead_farther
+    if not period and turns_round:
         up = [node for node in up if node[0] <= high + 1e-9]
         dead_up = [dead for dead in dead_up if dead.at <= high + 1e-9]
-    down, dead_down = ([], []) if period else _follow(way, start, first, low, scale)
+    down, dead_down = ([], []) if period else _follow(branch, start, first, low, scale)
     nodes = [*reversed(down), (start, first), *up]
     return Path(
-        np.array([s for s, _ in nodes]),
+        np.array([at for at, _ in nodes]),
         np.stack([solution.values[:, :, 0] for _, solution in nodes], axis=-1),
         period,
         winding,
@@ -117,16 +122,16 @@ def trace(
 
 
 def _why_open(linkage: Linkage, guess: Real) -> str:
-    """What is said of loops that do not close from `guess` (n,): where they do, or that nowhere."""
-    loops, angles = linkage.loops, _angles(linkage)
+    """The message about loops that do not close from `guess` (n,), with starts that do."""
+    loops, is_angle = linkage.loops, linkage.loops.is_angle
 
-    def shown(k: int, value: float) -> str:
-        # Rounded so that nothing is a rounding error, or minus zero, of a degree.
-        of = f'{round(np.degrees(value), 2) + 0.0:g} deg' if angles[k] else f'{value:.4g} m'
-        return f'{loops.variables[k]}: {of}'
-
-    def described(values: Real, which: Sequence[int]) -> str:
-        return ', '.join(shown(k, float(values[k])) for k in which)
+    def described(values: Real, numbers: Sequence[int]) -> str:
+        # Rounded so that no angle is a rounding error, or minus zero.
+        return ', '.join(
+            f'{loops.variables[k]}: '
+            + (f'{round(np.degrees(x), 2) + 0.0:g} deg' if is_angle[k] else f'{x:.4g} m')
+            for k, x in ((k, float(values[k])) for k in numbers)
+        )
 
     driven = [int(k) for k in np.flatnonzero(loops.drives.any(axis=0))]
     at = f' with {{{described(guess, driven)}}}' if driven else ''
@@ -136,65 +141,109 @@ def _why_open(linkage: Linkage, guess: Real) -> str:
             f'the loops do not close{at}, from wherever they were tried: check the lengths, and '
             'where the drivers are at time 0'
         )
-    # What slides and struts do follows from the angles of the bodies.
-    free = [k for k in linkage.unknown if angles[k]] or list(linkage.unknown)
-    ways = ', or '.join(f'{{{described(values, free)}}}' for values in starts)
+    # Slides and struts follow from the angles of the bodies.
+    free = [k for k in linkage.unknown if is_angle[k]] or list(linkage.unknown)
+    near = ', or '.join(f'{{{described(values, free)}}}' for values in starts)
     return (
-        f'the loops do not close{at} from {{{described(guess, free)}}}, but they do near {ways}: '
+        f'the loops do not close{at} from {{{described(guess, free)}}}, but they do near {near}: '
         'write the one that is meant as start'
     )
 
 
 def _follow(
-    on: Way, start: float, first: Solution, end: float, scale: Real
+    branch: Branch, start: float, first: Solution, end: float, scale: Real
 ) -> tuple[list[tuple[float, Solution]], list[DeadPoint]]:
     """Nodes after the first on the way to `end`, and the dead points met."""
-    way = 1.0 if end > start else -1.0
+    sign = 1.0 if end > start else -1.0
     nodes: list[tuple[float, Solution]] = []
     dead: list[DeadPoint] = []
     here, at, step = first, start, 0.05
-    while (end - at) * way > 1e-12 * max(1.0, abs(end)):
-        if len(nodes) > MOST_NODES:
+    while (end - at) * sign > 1e-12 * max(1.0, abs(end)):
+        if len(nodes) > _MOST_NODES:
             raise LinkageError(
-                f'more than {MOST_NODES} steps: is the range {start} to {end} meant?'
+                f'more than {_MOST_NODES} steps: is the range {start} to {end} meant?'
             )
-        step = min(step, LONGEST, abs(end - at))
-        ahead = taylor(here, way * step)
-        there = on.at(at + way * step, ahead)
-        off = np.abs((there.values[0, :, 0] - ahead) / scale).max() if there.closed[0] else np.inf
-        good = bool(there.regular[0]) and np.isfinite(off) and off < _GUESS_ERROR
-        if not good:
+        step = min(step, _LONGEST, abs(end - at))
+        guess = taylor(here, sign * step)
+        ahead = branch.at(at + sign * step, guess)
+        error = np.inf
+        if ahead.closed[0] and ahead.regular[0]:
+            error = np.abs((ahead.values[0, :, 0] - guess) / scale).max()
+        if not error < _GUESS_ERROR:
             step /= 2
             if step < _SHORTEST:
-                dead.append(locate(on, at, here))
+                dead.append(locate_limit(branch, at, here))
                 break
             continue
-        if np.any(there.determinant[:, 0] * here.determinant[:, 0] < 0):
-            dead.append(crossing(on, at, here, at + way * step))
-        at, here = at + way * step, there
+        if np.any(ahead.determinant[:, 0] * here.determinant[:, 0] < 0):
+            dead.append(locate_change_point(branch, at, here, at + sign * step))
+        at, here = at + sign * step, ahead
         nodes.append((at, here))
-        step *= min(2.0, 0.9 * (_GUESS_ERROR / max(off, 1e-12)) ** 0.2)
+        step *= min(2.0, 0.9 * (_GUESS_ERROR / max(error, 1e-12)) ** 0.2)
     return nodes, dead
 
 
-def _guess_from(nodes: list[tuple[float, Solution]], at: float) -> Real:
-    near = min(nodes, key=lambda node: abs(node[0] - at))
-    return taylor(near[1], at - near[0])
+class Table(NamedTuple):
+    """
+    Guesses for `solve`: nodes of a path so dense that one step of Newton's method is left.
+
+    `inputs` (K,), `between` the nodes, and in `values` (orders, unknowns, K) the unknowns and their
+    derivatives: three, or one if all loops are dyads, which need but a rough guess, and far from
+    dead points. `period` and `winding` as in Path.
+    """
+
+    between: Real
+    inputs: Real
+    values: Real
+    period: float
+    winding: Real
 
 
-def _angles(linkage: Linkage) -> np.ndarray:
-    """Which variables (n,) are angles, those of no term too: a wheel that others roll on."""
-    return ~np.asarray((linkage.loops.lengths != 0).any(axis=0))
-
-
-def _is_angle(linkage: Linkage) -> bool:
-    driven = linkage.loops.drives[0] != 0
-    return bool(
-        _angles(linkage)[driven].all() and np.isclose(np.abs(linkage.loops.drives[0]).sum(), 1)
+def tabulate(linkage: Linkage, path: Path, inputs: Inputs = unit_input) -> Table:
+    """A table for `initial_guess` over the whole path, its steps split into up to 16 parts."""
+    count = min(16, max(1, _MOST_NODES // len(path.inputs)))
+    share = np.arange(count) / count
+    at = (path.inputs[:-1, None] + np.diff(path.inputs)[:, None] * share).ravel()
+    # Each step is predicted from the node it was solved from: near a limit only that is close.
+    near = np.arange(len(path.inputs) - 1)
+    near = np.append(np.repeat(near + (near < path.start), count), len(path.inputs) - 1)
+    at = np.append(at, path.inputs[-1])
+    step = at - path.inputs[near]
+    guess = sum(path.values[k][:, near] * (step**k / factorial(k)) for k in range(5))
+    solution = solve(linkage, inputs(at), np.asarray(guess), 4)
+    good, rows = solution.regular, list(linkage.unknown)
+    values = solution.values[:, rows][:, :, good]
+    at, rates = at[good], np.abs(values[1:3]).max(axis=1, initial=0.0)
+    easy = all(block.dyad for block in linkage.blocks)
+    easy &= bool((np.abs(solution.determinant) > _EASY).all())
+    # A series is good for as far as its terms fall, which next to a limit is hardly at all.
+    gap = np.diff(at)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        radius = np.nan_to_num(rates[0] / rates[1], nan=np.inf, posinf=np.inf)
+        before, after = np.minimum(radius[:-1], gap), np.minimum(radius[1:], gap)
+        share = np.nan_to_num(before / (before + after), nan=0.5)
+    return Table(
+        at[:-1] + share * gap,
+        at,
+        np.ascontiguousarray(values[: 2 if easy else 4]),
+        path.period,
+        path.winding[rows],
     )
 
 
-def _scales(linkage: Linkage, values: Real) -> Real:
-    """What an error of each variable is held against: 1 rad, or the largest length."""
-    length = np.abs(linkage.loops.lengths @ values + linkage.loops.length0).max()
-    return np.where(_angles(linkage), 1.0, length)
+def initial_guess(table: Table, at: Real) -> Real:
+    """The unknowns (w, T) near the inputs `at` (T,), by Taylor's series at the nearest node."""
+    turns = None
+    if table.period:
+        turns = np.floor((at - table.inputs[0]) / table.period)
+        at = at - turns * table.period
+    node = np.searchsorted(table.between, at)
+    # No farther than the nodes go: a value beyond a limit does not close, and is detected.
+    step = np.clip(at - table.inputs[node], -_LONGEST, _LONGEST)
+    guess = table.values[-1].take(node, axis=1)
+    for k in reversed(range(len(table.values) - 1)):
+        guess *= step * (1 / (k + 1))
+        guess += table.values[k].take(node, axis=1)
+    if turns is not None and table.winding.any():
+        guess += 2 * pi * table.winding[:, None] * turns
+    return guess

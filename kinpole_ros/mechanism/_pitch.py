@@ -9,27 +9,43 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.files import whole
+from kinpole_ros.files import whole_file
 from kinpole_ros.mechanism._centrodes import Centrodes
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.planar._plane import Complex
 
 # In sizes of the linkage: a drawing ends here; ends of a curve nearer than this meet.
-_SHOWN, _MEET = 3.0, 1e-6
-# Of the drawing, mm: its margin, the arms of an axis and of a pin's cross, a line, a letter.
+_MOST_DISTANT, _MEETING = 3.0, 1e-6
+# Sizes in the drawing, mm: its margin, the arms of an axis and of a pin's cross, a line, a letter.
 _MARGIN, _AXIS, _PIN, _LINE, _LETTER = 10.0, 8.0, 2.0, 0.25, 4.0
 
 
 class _Sheet(NamedTuple):
     """
     One body's curve in mm, y upward: `lines` (each (n,) complex, and whether it is closed) and
-    `pins` (complex) from an origin that is at `left` on the paper.
+    `pins` (complex), from an origin that is at `x` on the paper.
     """
 
     body: str
     lines: list[tuple[Complex, bool]]
     pins: Complex
-    left: float
+    x: float
+
+    def marks(self) -> Iterator[Complex]:
+        """A cross for each pin and the axes of the frame, as lines."""
+        for pin in self.pins:
+            yield np.array([pin - _PIN, pin + _PIN])
+            yield np.array([pin - 1j * _PIN, pin + 1j * _PIN])
+        yield np.array([0, _AXIS], complex)
+        yield np.array([0, 1j * _AXIS])
+
+    def labels(self) -> tuple[tuple[complex, str], ...]:
+        """Letters and their positions."""
+        return (
+            (complex(_AXIS + 1, -_LETTER / 2), 'x'),
+            (complex(-_LETTER / 2, _AXIS + 1), 'y'),
+            (complex(0, -_AXIS - _LETTER), self.body),
+        )
 
 
 def write_pitch_curves(path: str | Path, curves: Centrodes) -> None:
@@ -45,7 +61,7 @@ def write_pitch_curves(path: str | Path, curves: Centrodes) -> None:
         the bodies; it ends where the center is more than 3 sizes of the linkage away, and is closed
         where its ends meet.
     curves
-        What `centrodes` gives.
+        The result of `centrodes`.
 
     Raises
     ------
@@ -54,12 +70,11 @@ def write_pitch_curves(path: str | Path, curves: Centrodes) -> None:
 
     """
     path = Path(path)
-    writers = {'.csv': _table, '.dxf': _dxf, '.svg': _svg}
-    write = writers.get(path.suffix.lower())
+    write = {'.csv': _table, '.dxf': _dxf, '.svg': _svg}.get(path.suffix.lower())
     if write is None:
         raise LinkageError(f'{path} is no pitch curves; end its name in one of csv, dxf, svg')
     try:
-        with whole(path) as part:
+        with whole_file(path) as part:
             write(part, curves)
     except OSError as error:
         raise LinkageError(
@@ -69,46 +84,45 @@ def write_pitch_curves(path: str | Path, curves: Centrodes) -> None:
 
 
 def _table(path: Path, curves: Centrodes) -> None:
+    columns = {
+        'input': curves.at,
+        'fixed_x': curves.fixed.real,
+        'fixed_y': curves.fixed.imag,
+        'moving_x': curves.moving.real,
+        'moving_y': curves.moving.imag,
+        'arc_length': curves.fixed_length,
+        'piece': curves.piece,
+    }
+    exists = curves.piece >= 0
     with open(path, 'w', newline='', encoding='utf-8') as file:
         rows = csv.writer(file)
-        names = 'input fixed_x fixed_y moving_x moving_y arc_length piece'
-        rows.writerow(names.split())
-        columns = (
-            curves.at,
-            curves.fixed.real,
-            curves.fixed.imag,
-            curves.moving.real,
-            curves.moving.imag,
-            curves.fixed_length,
-            curves.piece,
-        )
-        there = curves.piece >= 0
-        rows.writerows(zip(*(column[there].tolist() for column in columns), strict=True))
+        rows.writerow(columns)
+        rows.writerows(zip(*(column[exists].tolist() for column in columns.values()), strict=True))
 
 
 def _sheets(curves: Centrodes) -> tuple[list[_Sheet], complex, complex]:
     """Both curves side by side, and the lower left and upper right corner of the paper."""
-    near = np.minimum(np.abs(curves.fixed), np.abs(curves.moving)) < _SHOWN * curves.size
+    near = np.minimum(np.abs(curves.fixed), np.abs(curves.moving)) < _MOST_DISTANT * curves.size
     number = np.where(near, curves.piece, -1)
-    # Where a drawn piece leaves the paper and comes back it is two lines.
+    # A drawn piece that leaves the paper and comes back is two lines.
     breaks = np.flatnonzero(np.diff(number)) + 1
     runs = [run for run in np.split(np.arange(len(number)), breaks) if number[run[0]] >= 0]
-    sheets, left, low, high = [], _MARGIN, -_AXIS - _LETTER, _AXIS + _LETTER
+    sheets, edge, low, high = [], _MARGIN, -_AXIS - _LETTER, _AXIS + _LETTER
     for name, points, pins in (
         (curves.one, curves.fixed, curves.pins[0]),
         (curves.other, curves.moving, curves.pins[1]),
     ):
-        lines = _chained([1e3 * points[run] for run in runs], 1e3 * _MEET * curves.size)
+        lines = _chained([1e3 * points[run] for run in runs], 1e3 * _MEETING * curves.size)
         drawn = np.concatenate([line for line, _ in lines] + [1e3 * pins])
-        shift = left - min(drawn.real.min(), -_AXIS)
-        sheets.append(_Sheet(name, lines, 1e3 * pins, shift))
-        left = shift + max(drawn.real.max(), 2 * _AXIS) + _MARGIN
+        x = edge - min(drawn.real.min(), -_AXIS)
+        sheets.append(_Sheet(name, lines, 1e3 * pins, x))
+        edge = x + max(drawn.real.max(), 2 * _AXIS) + _MARGIN
         low, high = min(low, drawn.imag.min()), max(high, drawn.imag.max())
-    return sheets, complex(0.0, low - _MARGIN), complex(left, high + _MARGIN)
+    return sheets, complex(0.0, low - _MARGIN), complex(edge, high + _MARGIN)
 
 
 def _chained(pieces: list[Complex], near: float) -> list[tuple[Complex, bool]]:
-    """Pieces as lines, and whether they are closed; over a turn the last may go on as the first."""
+    """Pieces as lines, and whether they are closed; over a turn the last may continue the first."""
     if len(pieces) > 1 and abs(pieces[-1][-1] - pieces[0][0]) < near:
         pieces = [np.concatenate((pieces[-1], pieces[0][1:])), *pieces[1:-1]]
     closed = [len(piece) > 3 and bool(abs(piece[-1] - piece[0]) < near) for piece in pieces]
@@ -117,76 +131,56 @@ def _chained(pieces: list[Complex], near: float) -> list[tuple[Complex, bool]]:
     ]
 
 
-def _marks(sheet: _Sheet) -> Iterator[Complex]:
-    """A cross for each pin and the axes of the frame, as lines."""
-    for pin in sheet.pins:
-        yield np.array([pin - _PIN, pin + _PIN])
-        yield np.array([pin - 1j * _PIN, pin + 1j * _PIN])
-    yield np.array([0, _AXIS], complex)
-    yield np.array([0, 1j * _AXIS])
-
-
-def _labels(sheet: _Sheet) -> tuple[tuple[complex, str], ...]:
-    """Letters and where they begin."""
-    return (
-        (complex(_AXIS + 1, -_LETTER / 2), 'x'),
-        (complex(-_LETTER / 2, _AXIS + 1), 'y'),
-        (complex(0, -_AXIS - _LETTER), sheet.body),
-    )
-
-
 def _svg(path: Path, curves: Centrodes) -> None:
     sheets, low, high = _sheets(curves)
-    parts = []
-    for sheet in sheets:
-        parts.append(f'<g id="{escape(sheet.body)}" transform="translate({sheet.left:.4f} 0)">')
-        parts += [_path(line, closed) for line, closed in sheet.lines]
-        parts += [_path(line, False) for line in _marks(sheet)]
-        parts += [
-            f'<text x="{at.real}" y="{-at.imag}" font-size="{_LETTER}">{escape(text)}</text>'
-            for at, text in _labels(sheet)
-        ]
-        parts.append('</g>')
     width, height = high.real, high.imag - low.imag
     text = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.4f}mm" height="{height:.4f}mm" '
         f'viewBox="0 {-high.imag:.4f} {width:.4f} {height:.4f}">',
         f'<title>Centrodes of {escape(curves.one)} and {escape(curves.other)}, in mm</title>',
-        *parts,
-        '</svg>',
     ]
-    path.write_text('\n'.join(text) + '\n', encoding='utf-8')
-
-
-def _path(points: Complex, closed: bool) -> str:
-    # y points downward in a picture.
-    places = ' L '.join(f'{p.real:.4f} {0.0 - p.imag:.4f}' for p in points)
-    end = ' Z' if closed else ''
-    return f'<path d="M {places}{end}" fill="none" stroke="black" stroke-width="{_LINE}"/>'
+    for sheet in sheets:
+        text.append(f'<g id="{escape(sheet.body)}" transform="translate({sheet.x:.4f} 0)">')
+        for line, closed in [*sheet.lines, *((line, False) for line in sheet.marks())]:
+            # y points downward in a picture.
+            points = ' L '.join(f'{p.real:.4f} {0.0 - p.imag:.4f}' for p in line)
+            text.append(
+                f'<path d="M {points}{" Z" if closed else ""}" fill="none" stroke="black" '
+                f'stroke-width="{_LINE}"/>'
+            )
+        text += [
+            f'<text x="{at.real}" y="{-at.imag}" font-size="{_LETTER}">{escape(label)}</text>'
+            for at, label in sheet.labels()
+        ]
+        text.append('</g>')
+    path.write_text('\n'.join([*text, '</svg>']) + '\n', encoding='utf-8')
 
 
 def _dxf(path: Path, curves: Centrodes) -> None:
-    """R12, which every program reads; it knows no units, so a comment and a text say mm."""
+    """R12, which every program reads; it has no units, so a comment and a text say mm."""
     sheets, low, _ = _sheets(curves)
     rows: list[tuple[int, str]] = [(999, f'Centrodes of {curves.one} and {curves.other}, in mm')]
     rows += [(0, 'SECTION'), (2, 'ENTITIES')]
+
+    def add_text(layer: str, at: complex, text: str) -> None:
+        rows.extend([(0, 'TEXT'), (8, layer), *_coordinates(at), (40, f'{_LETTER}'), (1, text)])
+
     for sheet in sheets:
         layer = re.sub('[^A-Z0-9_-]', '_', sheet.body.upper())[:26]
         lines = [(line, closed, layer) for line, closed in sheet.lines]
-        lines += [(line, False, f'{layer}_AXES') for line in _marks(sheet)]
+        lines += [(line, False, f'{layer}_AXES') for line in sheet.marks()]
         for line, closed, on in lines:
-            rows += [(0, 'POLYLINE'), (8, on), (66, '1'), *_place(0j), (70, str(int(closed)))]
-            for point in line + sheet.left:
-                rows += [(0, 'VERTEX'), (8, on), *_place(point)]
+            rows += [(0, 'POLYLINE'), (8, on), (66, '1'), *_coordinates(0j), (70, str(int(closed)))]
+            for point in line + sheet.x:
+                rows += [(0, 'VERTEX'), (8, on), *_coordinates(point)]
             rows += [(0, 'SEQEND'), (8, on)]
-        for at, text in _labels(sheet):
-            rows += [(0, 'TEXT'), (8, f'{layer}_AXES'), *_place(at + sheet.left)]
-            rows += [(40, f'{_LETTER}'), (1, text)]
-    rows += [(0, 'TEXT'), (8, 'UNITS'), *_place(low + _MARGIN), (40, f'{_LETTER}')]
-    rows += [(1, 'in mm'), (0, 'ENDSEC'), (0, 'EOF')]
+        for at, label in sheet.labels():
+            add_text(f'{layer}_AXES', at + sheet.x, label)
+    add_text('UNITS', low + _MARGIN, 'in mm')
+    rows += [(0, 'ENDSEC'), (0, 'EOF')]
     text = ''.join(f'{code}\n{value}\n' for code, value in rows)
     path.write_text(text, encoding='ascii', errors='replace')
 
 
-def _place(z: complex) -> list[tuple[int, str]]:
+def _coordinates(z: complex) -> list[tuple[int, str]]:
     return [(10, f'{z.real:.6f}'), (20, f'{z.imag:.6f}'), (30, '0.0')]

@@ -1,7 +1,7 @@
 """
 Velocity and acceleration polygons of a linkage: image points, and vectors between them with parts.
 
-The polygon of order 0 is the linkage itself, so that its links can be held against the vectors
+The polygon of order 0 is the linkage itself, so that its links can be compared with the vectors
 (seed 001, eq. 2 to 4 and Fig. 2; seed 003, part 3).
 """
 
@@ -10,24 +10,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import Assembly
-from kinpole_ros.mechanism._joints import GROUND, Rolling, Slot, Strut
+from kinpole_ros.mechanism._assembly import Assembly, poses_of
+from kinpole_ros.mechanism._joints import GROUND, Rolling, Slot, Strut, contact
 from kinpole_ros.mechanism._mechanism import Motion
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.mechanism._scene import Scene
 from kinpole_ros.planar._plane import Complex, Real
 
 # Image points nearer than this share of the largest vector are one.
-_SAME = 1e-9
+_COINCIDENT = 1e-9
 
-Places = dict[str, dict[str, complex]]
+# Points of each body by name, complex, m, in its frame.
+BodyPoints = dict[str, dict[str, complex]]
 
 
 class Side(NamedTuple):
     """
     A vector of a polygon: the derivative of r e^{iθ} from one point of the linkage to another.
 
-    `name` is its head and, if that moves, its tail ('BA' is B as seen from A), or that of a vector
+    `name` is its head and, if that moves, its tail ('BA' is B relative to A), or that of a vector
     of a loop. It starts at the image `tail`; `parts`, in this order normal, tangential, Coriolis
     and slide, add up to it. `body` is that on which it is a line, empty for slides and struts.
     """
@@ -50,10 +51,11 @@ class Side(NamedTuple):
 
 class Polygon(NamedTuple):
     """
-    Image points by name, m/s^order as seen from the pole at 0, and the vectors between them.
+    Image points by name, m/s^order relative to the pole at 0, and the vectors between them.
 
-    Points of one image share an entry, their names joined by commas; those of the ground are at the
-    pole. `shapes` are the images of bodies of three and more points, which are similar to these.
+    Points of one image share an entry, their names separated by commas; those of the ground are at
+    the pole. `shapes` are the images of bodies of three and more points, which are similar to
+    these.
     """
 
     order: int
@@ -64,7 +66,7 @@ class Polygon(NamedTuple):
 
 def polygon(scene: Scene, motion: Motion, order: int) -> Polygon:
     """
-    Draw up the polygon of a scene at one position.
+    Construct the polygon of a scene at one position.
 
     Parameters
     ----------
@@ -85,79 +87,73 @@ def polygon(scene: Scene, motion: Motion, order: int) -> Polygon:
     Seed 001, eq. 2 to 4: v_B = v_A + w x r_BA and a_B = a_A + α x r_BA + w x (w x r_BA).
 
     """
-    bodies = scene.mechanism.bodies
+    assembly = scene.mechanism.assembly
     position, angle, values = (
         part[:3, :, 0] for part in (motion.position, motion.angle, motion.values)
     )
     turn = rotation_derivatives(angle)
 
-    def image(body: str, place: complex, at: int = order) -> complex:
-        """Where a point of a body is, or the derivative of that."""
+    def image(body: str, point: complex, at: int = order) -> complex:
+        """The position of a point of a body, or a derivative of that."""
         if body == GROUND:
-            return 0j if at else place
-        b = bodies.index(body)
-        return complex(position[at, b] + place * turn[at, b])
+            return 0j if at else point
+        b = assembly.bodies.index(body)
+        return complex(position[at, b] + point * turn[at, b])
 
-    places = _places(scene, image)
+    points = _body_points(scene, values[0])
     sides = list(_loop_sides(scene, position[order], values, order))
-    shapes, known = [], set(places[GROUND])
-    for b, body in enumerate(bodies):
-        images = {name: image(body, place) for name, place in places[body].items()}
+    shapes, drawn, on_ground = [], set(points[GROUND]), points[GROUND]
+    for b, body in enumerate(assembly.bodies):
+        images = {name: image(body, point) for name, point in points[body].items()}
         # From the ground, or from a body before.
-        first = min(
-            images, key=lambda name: (name not in places[GROUND], name not in known), default=''
-        )
-        known |= {*images}
-        # Where a wheel touches the ground it has no velocity, but an acceleration.
+        first = min(images, key=lambda name: (name not in on_ground, name not in drawn), default='')
+        drawn |= {*images}
+        # A wheel's point of contact with the ground has no velocity, but an acceleration.
         largest = max(map(abs, images.values()), default=0.0)
-        at_rest = first in places[GROUND] and abs(images[first]) <= _SAME * largest
-        for name in images if scene.mechanism.assembly.joints else ():
-            arm = image(body, places[body][name], 0) - image(body, places[body][first], 0)
+        at_rest = first in on_ground and abs(images[first]) <= _COINCIDENT * largest
+        for name in images if assembly.joints else ():
+            arm = image(body, points[body][name], 0) - image(body, points[body][first], 0)
             if arm:
                 length = np.array([abs(arm), 0.0, 0.0])
-                parts = _parts(order, length, np.append(np.angle(arm), angle[1:, b]))
-                of = name if at_rest else _of(name, first)
-                sides.append(Side(of, body, images[first], parts))
+                components = _components(order, length, np.append(np.angle(arm), angle[1:, b]))
+                label = name if at_rest else _relative_name(name, first)
+                sides.append(Side(label, body, images[first], components))
         if len(images) > 2:
             shapes.append(tuple(images.values()))
-    sides += _joint_sides(scene.mechanism.assembly, places, image, values, order)
-    return Polygon(order, _merged(places, image), tuple(sides), tuple(shapes))
+    sides += _joint_sides(assembly, points, image, values, order)
+    return Polygon(order, _merged(points, image), tuple(sides), tuple(shapes))
 
 
-def _of(head: str, tail: str) -> str:
+def _relative_name(head: str, tail: str) -> str:
     """The name of a vector from one point to another."""
     return head + tail if len(head) == len(tail) == 1 else f'{head}/{tail}'
 
 
-def _places(scene: Scene, image: Callable[[str, complex, int], complex]) -> Places:
-    """The points of each body by name, in its frame, those at which wheels touch first."""
-    found: Places = {body: {} for body in (GROUND, *scene.mechanism.bodies)}
-    rolling = [j for j in scene.mechanism.assembly.joints if isinstance(j, Rolling)]
+def _body_points(scene: Scene, values: Real) -> BodyPoints:
+    """The points of each body by name, in its frame, points of contact of wheels first."""
+    assembly = scene.mechanism.assembly
+    poses = poses_of(assembly, values[:, None])
+    points: BodyPoints = {body: {} for body in poses}
+    rolling = [joint for joint in assembly.joints if isinstance(joint, Rolling)]
     for joint in rolling:
-        hub, middle = image(joint.other, joint.b, 0), image(joint.one, joint.a, 0)
-        along = image(joint.one, np.exp(1j * joint.along), 0) - image(joint.one, 0j, 0)
-        way = (
-            (hub - middle) * np.sign(joint.circle) / abs(hub - middle)
-            if joint.circle
-            else 1j * along
-        )
+        at, _ = contact(joint, poses[joint.one], poses[joint.other])
         for body in (joint.one, joint.other):
-            x = image(body, 1, 0) - image(body, 0j, 0)
-            place = (hub - joint.radius * way - image(body, 0j, 0)) / x
-            found[body]['contact' if len(rolling) == 1 else f'contact {joint.name}'] = place
-    for name, (body, place) in scene.points.items():
-        found[body][name.rpartition('.')[2]] = place
-    return found
+            pose = poses[body]
+            name = 'contact' if len(rolling) == 1 else f'contact {joint.name}'
+            points[body][name] = complex(((at - pose.position) * pose.turn.conj())[0])
+    for name, (body, point) in scene.points.items():
+        points[body][name.rpartition('.')[2]] = point
+    return points
 
 
-def _merged(places: Places, image: Callable[[str, complex], complex]) -> dict[str, complex]:
-    """Image points of all bodies; one of two names with different images is named by its body."""
-    named: dict[str, complex] = {}
-    every = [
-        (body, name, image(body, z)) for body, row in places.items() for name, z in row.items()
+def _merged(points: BodyPoints, image: Callable[[str, complex], complex]) -> dict[str, complex]:
+    """Image points of all bodies; a name with two different images is that of a body."""
+    images = [
+        (body, name, image(body, z)) for body, row in points.items() for name, z in row.items()
     ]
-    near = _SAME * max((abs(z) for *_, z in every), default=0.0)
-    for body, name, z in every:
+    near = _COINCIDENT * max((abs(z) for *_, z in images), default=0.0)
+    named: dict[str, complex] = {}
+    for body, name, z in images:
         if name in named and abs(named[name] - z) > near:
             name = f'{name} of {body}'
         named.setdefault(name, z)
@@ -167,8 +163,8 @@ def _merged(places: Places, image: Callable[[str, complex], complex]) -> dict[st
     return {', '.join(names): z for z, names in groups.items()}
 
 
-def _parts(order: int, length: Real, turn: Real) -> dict[str, complex]:
-    """The derivative of r e^{iθ} by its parts, from r and θ with two derivatives each."""
+def _components(order: int, length: Real, turn: Real) -> dict[str, complex]:
+    """The derivative of r e^{iθ} by its components, from r and θ with two derivatives each."""
     (r, dr, ddr), e = length, np.exp(1j * turn[0])
     if order == 0:
         return {'': complex(r * e)}
@@ -184,12 +180,12 @@ def _parts(order: int, length: Real, turn: Real) -> dict[str, complex]:
 
 def _joint_sides(
     assembly: Assembly,
-    places: Places,
+    points: BodyPoints,
     image: Callable[[str, complex], complex],
     values: Real,
     order: int,
 ) -> Iterator[Side]:
-    """Along slides and struts, from the point `a` of one body to `b` of the other."""
+    """Vectors along slides and struts, from the point `a` of one body to `b` of the other."""
     rows = dict(zip(assembly.loops.variables, values.T, strict=True)) | {GROUND: np.zeros(3)}
     for joint in assembly.joints:
         if isinstance(joint, Strut):
@@ -199,16 +195,17 @@ def _joint_sides(
         else:
             continue
         head, tail = (
-            next(name for name, z in places[body].items() if z == place)
-            for body, place in ((joint.other, joint.b), (joint.one, joint.a))
+            next(name for name, z in points[body].items() if z == point)
+            for body, point in ((joint.other, joint.b), (joint.one, joint.a))
         )
-        parts = _parts(order, rows[joint.name], turn)
-        resting = isinstance(joint, Slot) and joint.one == GROUND
-        yield Side(head if resting else _of(head, tail), '', image(joint.one, joint.a), parts)
+        components = _components(order, rows[joint.name], turn)
+        at_rest = isinstance(joint, Slot) and joint.one == GROUND
+        label = head if at_rest else _relative_name(head, tail)
+        yield Side(label, '', image(joint.one, joint.a), components)
 
 
 def _loop_sides(scene: Scene, tails: Complex, values: Real, order: int) -> Iterator[Side]:
-    """The vectors of a scene in loop form that move, by their names, each where its loop has it."""
+    """The moving vectors of a scene in loop form, by their names, each at its tail in the loop."""
     assembly = scene.mechanism.assembly
     if assembly.joints:
         return
@@ -219,19 +216,19 @@ def _loop_sides(scene: Scene, tails: Complex, values: Real, order: int) -> Itera
     length, turn = loops.lengths @ values.T, loops.angles @ values.T
     length[:, 0] += loops.length0
     turn[:, 0] += loops.angle0
-    parts = {name: _parts(order, length[k], turn[k]) for name, k in terms.items()}
+    components = {name: _components(order, length[k], turn[k]) for name, k in terms.items()}
     starts = dict(zip(assembly.bodies, tails.tolist(), strict=True))
     for signs, around in zip(loops.loops, loops.around, strict=True):
-        # A slide in a fixed direction is no body: it starts where the vector before it ends.
+        # A slide in a fixed direction is no body: it starts at the end of the vector before it.
         first = next((k for k, name in enumerate(around) if name in starts), 0)
-        here = None
+        at = None
         for name in around[first:] + around[:first]:
-            vector, forward = sum(parts[name].values()), signs[terms[name]] > 0
-            if here is None:
-                here = starts.get(name, 0j) + (0 if forward else vector)
-            starts.setdefault(name, here if forward else here - vector)
-            here += vector if forward else -vector
+            vector, forward = sum(components[name].values()), signs[terms[name]] > 0
+            if at is None:
+                at = starts.get(name, 0j) + (0 if forward else vector)
+            starts.setdefault(name, at if forward else at - vector)
+            at += vector if forward else -vector
     for name, k in terms.items():
         if name in starts and (loops.lengths[k].any() or loops.angles[k].any()):
             body = name if name in assembly.bodies else ''
-            yield Side(name, body, starts[name], parts[name])
+            yield Side(name, body, starts[name], components[name])

@@ -1,7 +1,7 @@
 """
-Scene files: a mechanism, how it is driven and where its markers sit, in a few lines of YAML.
+Scene files: a mechanism, its drivers and the markers on its bodies, in a few lines of YAML.
 
-Whatever is wrong in one is refused in a line that names the file, the key and the fix.
+Errors are one line with the file, the key and the fix.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,20 +15,34 @@ import numpy.typing as npt
 from kinpole_ros.files import cut_line
 from kinpole_ros.mechanism._assembly import Assembly
 from kinpole_ros.mechanism._checks import check_mobility, check_range, check_start, check_teeth
-from kinpole_ros.mechanism._drivers import read_drivers
 from kinpole_ros.mechanism._equations import Equations, equations_of_vectors
-from kinpole_ros.mechanism._loads import read_held_by, read_loads, read_masses, read_springs
+from kinpole_ros.mechanism._loads import Holder, Load, Mass, Spring, Torsion
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._motions import BodyMotion
-from kinpole_ros.mechanism._scene_bodies import Points, mapping, need, read_bodies, refuse_unknown
-from kinpole_ros.mechanism._scene_file import parsed, read_scene, scene_path
+from kinpole_ros.mechanism._scene_bodies import read_bodies
+from kinpole_ros.mechanism._scene_file import parse_scene, read_scene, scene_path
+from kinpole_ros.mechanism._scene_inputs import (
+    read_drivers,
+    read_held_by,
+    read_loads,
+    read_masses,
+    read_springs,
+)
+from kinpole_ros.mechanism._scene_values import (
+    Points,
+    SceneError,
+    mapping,
+    need,
+    quantity,
+    refuse_unknown,
+    vector,
+)
 from kinpole_ros.mechanism._start import start_near
-from kinpole_ros.mechanism._statics import Holder, Load, Mass, Spring, Torsion
-from kinpole_ros.mechanism._units import SceneError, quantity, vector
 from kinpole_ros.mechanism._vectors import read_vectors
 
-_EITHER = ('drivers', 'start', 'loads', 'held_by', 'springs', 'masses', 'markers', 'free')
+_COMMON_KEYS = ('drivers', 'start', 'loads', 'held_by', 'springs', 'masses', 'markers', 'free')
+_MARKERS_EXAMPLE = '{m1: [0.01, 0.02], m2: [0.05, 0.0]}'
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +54,11 @@ class Scene:
     `motion(t)` takes times of any shape (...), in s, and returns the BodyMotion of every body by
     name, arrays (5, ...) in the ground's frame; it raises SceneError for a time at which the
     mechanism cannot follow its drivers. `points` maps names ('coupler.P', or of the loop form 'P')
-    to the body and the place in its frame (complex, m); `loads` are those on it (N, N m),
-    `springs` and `masses` what else acts when it is somewhere and moves, and `held_by` what is
-    asked to balance them, if that is not the drivers. `equations` are what its
-    joints say of the bodies' poses, whatever drives them; `free` names the dimensions that are to
-    be fitted, none for all. After `course`, s, all drivers have been through their ways once; 0
-    where one has no end.
+    to the body and the position in its frame (complex, m). `loads` are those on it (N, N m);
+    `springs` and `masses` add loads that depend on position and motion; `held_by` balances them, if
+    not the drivers do. `equations` are those of its joints between the poses of the bodies; `free`
+    names the dimensions to be fitted, none for all. After `course`, s, all drivers have been
+    through their ranges once; 0 where one has no end.
     """
 
     name: str
@@ -65,7 +78,7 @@ class Scene:
 
 def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
     """
-    Read the scene of a YAML file, of its text, or of what such a text holds.
+    Read the scene of a YAML file, of its text, or of the data in such a text.
 
     Parameters
     ----------
@@ -88,12 +101,12 @@ def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
     if isinstance(source, Mapping):
         path, data = Path('scene'), dict(source)
     elif isinstance(source, str) and '\n' in source:
-        path, data = Path('scene'), parsed('scene', source)
+        path, data = Path('scene'), parse_scene('scene', source)
     else:
         path = scene_path(source)
         data = read_scene(path)
     try:
-        # Absurd numbers overflow on their way to being refused.
+        # Absurd numbers overflow before they are refused.
         with np.errstate(all='ignore'):
             return _scene(path, data)
     except (SceneError, LinkageError) as error:
@@ -103,26 +116,26 @@ def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
 def _scene(path: Path, data: Any) -> Scene:
     mapping('the file', data, 'bodies, drivers, start and markers, as in config/scenes')
     if 'vectors' in data:
-        refuse_unknown('a scene of vectors', data, ('vectors', 'loops', 'points', *_EITHER))
+        refuse_unknown('a scene of vectors', data, ('vectors', 'loops', 'points', *_COMMON_KEYS))
         vectors = mapping("'vectors'", data['vectors'], 'r2: {length: 20 cm, angle: unknown}')
         need('the file', data, ('loops', 'drivers'), 'config/scenes/loader_cylinder.yaml')
         chains = mapping("'points'", data['points'], 'P: r2 + r3p') if 'points' in data else {}
         assembly, points, read = read_vectors(vectors, data['loops'], chains)
         equations = equations_of_vectors(read)
     else:
-        refuse_unknown('the file', data, ('bodies', 'joints', *_EITHER))
+        refuse_unknown('the file', data, ('bodies', 'joints', *_COMMON_KEYS))
         need('the file', data, ('bodies', 'drivers'), 'config/scenes/four_bar.yaml')
         assembly, points, equations = read_bodies(data['bodies'], data.get('joints'))
     driven = read_drivers(data['drivers'], assembly)
-    said = _start(data.get('start'), assembly)
+    stated = _start(data.get('start'), assembly)
     drivers = tuple(one.driver for one in driven)
     rows = np.array([driver.row for driver in drivers])
     inputs = np.array([driver.motion(np.zeros(()))[0] for driver in drivers])
-    start = start_near(assembly, said, rows, inputs)
+    start = start_near(assembly, stated, rows, inputs)
     check_mobility(assembly, start, len(drivers))
     mechanism = Mechanism(assembly, drivers, start)
     check_range(mechanism, driven)
-    check_start(mechanism, said)
+    check_start(mechanism, stated)
     check_teeth(mechanism)
     loads = read_loads(data.get('loads'), points, assembly.bodies)
     held_by = read_held_by(data['held_by'], points, assembly.bodies) if 'held_by' in data else None
@@ -155,48 +168,50 @@ def _scene(path: Path, data: Any) -> Scene:
 
 def _motion(path: Path, mechanism: Mechanism, t: npt.ArrayLike) -> dict[str, BodyMotion]:
     try:
-        found = mechanism.motion(t)
+        motion = mechanism.motion(t)
     except LinkageError as error:
         raise SceneError(f'{path}: {error}') from None
-    if not found.regular.all():
-        dead = np.flatnonzero(~found.regular)
+    if not motion.regular.all():
+        dead = np.flatnonzero(~motion.regular)
         first = dead[np.ravel(t)[dead].argmin()]
-        loop = mechanism.dead_loop(found.values[0].reshape(len(mechanism.start), -1)[:, first])
+        values = motion.values[0].reshape(len(mechanism.start), -1)[:, first]
         raise SceneError(
             f'{path}: at {np.ravel(t)[first]:.9g} s the mechanism is in a dead point of the loop '
-            f'{", ".join(loop)}, where its drivers do not tell how it moves on: drive it '
-            'otherwise, or take other times'
+            f'{", ".join(mechanism.dead_loop(values))}, where its drivers do not tell how it moves '
+            'on: drive it otherwise, or take other times'
         )
     return {
-        body: BodyMotion(found.position[:, k], found.angle[:, k])
+        body: BodyMotion(motion.position[:, k], motion.angle[:, k])
         for k, body in enumerate(mechanism.bodies)
     }
 
 
-def _start(said: Any, assembly: Assembly) -> dict[str, float]:
-    """About where angles and slides are at time 0."""
+def _start(entry: Any, assembly: Assembly) -> dict[str, float]:
+    """The stated angles and slides at time 0, which need be roughly right only."""
     kinds = assembly.kinds
-    if said is None:
+    if entry is None:
         lengths = assembly.loops.length0[assembly.loops.length0 != 0]
         # A vector of unknown length has to begin with some length.
         usual = float(lengths.mean()) if len(lengths) and not assembly.joints else 0.0
         return {name: usual for name, kind in kinds.items() if kind == 'length' and usual}
-    read = mapping("'start'", said, 'coupler: 45 deg')
-    refuse_unknown("'start'", read, tuple(kinds))
-    return {name: quantity(f"'start': {name}", value, kinds[name]) for name, value in read.items()}
+    stated = mapping("'start'", entry, 'coupler: 45 deg')
+    refuse_unknown("'start'", stated, tuple(kinds))
+    return {
+        name: quantity(f"'start': {name}", value, kinds[name]) for name, value in stated.items()
+    }
 
 
-def _markers(said: Any, bodies: tuple[str, ...]) -> dict[str, dict[str, complex]]:
-    """Return body -> marker's name -> place, checked."""
-    if said is None:
+def _markers(entries: Any, bodies: tuple[str, ...]) -> dict[str, dict[str, complex]]:
+    """The markers of each body by name, complex, m."""
+    if entries is None:
         return {}
-    on_bodies = mapping("'markers'", said, f'{bodies[0]}: {{m1: [0.01, 0.02], m2: [0.05, 0.0]}}')
-    refuse_unknown("'markers'", on_bodies, bodies)
+    by_body = mapping("'markers'", entries, f'{bodies[0]}: {_MARKERS_EXAMPLE}')
+    refuse_unknown("'markers'", by_body, bodies)
     owner: dict[str, str] = {}
-    result = {}
-    for body, listed in on_bodies.items():
+    markers = {}
+    for body, entry in by_body.items():
         where = f"'markers: {body}'"
-        named = mapping(where, listed, '{m1: [0.01, 0.02], m2: [0.05, 0.0]}')
+        named = mapping(where, entry, _MARKERS_EXAMPLE)
         if len(named) < 2:
             raise SceneError(f'{where} is one marker, which shows no turning: give two or more')
         for name in named:
@@ -205,18 +220,18 @@ def _markers(said: Any, bodies: tuple[str, ...]) -> dict[str, dict[str, complex]
                     f"{where}: '{owner[name]}' has a marker '{name}' too: give each its own name"
                 )
             owner[name] = body
-        result[body] = {name: vector(f"{where}: '{name}'", z) for name, z in named.items()}
-        if len(set(result[body].values())) < 2:
+        markers[body] = {name: vector(f"{where}: '{name}'", z) for name, z in named.items()}
+        if len(set(markers[body].values())) < 2:
             raise SceneError(
                 f'{where} are all at one place, which shows no turning: put them at several places'
             )
-    return result
+    return markers
 
 
-def _free(said: Any) -> tuple[str, ...]:
-    """Names of dimensions, which are looked up where they are fitted."""
-    if said is None:
+def _free(names: Any) -> tuple[str, ...]:
+    """Names of dimensions to be fitted, which `linkage` looks up."""
+    if names is None:
         return ()
-    if not isinstance(said, list) or not all(isinstance(name, str) for name in said):
-        raise SceneError(f"'free' is {said!r}: give a list of names, as [rocker.B, coupler]")
-    return tuple(said)
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise SceneError(f"'free' is {names!r}: give a list of names, as [rocker.B, coupler]")
+    return tuple(names)

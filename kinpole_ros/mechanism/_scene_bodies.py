@@ -22,9 +22,20 @@ from kinpole_ros.mechanism._joints import (
     strand,
 )
 from kinpole_ros.mechanism._laws import RISES, Follower, cam, geneva
-from kinpole_ros.mechanism._units import SceneError, quantity, vector
+from kinpole_ros.mechanism._scene_values import (
+    Points,
+    SceneError,
+    mapping,
+    named_point,
+    need,
+    one_of,
+    positive,
+    quantity,
+    refuse_unknown,
+    vector,
+)
 
-Points = dict[str, tuple[str, complex]]
+_Point = tuple[str, complex]  # body, and position in its frame, m
 _WORD = re.compile(r'\w[\w-]*')
 _KEYS = {
     'slot': ('slot', 'on', 'along', 'name'),
@@ -46,90 +57,42 @@ _EXAMPLES = {
 }
 
 
-def mapping(where: str, value: Any, example: str) -> dict[str, Any]:
-    """`value` if it is a mapping with text for keys, and not empty; else SceneError."""
-    if not isinstance(value, dict) or not value:
-        raise SceneError(f'{where} holds no keys and values: write {example}')
-    for key in value:
-        if not isinstance(key, str):
-            raise SceneError(
-                f"{where} has a name {key!r} that is not text: write it in quotes, '{key}'"
-            )
-    return value
-
-
-def refuse_unknown(where: str, data: dict[str, Any], known: tuple[str, ...]) -> None:
-    """Raise SceneError for the first key that is not among `known`."""
-    for key in data:
-        if key not in known:
-            raise SceneError(f"{where}: unknown key '{key}': use {', '.join(known)}")
-
-
-def need(where: str, data: dict[str, Any], keys: tuple[str, ...], example: str) -> None:
-    """Raise SceneError for the first of `keys` that is not there."""
-    for key in keys:
-        if key not in data:
-            raise SceneError(f"{where}: the key '{key}' is missing: add it, as in {example}")
-
-
-def named_point(where: str, value: Any, points: Points) -> tuple[str, complex]:
-    """The body and place of a point written as BODY.POINT; raises SceneError."""
-    # A list cannot be looked up.
-    if not isinstance(value, str) or value not in points:
-        known = ', '.join(points)
-        raise SceneError(f'{where} is {value!r}, which is no point: give one of {known}')
-    return points[value]
-
-
 def read_bodies(bodies: Any, joints: Any) -> tuple[Assembly, Points, Equations]:
     """
-    The assembly of what `bodies` and `joints` hold, all points by their names BODY.POINT, and
-    the equations of the joints.
+    The assembly of `bodies` and `joints`, all points by their names BODY.POINT, and the equations.
 
-    Raises SceneError for whatever is malformed, LinkageError for bodies that hang on nothing.
+    Raises SceneError for malformed entries, LinkageError for bodies that no joint connects.
     """
-    read = _bodies(bodies)
-    points = {
-        f'{body}.{name}': (body, z) for body, named in read.items() for name, z in named.items()
-    }
+    named = _bodies(bodies)
+    points = {f'{body}.{name}': (body, z) for body, own in named.items() for name, z in own.items()}
     if joints is not None and not isinstance(joints, list):
         raise SceneError(f"'joints' is no list: write each as - {_EXAMPLES['slot']}")
-    found: list[Joint] = [*_pins(read)]
-    taken = {*read, *(pin.name for pin in found)}
-    described: dict[int, dict[str, Any]] = {}
+    all_joints: list[Joint] = [*_pins(named)]
+    taken = {*named, *(pin.name for pin in all_joints)}
+    entries: dict[int, dict[str, Any]] = {}
     followers: dict[str, dict[str, Any]] = {}
-    for k, said in enumerate(joints or []):
-        if isinstance(said, dict) and ('cam' in said or 'geneva' in said):
-            followers[f"'joints: {k + 1}'"] = said
+    for k, entry in enumerate(joints or []):
+        where = f"'joints: {k + 1}'"
+        if isinstance(entry, dict) and ('cam' in entry or 'geneva' in entry):
+            followers[where] = entry
             continue
-        described[k] = said
-        joint = _joint(f"'joints: {k + 1}'", said, points)
-        if joint.name in taken and 'name' not in said:
+        entries[k] = entry
+        joint = _joint(where, entry, points)
+        if joint.name in taken and 'name' not in entry:
             # The hub of a wheel is often a pin as well.
             joint = _renamed(joint, taken)
-        found.append(joint)
+        all_joints.append(joint)
         taken.add(joint.name)
-    taken = set(read)
-    for joint in found:
-        if joint.name in taken:
-            what = 'body' if joint.name in read else 'joint'
-            raise SceneError(
-                f"'joints': a {what} is named '{joint.name}' already: add name: to the joint, with "
-                'another'
-            )
-        taken.add(joint.name)
-    _refuse_flat(read, found)
-    moving = [body for body in read if body != GROUND]
+    _refuse_equal_names(named, all_joints)
+    _refuse_short_links(named, all_joints)
+    moving = [body for body in named if body != GROUND]
     laws = [
-        (_geneva if 'geneva' in said else _cam)(where, said, points, found)
+        (_geneva if 'geneva' in entry else _cam)(where, entry, points, all_joints)
         # A Geneva wheel may carry a cam.
-        for where, said in sorted(followers.items(), key=lambda item: 'cam' in item[1])
+        for where, entry in sorted(followers.items(), key=lambda item: 'cam' in item[1])
     ]
-    return (
-        assemble(moving, found, laws),
-        points,
-        equations_of_joints(moving, found, described),
-    )
+    equations = equations_of_joints(moving, all_joints, entries)
+    return assemble(moving, all_joints, laws), points, equations
 
 
 def _renamed(joint: Joint, taken: set[str]) -> Joint:
@@ -140,154 +103,163 @@ def _renamed(joint: Joint, taken: set[str]) -> Joint:
     return joint
 
 
+def _refuse_equal_names(bodies: dict[str, dict[str, complex]], joints: list[Joint]) -> None:
+    taken = set(bodies)
+    for joint in joints:
+        if joint.name in taken:
+            what = 'body' if joint.name in bodies else 'joint'
+            raise SceneError(
+                f"'joints': a {what} is named '{joint.name}' already: add name: to the joint, with "
+                'another'
+            )
+        taken.add(joint.name)
+
+
 def _bodies(bodies: Any) -> dict[str, dict[str, complex]]:
+    """Points by name, complex, m, of each body by name."""
     example = 'crank: {O: [0, 0], A: [0.12, 0]}'
-    read = {}
-    for body, said in mapping("'bodies'", bodies, example).items():
+    named = {}
+    for body, entry in mapping("'bodies'", bodies, example).items():
         where = f"'bodies: {body}'"
         if not _WORD.fullmatch(body):
             raise SceneError(f'{where}: name a body with letters, digits, _ and -')
-        named = {}
-        for name, place in mapping(where, said, '{O: [0, 0], A: [0.12, 0]}').items():
+        own = {}
+        for name, value in mapping(where, entry, '{O: [0, 0], A: [0.12, 0]}').items():
             if not _WORD.fullmatch(name):
                 raise SceneError(f"{where}: name the point '{name}' with letters, digits, _ and -")
-            named[name] = vector(f"{where}: '{name}'", place)
-        read[body] = named
-    if GROUND not in read:
+            own[name] = vector(f"{where}: '{name}'", value)
+        named[body] = own
+    if GROUND not in named:
         raise SceneError("'bodies' has no ground: add one, as ground: {O: [0, 0]}")
-    if len(read) == 1:
+    if len(named) == 1:
         raise SceneError(f"'bodies' has nothing but the ground: add a body, as {example}")
-    return read
+    return named
 
 
 def _pins(bodies: dict[str, dict[str, complex]]) -> list[Revolute]:
     """A pin for each name of a point that several bodies have."""
     pins = []
-    for name in dict.fromkeys(name for named in bodies.values() for name in named):
-        first, *others = [body for body, named in bodies.items() if name in named]
-        for other in others:
-            called = name if len(others) == 1 else f'{name}.{other}'
-            pins.append(Revolute(called, first, bodies[first][name], other, bodies[other][name]))
+    for name in dict.fromkeys(name for own in bodies.values() for name in own):
+        first, *second = [body for body, own in bodies.items() if name in own]
+        for body in second:
+            pin_name = name if len(second) == 1 else f'{name}.{body}'
+            pins.append(Revolute(pin_name, first, bodies[first][name], body, bodies[body][name]))
     return pins
 
 
-def _joint(where: str, said: Any, points: Points) -> Joint:
-    kind = next((kind for kind in _KEYS if isinstance(said, dict) and kind in said), None)
+def _joint(where: str, entry: Any, points: Points) -> Joint:
+    kind = next((kind for kind in _KEYS if isinstance(entry, dict) and kind in entry), None)
     if kind is None:
         kinds = ', '.join(_KEYS)
-        raise SceneError(f'{where} is {said!r}: give one of {kinds}, as {_EXAMPLES["slot"]}')
-    refuse_unknown(where, said, _KEYS[kind])
+        raise SceneError(f'{where} is {entry!r}: give one of {kinds}, as {_EXAMPLES["slot"]}')
+    refuse_unknown(where, entry, _KEYS[kind])
     where = f"{where[:-1]}, {kind}'"
-    name = said.get('name')
+    name = entry.get('name')
     if name is not None and not (isinstance(name, str) and _WORD.fullmatch(name)):
         raise SceneError(f'{where}: name is {name!r}: give letters, digits, _ and -')
     if kind in ('strut', 'belt'):
-        need(where, said, (kind, 'name'), _EXAMPLES[kind])
-        ends = said[kind]
+        need(where, entry, (kind, 'name'), _EXAMPLES[kind])
+        ends = entry[kind]
         if not isinstance(ends, list) or len(ends) != 2:
             raise SceneError(f'{where} is {ends!r}: give its two ends, as {_EXAMPLES[kind]}')
-        (one, a), (other, b) = (named_point(where, end, points) for end in ends)
-        _refuse_same(where, one, other)
-        joint = Strut(str(name), one, a, other, b)
-        return joint if kind == 'strut' else _belt(where, said, joint, ends, points)
-    need(where, said, ('on',) + (('radius',) if kind == 'rolling' else ()), _EXAMPLES[kind])
-    other, b = named_point(where, said[kind], points)
-    one, a = named_point(f'{where}: on', said['on'], points)
-    _refuse_same(where, one, other)
-    name = name or str(said[kind]).rpartition('.')[2]
+        first, last = (named_point(where, end, points) for end in ends)
+        _refuse_one_body(where, first[0], last[0])
+        strut = Strut(str(name), *first, *last)
+        return strut if kind == 'strut' else _belt(where, entry, strut, ends, points)
+    need(where, entry, ('on',) + (('radius',) if kind == 'rolling' else ()), _EXAMPLES[kind])
+    moving = named_point(where, entry[kind], points)
+    base = named_point(f'{where}: on', entry['on'], points)
+    _refuse_one_body(where, base[0], moving[0])
+    name = name or str(entry[kind]).rpartition('.')[2]
     if kind == 'rolling':
-        return _rolling(where, said, name, (one, a), (other, b))
-    need(where, said, ('along',), _EXAMPLES[kind])
-    along = quantity(f'{where}: along', said['along'], 'angle')
+        return _rolling(where, entry, name, base, moving)
+    need(where, entry, ('along',), _EXAMPLES[kind])
+    along = quantity(f'{where}: along', entry['along'], 'angle')
     if kind == 'slot':
-        return Slot(name, one, a, along, other, b)
-    turned = quantity(f'{where}: turned', said.get('turned', 0.0), 'angle')
-    return Slot(name, one, a, along, other, b, turned)
+        return Slot(name, *base, along, *moving)
+    turned = quantity(f'{where}: turned', entry.get('turned', 0.0), 'angle')
+    return Slot(name, *base, along, *moving, turned)
 
 
-def _belt(where: str, said: dict[str, Any], ends: Strut, names: list[str], points: Points) -> Belt:
-    need(where, said, ('radii',), _EXAMPLES['belt'])
-    radii = vector(f'{where}: radii', said['radii'])
+def _belt(where: str, entry: dict[str, Any], ends: Strut, names: list[str], points: Points) -> Belt:
+    need(where, entry, ('radii',), _EXAMPLES['belt'])
+    radii = vector(f'{where}: radii', entry['radii'])
     first, last = radii.real, radii.imag
     belt = Belt(*ends, (first, last), 0.0, 0.0)
-    if held := _carrier(names, points):
-        carrier, hubs = held
+    if carrier := _carrier(names, points):
+        body, hubs = carrier
         if abs(hubs) <= abs(first - last):
             raise SceneError(
-                f'{where}: on {carrier} its hubs are {abs(hubs):.6g} m apart: no strand of radii '
-                f'{first:.6g} and {last:.6g} m fits: move them apart'
+                f'{where}: on {body} the distance of its hubs is {abs(hubs):.6g} m: no strand of '
+                f'radii {first:.6g} and {last:.6g} m fits: move one hub away'
             )
-        size, along = strand(belt, np.array(hubs))
-        return belt._replace(length=float(size), direction=phase(along), carrier=carrier)
-    need(where, said, ('length', 'direction'), '{..., length: 1 m, direction: -90 deg}')
-    length = quantity(f'{where}: length', said['length'], 'length')
-    if length <= 0:
-        raise SceneError(f'{where}: length is {said["length"]!r}: give one greater than 0')
+        length, axis = strand(belt, np.array(hubs))
+        return belt._replace(length=float(length), direction=phase(axis), carrier=body)
+    need(where, entry, ('length', 'direction'), '{..., length: 1 m, direction: -90 deg}')
     return belt._replace(
-        length=length, direction=quantity(f'{where}: direction', said['direction'], 'angle')
+        length=positive(f'{where}: length', entry['length'], 'length'),
+        direction=quantity(f'{where}: direction', entry['direction'], 'angle'),
     )
 
 
 def _carrier(names: Sequence[str], points: Points) -> tuple[str, complex] | None:
-    """The third body that has the points of both names, and the second as seen from the first."""
-    (one, a), (other, b) = (name.split('.') for name in names)
+    """The third body that has the points of both names, and the vector from one to the other."""
+    (first_body, a), (last_body, b) = (name.split('.') for name in names)
     for carrier in dict.fromkeys(body for body, _ in points.values()):
         first, last = points.get(f'{carrier}.{a}'), points.get(f'{carrier}.{b}')
-        if carrier not in (one, other) and first and last:
+        if carrier not in (first_body, last_body) and first and last:
             return carrier, last[1] - first[1]
     return None
 
 
-def _geneva(where: str, said: dict[str, Any], points: Points, joints: Sequence[Joint]) -> Follower:
+def _geneva(
+    where: str, entry: dict[str, Any], points: Points, _joints: Sequence[Joint]
+) -> Follower:
     """The wheel's angle over the crank's, whose pin runs into its slots without shock."""
-    refuse_unknown(where, said, _KEYS['geneva'])
+    refuse_unknown(where, entry, _KEYS['geneva'])
     where = f"{where[:-1]}, geneva'"
-    need(where, said, ('on', 'slots'), _EXAMPLES['geneva'])
-    wheel, _ = named_point(where, said['geneva'], points)
-    crank, _ = named_point(f'{where}: on', said['on'], points)
-    _refuse_same(where, crank, wheel)
-    slots = said['slots']
+    need(where, entry, ('on', 'slots'), _EXAMPLES['geneva'])
+    wheel, _ = named_point(where, entry['geneva'], points)
+    crank, _ = named_point(f'{where}: on', entry['on'], points)
+    _refuse_one_body(where, crank, wheel)
+    slots = entry['slots']
     if not isinstance(slots, int) or isinstance(slots, bool) or not 3 <= slots <= 100:
         raise SceneError(f'{where}: slots is {slots!r}: give a whole number from 3 to 100')
-    held = _carrier([said['on'], said['geneva']], points)
-    if held is None or held[1] == 0:
+    carrier = _carrier([entry['on'], entry['geneva']], points)
+    if carrier is None or carrier[1] == 0:
         raise SceneError(
-            f'{where}: no body holds {said["on"]} and {said["geneva"]} apart: give it points of '
-            'these names, as ground: {O: [0, 0], W: [0.1, 0]}'
+            f'{where}: no body holds the distance of {entry["on"]} and {entry["geneva"]}: give '
+            'it points of these names, as ground: {O: [0, 0], W: [0.1, 0]}'
         )
-    carrier, toward = held[0], phase(held[1])
-    pin = quantity(f'{where}: pin', said.get('pin', 0.0), 'angle')
-    slot = quantity(f'{where}: slot', said.get('slot', 0.0), 'angle')
-    # Of the wheel's slots one is as good as another: it starts with the least turn.
+    toward = phase(carrier[1])
+    pin = quantity(f'{where}: pin', entry.get('pin', 0.0), 'angle')
+    slot = quantity(f'{where}: slot', entry.get('slot', 0.0), 'angle')
+    # All slots of the wheel are equal: it starts with the least turn.
     offset = remainder(toward + pi - slot, 2 * pi / slots)
     law = geneva(slots, toward - pin, offset)
-    hubs = tuple(said[key].rpartition('.')[2] for key in ('on', 'geneva'))
-    return Follower(where, wheel, crank, carrier, law, hubs)
+    hubs = tuple(entry[key].rpartition('.')[2] for key in ('on', 'geneva'))
+    return Follower(where, wheel, crank, carrier[0], law, hubs)
 
 
-def _cam(where: str, said: dict[str, Any], points: Points, joints: Sequence[Joint]) -> Follower:
-    refuse_unknown(where, said, _KEYS['cam'])
+def _cam(where: str, entry: dict[str, Any], points: Points, joints: Sequence[Joint]) -> Follower:
+    refuse_unknown(where, entry, _KEYS['cam'])
     where = f"{where[:-1]}, cam'"
-    need(where, said, ('moves', 'angles', 'lift'), _EXAMPLES['cam'])
+    need(where, entry, ('moves', 'angles', 'lift'), _EXAMPLES['cam'])
     bodies = list(dict.fromkeys(body for body, _ in points.values()))
     slides = [joint.name for joint in joints if isinstance(joint, Slot)]
     turning = [body for body in bodies if body != GROUND]
-    seen = said.get('of', GROUND)
-    for key, value, known in (
-        ('cam', said['cam'], turning),
-        ('moves', said['moves'], slides + turning),
-        ('of', seen, bodies),
-    ):
-        if value not in known:
-            raise SceneError(f'{where}: {key} is {value!r}: give one of {", ".join(known)}')
-    if len({said['cam'], said['moves'], seen}) < 3:
-        raise SceneError(f'{where}: cam, moves and of are to be three: {said["cam"]!r} is two')
-    kinds = {'angles': 'angle', 'lift': 'length' if said['moves'] in slides else 'angle'}
+    of = one_of(f'{where}: cam', entry['cam'], turning)
+    moved = one_of(f'{where}: moves', entry['moves'], slides + turning)
+    seen = one_of(f'{where}: of', entry.get('of', GROUND), bodies)
+    if len({of, moved, seen}) < 3:
+        raise SceneError(f'{where}: cam, moves and of are to be three: {of!r} is two')
+    kinds = {'angles': 'angle', 'lift': 'length' if moved in slides else 'angle'}
     for key in kinds:
-        if not isinstance(said[key], list):
-            raise SceneError(f'{where}: {key} is {said[key]!r}: give a list, as [0, 1, 0]')
+        if not isinstance(entry[key], list):
+            raise SceneError(f'{where}: {key} is {entry[key]!r}: give a list, as [0, 1, 0]')
     angles, lifts = (
-        [quantity(f'{where}: {key}', one, kind) for one in said[key]] for key, kind in kinds.items()
+        [quantity(f'{where}: {key}', value, kind) for value in entry[key]]
+        for key, kind in kinds.items()
     )
     if len(angles) != len(lifts) or len(angles) < 3 or min(np.diff(angles)) <= 0:
         raise SceneError(
@@ -299,69 +271,62 @@ def _cam(where: str, said: dict[str, Any], points: Points, joints: Sequence[Join
             f'{where}: a cam goes once round: end it 360 deg after its first angle, with the lift '
             'that it has there'
         )
-    law = said.get('law', RISES[0])
-    if law not in RISES:
-        raise SceneError(f'{where}: law is {law!r}: give one of {", ".join(RISES)}')
-    return Follower(where, said['moves'], said['cam'], seen, cam(angles, lifts, law))
+    law = one_of(f'{where}: law', entry.get('law', RISES[0]), RISES)
+    return Follower(where, moved, of, seen, cam(angles, lifts, law))
 
 
-def _rolling(
-    where: str, said: dict[str, Any], name: str, on: tuple[str, complex], hub: tuple[str, complex]
-) -> Rolling:
-    radius = quantity(f'{where}: radius', said['radius'], 'length')
-    if radius <= 0:
-        raise SceneError(f'{where}: radius is {said["radius"]!r}: give one greater than 0')
+def _rolling(where: str, entry: dict[str, Any], name: str, base: _Point, hub: _Point) -> Rolling:
+    radius = positive(f'{where}: radius', entry['radius'], 'length')
     pressure = None
-    if 'pressure' in said:
-        pressure = quantity(f'{where}: pressure', said['pressure'], 'angle')
+    if 'pressure' in entry:
+        pressure = quantity(f'{where}: pressure', entry['pressure'], 'angle')
         if not 0 <= pressure < pi / 2:
             raise SceneError(
-                f'{where}: pressure is {said["pressure"]!r}: give an angle from 0 to less than '
+                f'{where}: pressure is {entry["pressure"]!r}: give an angle from 0 to less than '
                 '90 deg, as 20 deg'
             )
-    if ('along' in said) == ('circle' in said):
+    if ('along' in entry) == ('circle' in entry):
         raise SceneError(
             f'{where}: give along: 0 deg for a line, or circle: 0.2 for a circle of that radius'
         )
-    if 'along' in said:
-        along = quantity(f'{where}: along', said['along'], 'angle')
-        start = quantity(f'{where}: start', said.get('start', 0.0), 'length')
-        return Rolling(name, *on, *hub, radius, along=along, start=start, pressure=pressure)
-    circle = quantity(f'{where}: circle', said['circle'], 'length')
+    if 'along' in entry:
+        along = quantity(f'{where}: along', entry['along'], 'angle')
+        start = quantity(f'{where}: start', entry.get('start', 0.0), 'length')
+        return Rolling(name, *base, *hub, radius, along=along, start=start, pressure=pressure)
+    circle = quantity(f'{where}: circle', entry['circle'], 'length')
     if circle == 0 or (circle < 0 and -circle <= radius):
         raise SceneError(
-            f'{where}: circle is {said["circle"]!r}: give the radius to roll on, or, to roll '
+            f'{where}: circle is {entry["circle"]!r}: give the radius to roll on, or, to roll '
             'inside of it, one less than minus that of the wheel'
         )
-    # Inside, the hub lies opposite to the direction that says where it is: by default along x.
+    # Inside a circle the hub lies opposite to that direction: by default along x.
     usual = pi if circle < 0 else 0.0
-    start = quantity(f'{where}: start', said.get('start', usual), 'angle')
-    return Rolling(name, *on, *hub, radius, circle=circle, start=start, pressure=pressure)
+    start = quantity(f'{where}: start', entry.get('start', usual), 'angle')
+    return Rolling(name, *base, *hub, radius, circle=circle, start=start, pressure=pressure)
 
 
-def _refuse_same(where: str, one: str, other: str) -> None:
-    if one == other:
-        raise SceneError(f"{where}: both its points are on '{one}': give points of two bodies")
+def _refuse_one_body(where: str, first: str, second: str) -> None:
+    if first == second:
+        raise SceneError(f"{where}: both its points are on '{first}': give points of two bodies")
 
 
-def _refuse_flat(bodies: dict[str, dict[str, complex]], joints: list[Joint]) -> None:
-    """Refuse links of no length: two joints at one place of a body that are not one point."""
-    places: dict[str, set[complex]] = {body: set() for body in bodies}
+def _refuse_short_links(bodies: dict[str, dict[str, complex]], joints: list[Joint]) -> None:
+    """Refuse links of no length: two joints at one point of a body that have two names."""
+    joint_points: dict[str, set[complex]] = {body: set() for body in bodies}
     for joint in joints:
-        places[joint.one].add(joint.a)
-        places[joint.other].add(joint.b)
-    for body, used in places.items():
+        joint_points[joint.one].add(joint.a)
+        joint_points[joint.other].add(joint.b)
+    for body, used in joint_points.items():
         if body == GROUND:
-            # Which is no link: bodies may turn about one place of it.
+            # The ground is no link: bodies may turn about one point of it.
             continue
         names = {z: name for name, z in bodies[body].items()}
-        twice = [name for name, z in bodies[body].items() if z in used and names[z] != name]
-        for name in twice:
-            other = names[bodies[body][name]]
-            raise SceneError(
-                f"'bodies: {body}': '{name}' and '{other}' are at the same place, a link of length "
-                '0: move one, or give them one name'
-            )
+        for name, z in bodies[body].items():
+            if z in used and names[z] != name:
+                raise SceneError(
+                    f"'bodies: {body}': '{name}' and '{names[z]}' are at the same place, a link of "
+                    'length 0: move one, or give them one name'
+                )
         for near, far in combinations(used, 2):
             if abs(near - far) <= 1e-9 * max(map(abs, used)):
                 raise SceneError(

@@ -3,7 +3,7 @@ Linkages solved exactly: positions, and derivatives up to snap, for many inputs 
 
 Dyads close directly (`_dyads`), all other loops by Newton's method, for all positions jointly.
 Differentiated k times, the loops are linear in the unknown k-th derivatives, always with the same
-matrix: no difference quotient comes in.
+matrix, so no difference quotients are needed.
 """
 
 from collections.abc import Sequence
@@ -14,12 +14,10 @@ import numpy as np
 
 from kinpole_ros.mechanism._dyads import close_dyad
 from kinpole_ros.mechanism._loops import Block, Linkage, weigh, with_laws
-from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
-# A step below this, of lengths over the largest and of angles in rad, is rounding.
-_ROUNDING = 64 * np.finfo(float).eps
-# A step whose square is below this leaves less than rounding.
-_LEFT = 1e-17
+# A step whose square is below this leaves an error below rounding.
+_CONVERGED = 1e-17
 _MOST_STEPS = 60
 # With two columns this nearly parallel, positions are right to a rounding error over it and rates
 # to one over its square: to three digits. In a change point positions are off by up to 1e-7.
@@ -31,12 +29,12 @@ _NONE = 0j
 
 class Solution(NamedTuple):
     """
-    Variables `values` (orders, n, ...) with their derivatives, and where they hold.
+    Variables `values` (orders, n, T) with their derivatives, and where they are valid.
 
-    `closed` (...) is where the loops close; `regular` (...) where they also determine the
-    derivatives. `determinant` (blocks, ...) is that of each block's matrix over the product of its
-    columns' lengths: zero at a dead point. `turns` (orders, A, ...) are e^{iα} of the linkage's
-    different angles, `slides` (orders, V, ...) its different lengths.
+    `closed` (T,) is where the loops close; `regular` (T,) where they also determine the
+    derivatives. `determinant` (blocks, T) is that of each block's matrix over the product of its
+    columns' lengths: zero at a dead point. `turns` (orders, A, T) are e^{iα} of the linkage's
+    distinct angles, `slides` (orders, V, T) its distinct lengths.
     """
 
     values: Real
@@ -58,19 +56,18 @@ def solve(
     """
     Positions near `guess` (n, T), and their derivatives, for `inputs` (orders or more, d, T).
 
-    `inputs` holds each driver's value and its time derivatives; `guess` all variables u, or just
-    the unknowns of the linkage. Without `close` the positions are the guess, and only the
-    derivatives are found. `out` is where the values go. Raises nothing: where the loops do not
-    close, values are NaN.
+    `inputs` holds each driver's value and its derivatives; `guess` all variables u, or just the
+    unknowns of the linkage. Without `close` the positions are the guess, and only the derivatives
+    are solved. `out` is an array for the values. Values are NaN where the loops do not close.
     """
     unknowns = linkage.free.shape[1]
     count = inputs.shape[-1]
     inputs = with_laws(linkage, inputs[:orders])
-    # The rows of `known` are unknowns, then inputs, order by order.
-    known = np.empty((orders, unknowns + inputs.shape[1], count))
-    known[:, unknowns:] = inputs
+    # The rows of `state` are unknowns, then inputs, order by order.
+    state = np.empty((orders, unknowns + inputs.shape[1], count))
+    state[:, unknowns:] = inputs
     if unknowns:
-        known[0, :unknowns] = guess if len(guess) == unknowns else guess[list(linkage.unknown)]
+        state[0, :unknowns] = guess if len(guess) == unknowns else guess[list(linkage.unknown)]
     closed, regular = np.ones(count, bool), np.ones(count, bool)
     determinants = np.ones((len(linkage.blocks), count))
     turns = np.empty((orders, len(linkage.turns), count), complex)
@@ -78,19 +75,19 @@ def solve(
     with np.errstate(all='ignore'):
         first = linkage.blocks[0] if linkage.blocks else None
         for row in range(first.turns.start if first else len(linkage.turns)):
-            _turn(linkage.turns[row], known, turns[:, row])
+            _turn(linkage.turns[row], state, turns[:, row])
         rows = slice(0, first.slides.start if first else None)
-        slides[:, rows] = weigh(linkage.slides[rows], known)
+        slides[:, rows] = weigh(linkage.slides[rows], state)
         for b, block in enumerate(linkage.blocks):
             if close:
-                closed &= _close(linkage, block, known[0], turns[0], slides[0])
+                closed &= _close(linkage, block, state[0], turns[0], slides[0])
             else:
-                _move(linkage, block, known[0], turns[0], slides[0])
-            determinants[b] = _differentiate(linkage, block, known, turns, slides)
+                _move(linkage, block, state[0], turns[0], slides[0])
+            determinants[b] = _differentiate(linkage, block, state, turns, slides)
             regular &= np.abs(determinants[b]) > SINGULAR
-    both = np.concatenate((linkage.free, linkage.driven), axis=1)
-    values = weigh(both, known, out)
-    values[:, ~both.any(axis=1)] = 0.0
+    coefficients = np.concatenate((linkage.free, linkage.driven), axis=1)
+    values = weigh(coefficients, state, out)
+    values[:, ~coefficients.any(axis=1)] = 0.0
     if linkage.fixed.any():
         values[0] += linkage.fixed[:, None]
     if not closed.all():
@@ -100,128 +97,142 @@ def solve(
     return Solution(values, closed, regular & closed, determinants, turns, slides)
 
 
-def sound_orders(linkage: Linkage, inputs: Real, found: Solution) -> np.ndarray:
+def sound_orders(linkage: Linkage, inputs: Real, solution: Solution) -> np.ndarray:
     """
-    How many orders (T,) of `found.values` have digits left: next to a change point, not all.
+    How many orders (T,) of `solution.values` have digits: next to a change point, not all.
 
     With columns that meet at an angle whose sine is s, the k-th derivatives are off by rounding
     over s^(k+1). Next to a limit, as near to a dead point, they themselves grow faster than that.
     """
-    orders = np.full(found.closed.shape, len(found.values))
-    least = np.abs(found.determinant).min(axis=0, initial=1.0)
-    some = np.flatnonzero(least < _NEAR)
-    if not len(some):
+    orders = np.full(solution.closed.shape, len(solution.values))
+    least = np.abs(solution.determinant).min(axis=0, initial=1.0)
+    near = np.flatnonzero(least < _NEAR)
+    if not len(near):
         return orders
     loops = linkage.loops
     size = float(np.abs(loops.length0).max(initial=0.0)) or 1.0
-    unit = np.where((loops.lengths != 0).any(axis=0), size, 1.0)
+    unit = np.where(loops.is_angle, 1.0, size)
     by = np.array([unit[row != 0].max(initial=1e-300) for row in loops.drives])
-    # How fast things go, from all derivatives of the inputs.
+    # How fast the inputs move, from all of their derivatives.
     fast = np.stack(
         [
-            (np.abs(inputs[k][:, some]) / by[:, None]).max(axis=0) ** (1 / k)
-            for k in range(1, len(found.values))
+            (np.abs(inputs[k][:, near]) / by[:, None]).max(axis=0) ** (1 / k)
+            for k in range(1, len(solution.values))
         ]
     ).max(axis=0, initial=0.0)
-    for k in reversed(range(1, len(found.values))):
-        noise = _ROUNDING / 8 * fast**k / least[some] ** (k + 1)
-        most = (np.abs(found.values[k][:, some]) / unit[:, None]).max(axis=0)
-        # Not a number in what is irregular anyway.
-        drowned = ~(noise <= 1e-3 * np.maximum(most, fast**k)) & (fast > 0)
-        orders[some[drowned]] = k
+    for k in reversed(range(1, len(solution.values))):
+        noise = ROUNDING / 8 * fast**k / least[near] ** (k + 1)
+        most = (np.abs(solution.values[k][:, near]) / unit[:, None]).max(axis=0)
+        # Values that are not regular are NaN.
+        is_noise = ~(noise <= 1e-3 * np.maximum(most, fast**k)) & (fast > 0)
+        orders[near[is_noise]] = k
     return orders
 
 
-def _turn(row: Real, known: Real, turn: Complex) -> None:
-    """Fill in e^{iα} (orders, T) of an angle that is all known, and its derivatives."""
+def _turn(row: Real, state: Real, turn: Complex) -> None:
+    """Fill in e^{iα} (orders, T) of an angle without unknowns, and its derivatives."""
     if not row.any():
         turn[0], turn[1:] = 1.0, 0.0
         return
-    angle = weigh(row[None], known)[:, 0]
-    _point(angle[0], turn[0])
-    # Often all but the first are zero.
+    angle = weigh(row[None], state)[:, 0]
+    _unit_vector(angle[0], turn[0])
+    # Often all rates but the first are zero.
     rates = [1j * rate if rate.any() else _NONE for rate in angle]
-    for k in range(1, len(known)):
+    for k in range(1, len(state)):
         np.multiply(rates[k], turn[0], out=turn[k])
         if k > 1:
             turn[k] += _lower(k, rates, turn)
 
 
-def _point(angle: Real, turn: Complex) -> None:
+def _unit_vector(angle: Real, turn: Complex) -> None:
     """
     Fill in e^{iα}, from the tangent of half the angle.
 
     That is one function instead of two, and numpy's is vectorized (3 ns an angle against 15).
     """
     half = np.tan(0.5 * angle)
-    share = 2.0 / (1.0 + half * half)
-    np.subtract(share, 1.0, out=turn.real)
-    np.multiply(share, half, out=turn.imag)
+    scale = 2.0 / (1.0 + half * half)
+    np.subtract(scale, 1.0, out=turn.real)
+    np.multiply(scale, half, out=turn.imag)
 
 
 def _lower(k: int, rates: Sequence[Complex | complex], turn: Complex) -> Complex | float:
     """
-    The k-th derivative of e^{iα}, Σ (k-1 over j) i α^(j+1) (e^{iα})^(k-1-j), but for that of α.
+    The k-th derivative of e^{iα}, Σ (k-1 over j) i α^(j+1) (e^{iα})^(k-1-j), without α^(k).
 
     `rates` are i α^(j), `turn` the derivatives (k or more, ...) up to the one before.
     """
-    found: Complex | float = 0.0
+    total: Complex | float = 0.0
     for j in range(k - 1):
         rate = rates[j + 1]
         if rate is not _NONE:
             weight = comb(k - 1, j)
-            found = found + (rate if weight == 1 else weight * rate) * turn[k - 1 - j]
-    return found
+            total = total + (rate if weight == 1 else weight * rate) * turn[k - 1 - j]
+    return total
 
 
-def _move(linkage: Linkage, block: Block, known: Real, turn: Complex, slide: Real) -> None:
-    """Bring the block's angles and lengths to where its unknowns are."""
-    _point(weigh(linkage.turns[block.turns], known), turn[block.turns])
-    slide[block.slides] = weigh(linkage.slides[block.slides], known)
+def _move(linkage: Linkage, block: Block, state: Real, turn: Complex, slide: Real) -> None:
+    """Compute the block's e^{iα} and lengths from its unknowns."""
+    _unit_vector(weigh(linkage.turns[block.turns], state), turn[block.turns])
+    slide[block.slides] = weigh(linkage.slides[block.slides], state)
 
 
 def _sum(block: Block, rows: slice, turn: Complex, slide: Real) -> Complex:
     """Some of the block's sums (rows, T)."""
-    upto = block.turns.stop
-    found = weigh(block.constant[rows, :upto], turn[:upto])
+    count = block.turns.stop
+    total = weigh(block.constant[rows, :count], turn[:count])
     for v in range(block.slides.stop):
         if block.sliding[v, rows].any():
-            found += slide[v] * weigh(block.sliding[v, rows, :upto], turn[:upto])
-    return found
+            total += slide[v] * weigh(block.sliding[v, rows, :count], turn[:count])
+    return total
 
 
-def _close(linkage: Linkage, block: Block, known: Real, turn: Complex, slide: Real) -> np.ndarray:
-    """Move the block's unknowns in `known` until its loops close; return where they do (T,)."""
+def _close(linkage: Linkage, block: Block, state: Real, turn: Complex, slide: Real) -> np.ndarray:
+    """Move the block's unknowns in `state` until its loops close; return where they do (T,)."""
     if not block.dyad:
-        return _newton(linkage, block, known, turn, slide)
-    done = close_dyad(linkage, block, known, turn, slide)
-    left = np.flatnonzero(~done)
-    if len(left):
-        some = known[:, left], turn[:, left], slide[:, left]
-        done[left] = _newton(linkage, block, *some)
-        known[:, left], turn[:, left], slide[:, left] = some
+        return _newton(linkage, block, state, turn, slide)
+    done = close_dyad(linkage, block, state, turn, slide)
+    _newton_where(~done, linkage, block, done, state, turn, slide)
     return done
 
 
+def _newton_where(
+    mask: np.ndarray,
+    linkage: Linkage,
+    block: Block,
+    done: np.ndarray,
+    *arrays: np.ndarray,
+    steps: int = 0,
+) -> None:
+    """Newton's method at the positions in `mask` (T,), whose results replace those in `arrays`."""
+    rows = np.flatnonzero(mask)
+    if len(rows):
+        state, turn, slide = subset = [array[:, rows] for array in arrays]
+        done[rows] = _newton(linkage, block, state, turn, slide, steps)
+        for array, part in zip(arrays, subset, strict=True):
+            array[:, rows] = part
+
+
 def _newton(
-    linkage: Linkage, block: Block, known: Real, turn: Complex, slide: Real, steps: int = 0
+    linkage: Linkage, block: Block, state: Real, turn: Complex, slide: Real, steps: int = 0
 ) -> np.ndarray:
-    """The same step by step, jointly for those that are not there yet."""
+    """Newton's method, jointly for all positions; return where the loops close (T,)."""
     m, n = len(block.loops), len(block.unknown)
     lengths = [j for j, k in enumerate(block.unknown) if linkage.slides[:, k].any()]
-    _move(linkage, block, known, turn, slide)
-    both = _sum(block, slice(None), turn, slide)
-    gap = both[:m]
-    inverse, determinant = _inverse(both[m:].reshape(m, n, both.shape[-1]))
+    _move(linkage, block, state, turn, slide)
+    loops = _sum(block, slice(None), turn, slide)
+    gap = loops[:m]
+    inverse, determinant = _inverse(loops[m:].reshape(m, n, loops.shape[-1]))
     step = _apply(inverse, gap)
-    most = np.abs(step).max(axis=0, initial=0.0)
-    worst = most.max(initial=0.0)
-    if n == 2 * m and not lengths and worst * worst <= _LEFT * np.abs(determinant).min(initial=1.0):
-        _follow(linkage, block, step, known, turn, slide)
-        return np.ones(len(most), bool)
-    # What later blocks slide is not known yet: whatever lay in memory.
-    scale = _size(linkage, slide[: block.slides.stop])
-    # Far from the solution a whole step may throw an angle anywhere.
+    worst = np.abs(step).max(initial=0.0)
+    limit = _CONVERGED * np.abs(determinant).min(initial=1.0)
+    if n == 2 * m and not lengths and worst * worst <= limit:
+        _step(linkage, block, step, state, turn, slide)
+        return np.ones(step.shape[1], bool)
+    # The largest length, or nearly. Lengths of later blocks are not initialized yet.
+    size = np.abs(linkage.length0).max(initial=0.0)
+    scale = np.maximum(size, np.abs(slide[: block.slides.stop]).max(axis=0, initial=0.0))
+    # Far from the solution a full step may lead an angle anywhere.
     moves = np.abs(step)
     moves[lengths] /= scale
     most = moves.max(axis=0, initial=0.0)
@@ -229,109 +240,100 @@ def _newton(
     step[:, ~fine] = 0.0
     far = most > 0.5
     step[:, far] *= 0.5 / most[far]
-    # What a step leaves is its square, over the determinant.
-    done = (most * most <= _LEFT * np.abs(determinant)) | (most <= _ROUNDING)
-    tight = np.abs(gap).max(axis=0) <= _ROUNDING * scale
+    # The error after a step is its square, over the determinant.
+    done = (most * most <= _CONVERGED * np.abs(determinant)) | (most <= ROUNDING)
+    tight = np.abs(gap).max(axis=0) <= ROUNDING * scale
     done |= tight
-    # In a change point a step is rounding over nothing: what was predicted is better.
+    # In a change point a step is rounding over zero: the prediction is better.
     step[:, tight & (np.abs(determinant) < SINGULAR)] = 0.0
     if n < 2 * m:
-        # Loops that others repeat: no step is left, but they may still be open.
+        # Redundant loops: the step is zero, but they may still be open.
         done &= np.abs(gap).max(axis=0) <= 1e-7 * scale
-    _follow(linkage, block, step, known, turn, slide)
-    left = np.flatnonzero(fine & ~done)
-    if len(left) and steps < _MOST_STEPS:
-        some = known[:, left], turn[:, left], slide[:, left]
-        done[left] = _newton(linkage, block, *some, steps + 1)
-        known[:, left], turn[:, left], slide[:, left] = some
+    _step(linkage, block, step, state, turn, slide)
+    if steps < _MOST_STEPS:
+        _newton_where(fine & ~done, linkage, block, done, state, turn, slide, steps=steps + 1)
     return done
 
 
-def _follow(
-    linkage: Linkage, block: Block, step: Real, known: Real, turn: Complex, slide: Real
+def _step(
+    linkage: Linkage, block: Block, step: Real, state: Real, turn: Complex, slide: Real
 ) -> None:
-    """Make a step of the unknowns. The last is too small to turn the angles afresh."""
+    """Make a step of the unknowns; the last one is so small that e^{iα} needs no new tangent."""
     unknown, rows = list(block.unknown), block.turns
-    known[unknown] += step
+    state[unknown] += step
     turn[rows] += turn[rows] * (1j * weigh(linkage.turns[rows][:, unknown], step))
     slide[block.slides] += weigh(linkage.slides[block.slides][:, unknown], step)
 
 
-def _size(linkage: Linkage, slide: Real) -> Real:
-    """The largest length (T,), or nearly."""
-    size = np.abs(linkage.length0).max(initial=0.0)
-    return np.maximum(size, np.abs(slide).max(axis=0, initial=0.0))
-
-
 def _differentiate(
-    linkage: Linkage, block: Block, known: Real, turns: Complex, slides: Real
+    linkage: Linkage, block: Block, state: Real, turns: Complex, slides: Real
 ) -> Real:
     """Fill in the derivatives of the block's unknowns, order by order; return the determinant."""
     m, unknown = len(block.loops), list(block.unknown)
-    rows, upto = block.turns, block.turns.stop
+    rows, count = block.turns, block.turns.stop
     columns = _sum(block, slice(m, None), turns[0], slides[0])
-    inverse, determinant = _inverse(columns.reshape(m, len(unknown), known.shape[-1]))
+    inverse, determinant = _inverse(columns.reshape(m, len(unknown), state.shape[-1]))
     turning, slide_rows = 1j * linkage.turns[rows], linkage.slides[block.slides]
     # i α^(k) of the block's angles.
-    rates = np.empty((len(known), rows.stop - rows.start, known.shape[-1]), complex)
+    rates = np.empty((len(state), rows.stop - rows.start, state.shape[-1]), complex)
     sliding = [v for v in range(block.slides.stop) if block.sliding[v, :m].any()]
-    # What does not turn at all has no derivatives.
-    moving = block.constant[:m, :upto] * linkage.turns[:upto].any(axis=1)
-    for k in range(1, len(known)):
-        # All that does not hold the unknowns' k-th derivatives (Leibniz), which are still zero.
+    # Angles that are constant have no derivatives.
+    moving = block.constant[:m, :count] * linkage.turns[:count].any(axis=1)
+    for k in range(1, len(state)):
+        # All terms without the unknowns' k-th derivatives (Leibniz), which are still zero.
         turns[k, rows] = _lower(k, rates, turns[:, rows])
         if block.mixed:
-            known[k, unknown] = 0.0
-            turns[k, rows] += weigh(turning, known[k]) * turns[0, rows]
-            slides[k, block.slides] = weigh(slide_rows, known[k])
+            state[k, unknown] = 0.0
+            turns[k, rows] += weigh(turning, state[k]) * turns[0, rows]
+            slides[k, block.slides] = weigh(slide_rows, state[k])
         elif len(slide_rows):
             slides[k, block.slides] = 0.0
-        rest = weigh(moving, turns[k, :upto])
+        gap = weigh(moving, turns[k, :count])
         for v in sliding:
             for j in range(k + 1):
-                part = weigh(block.sliding[v, :m, :upto], turns[k - j, :upto])
-                rest += comb(k, j) * slides[j, v] * part
-        found = _apply(inverse, rest)
-        known[k, unknown] = found
-        weigh(turning[:, unknown], found, out=rates[k])
+                part = weigh(block.sliding[v, :m, :count], turns[k - j, :count])
+                gap += comb(k, j) * slides[j, v] * part
+        derivative = _apply(inverse, gap)
+        state[k, unknown] = derivative
+        weigh(turning[:, unknown], derivative, out=rates[k])
         turns[k, rows] += rates[k] * turns[0, rows]
         if len(slide_rows):
-            slides[k, block.slides] += weigh(slide_rows[:, unknown], found)
+            slides[k, block.slides] += weigh(slide_rows[:, unknown], derivative)
         if block.mixed:
-            weigh(turning, known[k], out=rates[k])
+            weigh(turning, state[k], out=rates[k])
     return determinant
 
 
-def _apply(inverse: Complex, rest: Complex) -> Real:
-    """Real x (n, T) with columns x + rest (m, T) = 0."""
+def _apply(inverse: Complex, gap: Complex) -> Real:
+    """Real x (n, T) with columns x + gap (m, T) = 0."""
     if inverse.shape[1] == 1:
-        return (inverse[:, 0] * rest[0]).real
-    return np.asarray(np.einsum('nmt,mt->nt', inverse, rest).real)
+        return (inverse[:, 0] * gap[0]).real
+    return np.asarray(np.einsum('nmt,mt->nt', inverse, gap).real)
 
 
 def _inverse(columns: Complex) -> tuple[Complex, Real]:
     """
-    The inverse (n, m, T) of complex columns (m, n, T), x = Re(inverse rest), and the determinant.
+    The inverse (n, m, T) of complex columns (m, n, T), x = Re(inverse gap), and the determinant.
 
-    The determinant (T,) is that of columns scaled to length 1. More equations than unknowns, as
-    where loops repeat each other, are met by least squares.
+    The determinant (T,) is that of columns scaled to length 1. More equations than unknowns, as of
+    redundant loops, are solved by least squares.
     """
     m, n, count = columns.shape
     if (m, n) == (1, 2):
         a, b = columns[0]
         # Im(a* b) is the cross product of the two columns.
-        both = a.conj() * b
-        cross = both.imag
-        share = 1.0 / cross
+        product = a.conj() * b
+        cross = product.imag
+        scale = 1.0 / cross
         inverse = np.empty((2, 1, count), complex)
         (first,), (second,) = inverse
         # -i b* / cross and i a* / cross.
-        np.multiply(a.imag, share, out=second.real)
-        np.multiply(a.real, share, out=second.imag)
-        np.negative(share, out=share)
-        np.multiply(b.imag, share, out=first.real)
-        np.multiply(b.real, share, out=first.imag)
-        return inverse, cross / np.sqrt(both.real**2 + cross**2)
+        np.multiply(a.imag, scale, out=second.real)
+        np.multiply(a.real, scale, out=second.imag)
+        np.negative(scale, out=scale)
+        np.multiply(b.imag, scale, out=first.real)
+        np.multiply(b.real, scale, out=first.imag)
+        return inverse, cross / np.sqrt(product.real**2 + cross**2)
     if not n:
         return np.zeros((0, m, count), complex), np.ones(count)
     matrix = np.empty((count, 2 * m, n))
@@ -344,11 +346,11 @@ def _inverse(columns: Complex) -> tuple[Complex, Real]:
     scaled = np.where(np.isfinite(matrix), matrix / size, 0.0)
     if n == 2 * m:
         determinant = np.linalg.det(scaled)
-        whole = np.abs(determinant) > 1e-300
-        found = np.linalg.inv(np.where(whole[:, None, None], scaled, np.eye(n)))
-        found[~whole] = np.nan
+        is_regular = np.abs(determinant) > 1e-300
+        real = np.linalg.inv(np.where(is_regular[:, None, None], scaled, np.eye(n)))
+        real[~is_regular] = np.nan
     else:
         determinant = np.linalg.svd(scaled, compute_uv=False).min(axis=1)
-        found = np.linalg.pinv(scaled)
-    found = np.moveaxis(found / size.swapaxes(1, 2), 0, -1)
-    return 1j * found[:, m:] - found[:, :m], determinant
+        real = np.linalg.pinv(scaled)
+    real = np.moveaxis(real / size.swapaxes(1, 2), 0, -1)
+    return 1j * real[:, m:] - real[:, :m], determinant

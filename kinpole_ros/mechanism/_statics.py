@@ -1,98 +1,27 @@
 """
-Loads on a linkage, and the efforts of its drivers that balance them, by virtual work.
+Statics of a linkage by virtual work: efforts of its drivers, mechanical advantage, transmission.
 
 Loads and drivers do no net work in any motion that the joints allow (seed 003), which gives the
-efforts without the reactions in the joints (`_reactions`). Springs and the inertia of masses become
-loads like any other (seed 003: "dynamic forces can be inserted into the virtual work equation").
+efforts without the reactions in the joints (`_reactions`).
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from kinpole_ros.mechanism._assembly import Assembly, poses_of
-from kinpole_ros.mechanism._joints import GROUND
-from kinpole_ros.mechanism._loops import Linkage, LinkageError, loop_jacobian, loop_rates, with_laws
-from kinpole_ros.mechanism._mechanism import Mechanism, Motion
-from kinpole_ros.planar import body_point_derivative
+from kinpole_ros.mechanism._assembly import body_motion, largest_length
+from kinpole_ros.mechanism._joints import GROUND, Belt
+from kinpole_ros.mechanism._loads import Force, Holder, Load, Torque, check_loads
+from kinpole_ros.mechanism._loops import LinkageError, loop_jacobian, term_vectors
+from kinpole_ros.mechanism._mechanism import Mechanism
+from kinpole_ros.mechanism._solution import SINGULAR
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
-# Next to a dead point positions, and so singular values, have errors of rounding over the least
-# singular value: below the root of rounding that value counts as zero.
-SINGULAR_VALUE = np.sqrt(ROUNDING)
-# A variable that moves by less than this share with all drivers held counts as at rest.
-_AT_REST = 1e-6
-
-
-class Force(NamedTuple):
-    """A force, N, complex in the ground's axes, at `point`, m, of the body's frame: () or (T,)."""
-
-    body: str
-    point: complex | Complex
-    force: npt.ArrayLike
-
-
-class Torque(NamedTuple):
-    """A torque on `body`, N m, () or (T,)."""
-
-    body: str
-    torque: npt.ArrayLike
-
-
-Load = Force | Torque
-
-
-class Holder(NamedTuple):
-    """
-    A force or torque that holds the loads instead of a driver.
-
-    The force is on `body` at `point` of its frame (m), in the direction `along` (rad) in the frame
-    of the body `of`. If `point` is None it is a torque on `body`.
-    """
-
-    body: str
-    point: complex | None = None
-    along: float = 0.0
-    of: str = GROUND
-
-
-class Spring(NamedTuple):
-    """
-    A spring from the point `a` of the body `one` to `b` of `other` (complex, m, in their frames).
-
-    It pulls with `stiffness` (N/m) times its length beyond `free` (m), or pushes if it is shorter.
-    """
-
-    one: str
-    a: complex
-    other: str
-    b: complex
-    stiffness: float
-    free: float
-
-
-class Torsion(NamedTuple):
-    """
-    A spring that turns the body `other` to the angle `free` (rad) relative to `one`.
-
-    Its torque is `stiffness` (N m/rad) times the angle that remains.
-    """
-
-    one: str
-    other: str
-    stiffness: float
-    free: float
-
-
-class Mass(NamedTuple):
-    """A body's `mass` (kg) at `center` (complex, m, in its frame), `moment` (kg m²) about that."""
-
-    body: str
-    mass: float
-    center: complex
-    moment: float
+# Share of the largest rate of a term at which a loop counts as opening.
+_OPENING = np.sqrt(ROUNDING)
+# A port for power, in or out: along a force, with a torque, or with a variable by its name.
+Port = Force | Torque | str
 
 
 class Efforts(NamedTuple):
@@ -125,7 +54,7 @@ def efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Effort
     Returns
     -------
     Efforts
-        Of d drivers at T positions, N or N m.
+        Those of d drivers at T positions, N or N m.
 
     Raises
     ------
@@ -171,7 +100,7 @@ def holding(
     Returns
     -------
     effort : ndarray
-        Of shape (T,), N or N m. NaN at dead points, and where the holder does not move along
+        Its size (T,), N or N m. NaN at dead points, and where the holder does not move along
         itself.
     load : Force or Torque
         The same as a load.
@@ -225,7 +154,7 @@ def load_rates(
     Returns
     -------
     list of ndarray
-        Of each load (T,): the velocity of the force's point, complex, in the ground's axes, or the
+        For each load (T,): the velocity of the force's point, complex, in the ground's axes, or the
         angular velocity of the torque's body. NaN at dead points.
 
     Notes
@@ -237,81 +166,12 @@ def load_rates(
     return [np.where(moving.determined, rate_of(mechanism, load, moving), np.nan) for load in loads]
 
 
-def spring_loads(
-    mechanism: Mechanism, values: Real, springs: Sequence[Spring | Torsion]
-) -> list[Load]:
-    """
-    Forces and torques of springs on the moving bodies, a load for each end that moves.
-
-    Parameters
-    ----------
-    mechanism
-        The linkage.
-    values
-        Its variables (n, T), m and rad.
-    springs
-        Between points, N/m, or between bodies, N m/rad.
-
-    Returns
-    -------
-    list of Force or Torque
-        N and N m, each of shape (T,). NaN where the ends of one with a free length meet, and it has
-        no direction.
-
-    """
-    poses, loads = poses_of(mechanism.assembly, values), list[Load]()
-    for spring in springs:
-        one, other = poses[spring.one], poses[spring.other]
-        if isinstance(spring, Torsion):
-            torque = spring.stiffness * (spring.free - (other.angle - one.angle))
-            ends: list[Load] = [Torque(spring.other, torque), Torque(spring.one, -torque)]
-        else:
-            between = other.point(spring.b) - one.point(spring.a)
-            with np.errstate(divide='ignore', invalid='ignore'):
-                extension = 1 - spring.free / np.abs(between) if spring.free else 1.0
-                pull = spring.stiffness * extension * between
-            ends = [Force(spring.one, spring.a, pull), Force(spring.other, spring.b, -pull)]
-        loads += [load for load in ends if load.body != GROUND]
-    return loads
-
-
-def inertial_loads(mechanism: Mechanism, motion: Motion, masses: Sequence[Mass]) -> list[Load]:
-    """
-    D'Alembert's forces of masses: -m a at their centers, and torques -I α.
-
-    Parameters
-    ----------
-    mechanism
-        The linkage.
-    motion
-        Its motion at T instants, up to accelerations or higher.
-    masses
-        Masses, kg, with centers, m, and moments, kg m^2.
-
-    Returns
-    -------
-    list of Force or Torque
-        N and N m, each of shape (T,).
-
-    """
-    loads: list[Load] = []
-    for mass in masses:
-        b = mechanism.bodies.index(mass.body)
-        position, angle = motion.position[:, b], motion.angle[:, b]
-        center = position[0] + mass.center * np.exp(1j * angle[0])
-        acceleration = body_point_derivative(2, center, position, angle)
-        loads.append(Force(mass.body, mass.center, -mass.mass * acceleration))
-        loads.append(Torque(mass.body, -mass.moment * angle[2]))
-    return loads
-
-
 class Moving(NamedTuple):
     """
-    Bodies (B) at T positions that move at given rates of the drivers.
+    Bodies (B) at T positions that move at unit rate of one driver.
 
     `angle`, `velocity` and `omega` are (B, T), `rates` (n, T) those of the variables. `determined`
-    (T,) is where the loops determine them and stay closed. `loose` (n, T) are the variables that
-    could move with all drivers held.
+    (T,) is where the loops determine them.
     """
 
     angle: Real
@@ -319,57 +179,22 @@ class Moving(NamedTuple):
     omega: Real
     rates: Real
     determined: np.ndarray
-    loose: np.ndarray
-
-
-def move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) -> Moving:
-    """
-    Let the drivers move at `rates` (d, T), at variables (n, T) that close the loops.
-
-    It is linear in the rates and needs no iteration, so it works at dead points.
-    """
-    loops, unknowns = linkage.loops, linkage.free.shape[1]
-    _, slope = loop_jacobian(loops, values)
-    inputs = np.stack((loops.drives @ values, rates))
-    rate = linkage.driven @ with_laws(linkage, inputs)[1]
-    loose = np.zeros(values.shape, bool)
-    determined = np.isfinite(values).all(axis=0)
-    if unknowns:
-        columns = np.einsum('mnt,nu->mut', slope, linkage.free)
-        gap = np.einsum('mnt,nt->mt', slope, rate)
-        matrix = np.concatenate((columns.real, columns.imag))
-        size = np.sqrt((matrix**2).sum(axis=0))
-        size[~(size > 0)] = 1.0
-        u, s, vt = stacked_svd(matrix / size)
-        along = u.swapaxes(1, 2) @ np.concatenate((gap.real, gap.imag)).T[..., None]
-        most = s.shape[1]
-        across = inverse_values(s)[..., None] * along[:, :most]
-        rate -= linkage.free @ ((vt[:, :most].swapaxes(1, 2) @ across)[..., 0].T / size)
-        rank = (s > SINGULAR_VALUE * s[:, :1]).sum(axis=1)
-        determined &= rank == unknowns
-        null_space = np.where(np.arange(unknowns)[:, None] >= rank[:, None, None], vt, 0.0)
-        moves = linkage.free @ (np.moveaxis(null_space, 0, -1) / size)
-        loose = (np.abs(moves) > _AT_REST).any(axis=0)
-    terms = loop_rates(loops, values, rate)
-    with np.errstate(invalid='ignore'):
-        # With redundant constraints the rates of least squares need not keep all loops closed.
-        gap = np.abs(loops.loops @ terms).max(axis=0, initial=0.0)
-        determined &= gap <= SINGULAR_VALUE * np.abs(terms).max(axis=0, initial=0.0)
-    turns = assembly.turns
-    return Moving(turns @ values, assembly.places @ terms, turns @ rate, rate, determined, loose)
 
 
 def unit_drive(mechanism: Mechanism, values: Real, k: int) -> Moving:
     """All bodies at unit rate of driver k, the others held."""
-    rates = np.zeros((len(mechanism.drivers), values.shape[1]))
-    rates[k] = 1.0
-    return move(mechanism.linkage, mechanism.assembly, values, rates)
-
-
-def at_rest(mechanism: Mechanism, values: Real) -> Moving:
-    """No motion at all, with the variables that could move."""
-    rates = np.zeros((len(mechanism.drivers), values.shape[1]))
-    return move(mechanism.linkage, mechanism.assembly, values, rates)
+    solution = mechanism.rates(values, k)
+    position, angle = body_motion(mechanism.assembly, solution.values)
+    rates, determined = solution.values[1], solution.regular & np.isfinite(values).all(axis=0)
+    if any(len(block.unknown) < 2 * len(block.loops) for block in mechanism.linkage.blocks):
+        # With redundant constraints the rates of least squares need not keep all loops closed.
+        loops = mechanism.assembly.loops
+        slope = loop_jacobian(loops, values)[1]
+        gap = np.abs(np.einsum('mnt,nt->mt', slope, rates)).max(axis=0)
+        length, _ = term_vectors(loops, values)
+        terms = np.hypot(loops.lengths @ rates, length * (loops.angles @ rates))
+        determined &= gap <= _OPENING * terms.max(axis=0)
+    return Moving(angle[0], position[1], angle[1], rates, determined)
 
 
 def rate_of(mechanism: Mechanism, load: Load, moving: Moving) -> Complex | Real:
@@ -389,30 +214,120 @@ def power_of(mechanism: Mechanism, load: Load, moving: Moving) -> Real:
     return np.asarray((np.conj(effort) * rate_of(mechanism, load, moving)).real)
 
 
-def stacked_svd(matrix: Real) -> tuple[Real, Real, Real]:
-    """Singular value decompositions of (R, C, T), T first; zero where entries are not finite."""
-    invalid = ~np.isfinite(matrix).all(axis=(0, 1))
-    u, s, vt = np.linalg.svd(np.moveaxis(np.where(invalid, 0.0, matrix), -1, 0))
-    return u, s, vt
+def advantage(mechanism: Mechanism, values: Real, into: Port, out: Port) -> Real:
+    """
+    Mechanical advantage: the force or torque at `out` over that at `into`.
+
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n, T), m and rad.
+    into, out
+        A force (only its point and direction count), a torque (only its body), or a variable by its
+        name, as a driver or a slide. With several drivers the input is one of them, the others are
+        held.
+
+    Returns
+    -------
+    ndarray
+        The advantage (T,), N or N m over N or N m. Infinite where the output stands still while the
+        input moves (a toggle), zero the other way round, NaN at dead points of the driver.
+
+    Raises
+    ------
+    LinkageError
+        For a port that does not exist, or an input that is none of several drivers.
+
+    Notes
+    -----
+    All power that goes in comes out, so it is the rate of `into` over that of `out` (seed 003).
+
+    """
+    names = [driver.name for driver in mechanism.drivers]
+    if not names:
+        raise LinkageError('without a driver nothing moves: there is no advantage, add a driver')
+    if len(names) > 1 and (into not in names or out in names):
+        raise LinkageError(
+            f'with {len(names)} drivers the advantage is that of one of them, the others held: '
+            f'give {names[0]} or another as the input, and a force or torque as the output'
+        )
+    k = names.index(into) if isinstance(into, str) and into in names else 0
+    moving = unit_drive(mechanism, values, k)
+    length = largest_length(mechanism.assembly, values)
+    fastest = np.maximum(np.abs(moving.velocity), np.abs(moving.omega) * length).max(axis=0)
+    rates = []
+    for port in (into, out):
+        if isinstance(port, str):
+            rates.append(_rate(mechanism, moving, k, port, fastest, length))
+            continue
+        check_loads(mechanism, [port])
+        if isinstance(port, Force):
+            size = np.abs(port.force)
+            if not np.all(size > 0):
+                raise LinkageError(f'the force on {port.body} needs a direction, to be a port')
+            port, scale = port._replace(force=port.force / size), fastest
+        else:
+            port, scale = port._replace(torque=1.0), fastest / length
+        rate = power_of(mechanism, port, moving)
+        rates.append(np.where(np.abs(rate) > ROUNDING * scale, rate, 0.0))
+    with np.errstate(divide='ignore', invalid='ignore'):
+        ratio = rates[0] / rates[1]
+    # The sign of an infinite advantage is that of a rounding error: it has none.
+    return np.where(moving.determined, np.where(np.isinf(ratio), np.inf, ratio), np.nan)
 
 
-def inverse_values(s: Real) -> Real:
-    """Inverses of singular values (T, K), zero for those that are zero but for rounding."""
-    with np.errstate(divide='ignore'):
-        return np.where(s > SINGULAR_VALUE * s[:, :1], 1 / s, 0.0)
+def _rate(
+    mechanism: Mechanism, moving: Moving, k: int, port: str, fastest: Real, length: float
+) -> Real:
+    """The rate (T,) of a variable, or of a driver, at unit rate of driver `k`."""
+    names = [driver.name for driver in mechanism.drivers]
+    if port in names:
+        return np.full(len(moving.determined), float(names.index(port) == k))
+    kinds = mechanism.assembly.kinds
+    if port not in kinds:
+        raise LinkageError(f'no variable {port}: there are {", ".join(kinds)}')
+    rate = moving.rates[list(kinds).index(port)]
+    scale = fastest if kinds[port] == 'length' else fastest / length
+    return np.where(np.abs(rate) > ROUNDING * scale, rate, 0.0)
 
 
-def driver_rows(mechanism: Mechanism) -> Real:
-    """The rows (d, n) of the drivers."""
-    rows = np.array([driver.row for driver in mechanism.drivers])
-    return rows.reshape(-1, len(mechanism.start))
+def transmission_angles(mechanism: Mechanism, values: Real) -> dict[tuple[str, ...], Real]:
+    """
+    Transmission angles, by the two variables of each dyad.
+
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n, T), m and rad.
+
+    Returns
+    -------
+    dict
+        By names of variables (T,), rad, 0 to π/2: the acute angle between the dyad's two links; of
+        a link and a slide, that between the link and the normal to the slide. Loops that are no
+        dyads, or have a belt, have none.
+
+    Notes
+    -----
+    The sine is the determinant of the dyad's equations over the lengths of their columns, so it is
+    zero at a dead point.
+
+    """
+    sines = np.abs(mechanism.rates(values).determinant)
+    sines[sines <= SINGULAR] = 0.0
+    angles = {
+        _names(mechanism, block.unknown): np.arcsin(np.minimum(sine, 1.0))
+        for block, sine in zip(mechanism.linkage.blocks, sines, strict=True)
+        if block.dyad
+    }
+    belts = {joint.name for joint in mechanism.assembly.joints if isinstance(joint, Belt)}
+    return {names: angle for names, angle in angles.items() if belts.isdisjoint(names)}
 
 
-def check_loads(mechanism: Mechanism, loads: Sequence[Load]) -> None:
-    """Raise LinkageError for a load on a body that does not exist."""
-    for load in loads:
-        if load.body not in (*mechanism.bodies, GROUND):
-            raise LinkageError(
-                f'a load is on {load.body}, which is no body: there are '
-                f'{", ".join(mechanism.bodies)}'
-            )
+def _names(mechanism: Mechanism, unknown: Sequence[int]) -> tuple[str, ...]:
+    variables = mechanism.assembly.loops.variables
+    return tuple(variables[mechanism.linkage.unknown[k]] for k in unknown)

@@ -1,8 +1,8 @@
 """
-What errors of dimensions and play in joints make of the motion of a linkage.
+Effects of errors of dimensions and of play in joints on the motion of a linkage.
 
-The loops are closed again for each change of a dimension, from where they are without it: once more
-and once less by its standard deviation for the first order, at random for the samples.
+The loops are closed again for each change of a dimension, from the position without it: a standard
+deviation up and down for the first order, at random for the samples.
 """
 
 import re
@@ -17,29 +17,28 @@ from kinpole_ros.mechanism._equations import Path
 from kinpole_ros.mechanism._joints import Joint, Revolute, Rolling, Slot
 from kinpole_ros.mechanism._loops import LinkageError, reduce
 from kinpole_ros.mechanism._scene import Scene
-from kinpole_ros.mechanism._scene_bodies import Points, read_bodies
-from kinpole_ros.mechanism._scene_file import parsed
+from kinpole_ros.mechanism._scene_bodies import read_bodies
+from kinpole_ros.mechanism._scene_file import parse_scene
+from kinpole_ros.mechanism._scene_values import Points, SceneError, vector
 from kinpole_ros.mechanism._solution import solve
-from kinpole_ros.mechanism._statics import driver_rows
-from kinpole_ros.mechanism._units import SceneError, vector
 from kinpole_ros.mechanism._vectors import read_vectors
 from kinpole_ros.planar._plane import Real
 
-# Half the width of a flat distribution over its standard deviation.
-_FLAT = np.sqrt(3)
-# A turn, rad/s, of less than this share of the fastest has no center.
-_TURNING = 1e-6
-# The angle of a vector that is said from that of another.
-_OTHER = re.compile(r'\s*([A-Za-z_]\w*)')
+# Half the width of a uniform distribution over its standard deviation.
+_UNIFORM = np.sqrt(3)
+# A body that turns with less than this share of the fastest rate has no center.
+_MIN_RATE = 1e-6
+# The angle of a vector relative to that of another.
+_RELATIVE_ANGLE = re.compile(r'\s*([A-Za-z_]\w*)')
 
 
 class Tolerance(NamedTuple):
     """
-    A length, m, or angle, rad, of a scene that is not known better than by `deviation`.
+    A length, m, or angle, rad, of a scene with a standard `deviation`.
 
-    `path` and `axis` say where it is in the scene's file. If `is_play`, it is a coordinate of a pin
-    that may be anywhere within a circle of twice that radius; or, with the name of a slot or of
-    gears for a path, that of the joint, which may be anywhere within the square root of 3 of it.
+    `path` and `axis` are those in the scene's file. If `is_play`, it is a coordinate of a pin that
+    may be anywhere within a circle with a radius of twice the deviation; or, with the name of a
+    slot or of gears for a path, the position of that joint, which may be anywhere within √3 of it.
     """
 
     name: str
@@ -54,8 +53,9 @@ class ToleranceSpread(NamedTuple):
     """
     Quantities (Q), by `names` as (body or point, what), at T positions.
 
-    `value` (Q, T) without errors; `parts` (E, Q, T) what each error's deviation makes of it to
-    first order; `samples` (N, Q, T) of all errors at random. NaN where the loops do not close.
+    `value` (Q, T) is without errors; `parts` (E, Q, T) is the effect of each error's deviation to
+    first order; `samples` (N, Q, T) are with all errors at random. NaN where the loops do not
+    close.
     """
 
     names: tuple[tuple[str, str], ...]
@@ -73,7 +73,7 @@ def tolerances_of(
     scene: Scene, deviations: Mapping[str, float], play: Mapping[str, float]
 ) -> list[Tolerance]:
     """
-    The errors of a scene's dimensions by their names, and those of its pins.
+    The errors of a scene's dimensions by their names, and the play of its joints.
 
     Parameters
     ----------
@@ -90,15 +90,15 @@ def tolerances_of(
     Returns
     -------
     list of Tolerance
-        Those that are not zero.
+        The errors that are not zero.
 
     Raises
     ------
     SceneError
-        For what is no dimension of the scene, or no joint that has play.
+        For a name that is no dimension of the scene, or no joint that has play.
 
     """
-    found: dict[tuple[Path, int], Tolerance] = {}
+    errors: dict[tuple[Path, int], Tolerance] = {}
     rows = {
         f'{row.name} {"xy"[row.axis]}' if row.path[0] == 'bodies' else row.name: row
         for row in scene.equations.dimensions
@@ -106,21 +106,21 @@ def tolerances_of(
     }
     for name, deviation in deviations.items():
         own = {
-            what: row
-            for what, row in rows.items()
-            if name in (what, row.name, row.kind) or row.name.startswith(f'{name}.')
+            label: row
+            for label, row in rows.items()
+            if name in (label, row.name, row.kind) or row.name.startswith(f'{name}.')
         }
         if not own and name not in ('length', 'angle'):
-            known = ', '.join(dict.fromkeys(row.name for row in rows.values()))
-            raise SceneError(f'{name} is no dimension that joints use: give some of {known}')
-        for what, row in own.items():
-            found[row.path, row.axis] = Tolerance(what, deviation, row.value, row.path, row.axis)
+            names = ', '.join(dict.fromkeys(row.name for row in rows.values()))
+            raise SceneError(f'{name} is no dimension that joints use: give some of {names}')
+        for label, row in own.items():
+            errors[row.path, row.axis] = Tolerance(label, deviation, row.value, row.path, row.axis)
     joints = {
         joint.name: joint
         for joint in scene.mechanism.assembly.joints
         if isinstance(joint, Revolute | Slot | Rolling)
     }
-    extra = []
+    plays = []
     for name, radius in play.items():
         if name not in joints:
             raise SceneError(
@@ -129,15 +129,15 @@ def tolerances_of(
             )
         pin = joints[name]
         if not isinstance(pin, Revolute):
-            extra.append(Tolerance(f'play {name}', radius / _FLAT, 0.0, (name,), 0, True))
+            plays.append(Tolerance(f'play {name}', radius / _UNIFORM, 0.0, (name,), 0, True))
             continue
         path: Path = ('bodies', pin.other, name.partition('.')[0])
         for axis, value in enumerate((pin.b.real, pin.b.imag)):
-            # Of a point anywhere in a circle each coordinate has half its radius.
-            extra.append(
+            # The coordinates of a point anywhere in a circle deviate by half its radius.
+            plays.append(
                 Tolerance(f'play {name} {"xy"[axis]}', radius / 2, value, path, axis, True)
             )
-    return [error for error in (*found.values(), *extra) if error.deviation > 0]
+    return [error for error in (*errors.values(), *plays) if error.deviation > 0]
 
 
 def propagate_tolerances(
@@ -150,7 +150,7 @@ def propagate_tolerances(
     seed: int = 0,
 ) -> ToleranceSpread:
     """
-    What errors of dimensions make of a linkage's motion, its drivers as they are.
+    The effects of errors of dimensions on the motion of a linkage, with its drivers unchanged.
 
     Parameters
     ----------
@@ -159,18 +159,19 @@ def propagate_tolerances(
     scene
         The same as loaded.
     errors
-        Errors (E) of its dimensions, which are independent of each other.
+        Errors (E) of its dimensions, independent of each other.
     values, rates
         Its variables (n, T), m and rad, and the rates of its drivers (d, T).
     samples
-        How many linkages with errors at random.
+        The number of linkages with errors at random.
     seed
-        Of the random numbers.
+        Seed of the random numbers.
 
     Returns
     -------
     ToleranceSpread
-        Of each body its angle, angular velocity and ICR, of each point its place; rad, rad/s and m.
+        For each body its angle, angular velocity and ICR, for each point its position; rad, rad/s
+        and m.
 
     Raises
     ------
@@ -178,28 +179,27 @@ def propagate_tolerances(
         For a dimension that cannot change by itself, as the distance of two gears.
 
     """
-    data, rows = parsed(scene.name, text), driver_rows(scene.mechanism)
+    data, rows = parse_scene(scene.name, text), scene.mechanism.driver_rows
     inputs = np.zeros((2, *rates.shape))
     inputs[0], inputs[1] = rows @ values, rates
     names = _names(scene.mechanism.assembly, scene.points)
 
     def at(changes: Real) -> Real:
         assembly, points = _changed(data, errors, changes)
-        found = solve(reduce(assembly.loops._replace(drives=rows)), inputs, values, 2)
-        return _quantities(assembly, points, found.values)
+        solution = solve(reduce(assembly.loops._replace(drives=rows)), inputs, values, 2)
+        return _quantities(assembly, points, solution.values)
 
     value = at(np.zeros(len(errors)))
-    parts = np.empty((len(errors), *value.shape))
+    effects = np.empty((len(errors), *value.shape))
     for k, error in enumerate(errors):
         change = np.zeros(len(errors))
         change[k] = error.deviation
         try:
-            parts[k] = (at(change) - at(-change)) / 2
+            effects[k] = (at(change) - at(-change)) / 2
         except LinkageError as wrong:
             raise LinkageError(f'{error.name} cannot be off by itself: {wrong}') from None
-    drawn = _drawn(errors, samples, np.random.default_rng(seed))
-    found = [at(change) for change in drawn]
-    return ToleranceSpread(names, value, parts, np.reshape(found, (samples, *value.shape)))
+    drawn = [at(change) for change in _drawn(errors, samples, np.random.default_rng(seed))]
+    return ToleranceSpread(names, value, effects, np.reshape(drawn, (samples, *value.shape)))
 
 
 def _drawn(errors: Sequence[Tolerance], count: int, rng: np.random.Generator) -> Real:
@@ -207,7 +207,7 @@ def _drawn(errors: Sequence[Tolerance], count: int, rng: np.random.Generator) ->
     drawn = rng.normal(size=(count, len(errors))) * [error.deviation for error in errors]
     for k, error in enumerate(errors):
         if error.is_play and len(error.path) == 1:
-            drawn[:, k] = error.deviation * _FLAT * rng.uniform(-1, 1, count)
+            drawn[:, k] = error.deviation * _UNIFORM * rng.uniform(-1, 1, count)
         if not error.is_play or len(error.path) == 1 or error.axis:
             continue
         radius = 2 * error.deviation * np.sqrt(rng.random(count))
@@ -220,25 +220,25 @@ def _changed(
     data: Mapping[str, Any], errors: Sequence[Tolerance], changes: Real
 ) -> tuple[Assembly, Points]:
     """The linkage and its points with changed dimensions."""
-    parts = ('bodies', 'joints', 'vectors', 'loops', 'points')
-    new = deepcopy({key: data[key] for key in parts if key in data})
+    keys = ('bodies', 'joints', 'vectors', 'loops', 'points')
+    new = deepcopy({key: data[key] for key in keys if key in data})
     play: dict[str, float] = {}
     for error, change in zip(errors, changes.tolist(), strict=True):
         if error.is_play and len(error.path) == 1:
             play[str(error.path[0])] = change
             continue
-        where: Any = new
+        entry: Any = new
         for key in error.path[:-1]:
-            where = where[key]
+            entry = entry[key]
         last = error.path[-1]
         if error.path[0] == 'bodies':
             # A point has two coordinates, each with an error and the play of a pin.
-            place = vector(error.name, where[last]) + 1j**error.axis * change
-            where[last] = [place.real, place.imag]
-        elif isinstance(where[last], str) and (other := _OTHER.match(where[last])):
-            where[last] = f'{other[1]} + {np.degrees(error.value + change):.15g} deg'
+            point = vector(error.name, entry[last]) + 1j**error.axis * change
+            entry[last] = [point.real, point.imag]
+        elif isinstance(entry[last], str) and (base := _RELATIVE_ANGLE.match(entry[last])):
+            entry[last] = f'{base[1]} + {np.degrees(error.value + change):.15g} deg'
         else:
-            where[last] = error.value + change
+            entry[last] = error.value + change
     if 'vectors' in new:
         assembly, points, _ = read_vectors(new['vectors'], new['loops'], new.get('points', {}))
     else:
@@ -256,25 +256,24 @@ def _displaced(joint: Joint, play: float) -> Joint:
     if isinstance(joint, Slot):
         return joint._replace(a=joint.a + 1j * np.exp(1j * joint.along) * play)
     if isinstance(joint, Rolling):
-        scale = joint.circle + joint.radius if joint.circle else 1.0
-        return joint._replace(start=joint.start + play / scale)
+        return joint._replace(start=joint.start + play / (joint.arm if joint.circle else 1.0))
     return joint
 
 
 def _moving(assembly: Assembly, points: Points) -> dict[str, tuple[int, complex]]:
-    """The points of the moving bodies: which body, and where in its frame."""
+    """The points of the moving bodies: number of the body, and position in its frame."""
     return {
-        name: (assembly.bodies.index(body), place)
-        for name, (body, place) in points.items()
+        name: (assembly.bodies.index(body), point)
+        for name, (body, point) in points.items()
         if body in assembly.bodies
     }
 
 
 def _names(assembly: Assembly, points: Points) -> tuple[tuple[str, str], ...]:
-    """What `_quantities` are, in their order."""
+    """The names of `_quantities`, in their order."""
     of_bodies = [
-        (body, what)
-        for what in ('angle', 'angular velocity', 'ICR x', 'ICR y')
+        (body, quantity)
+        for quantity in ('angle', 'angular velocity', 'ICR x', 'ICR y')
         for body in assembly.bodies
     ]
     moving = _moving(assembly, points)
@@ -282,12 +281,12 @@ def _names(assembly: Assembly, points: Points) -> tuple[tuple[str, str], ...]:
 
 
 def _quantities(assembly: Assembly, points: Points, values: Real) -> Real:
-    """All of them (Q, T) from variables (2, n, T)."""
+    """All quantities (Q, T) from variables (2, n, T)."""
     position, angle = body_motion(assembly, values)
     with np.errstate(divide='ignore', invalid='ignore'):
         icr = position[0] + 1j * position[1] / angle[1]
-    icr[np.abs(angle[1]) <= _TURNING * np.nanmax(np.abs(angle[1]), initial=0.0)] = np.nan
+    icr[np.abs(angle[1]) <= _MIN_RATE * np.nanmax(np.abs(angle[1]), initial=0.0)] = np.nan
     turn = np.exp(1j * angle[0])
-    moving = [position[0, b] + place * turn[b] for b, place in _moving(assembly, points).values()]
-    places = np.reshape(moving, (len(moving), values.shape[-1]))
-    return np.concatenate((*angle, icr.real, icr.imag, places.real, places.imag))
+    moving = [position[0, b] + point * turn[b] for b, point in _moving(assembly, points).values()]
+    moved = np.reshape(moving, (len(moving), values.shape[-1]))
+    return np.concatenate((*angle, icr.real, icr.imag, moved.real, moved.imag))

@@ -1,21 +1,18 @@
 """ROS messages to arrays and back: no other package handles the fields of a message."""
 
+from kinpole_ros.messages._body_faults import (
+    SMOOTHED,
+    absent_markers_fault,
+    marker_faults,
+    outage_fault,
+    shape_fault,
+    unit_fault,
+    wrong_pose_fault,
+)
 from kinpole_ros.messages._cdr import serialize_message, with_zero_padding
 from kinpole_ros.messages._diagnostics import RECEIVED, RESTARTS, DiagnosticsMaker
 from kinpole_ros.messages._drawing import COLORS, deletion_of_all
-from kinpole_ros.messages._faults import (
-    SMOOTHED,
-    identity_lines,
-    jitter_fault,
-    left_out,
-    marker_faults,
-    not_there,
-    plane_words,
-    shape_fault,
-    tilt_fault,
-    unit_fault,
-    unseen,
-)
+from kinpole_ros.messages._faults import identity_lines, jitter_fault, plane_words, tilt_fault
 from kinpole_ros.messages._markers import read_markers, to_message
 from kinpole_ros.messages._poses import AUTO_TYPES, PoseReader, kind_of, poses_data, reader_of
 from kinpole_ros.messages._reader import MarkerReader
@@ -74,6 +71,7 @@ __all__ = [
     'Output',
     'PoseReader',
     'String',
+    'absent_markers_fault',
     'constants',
     'deletion_of_all',
     'deserialize_message',
@@ -82,13 +80,12 @@ __all__ = [
     'identity_lines',
     'jitter_fault',
     'kind_of',
-    'left_out',
     'live_outputs',
     'marker_faults',
     'message_class',
-    'not_there',
     'ns_to_stamp',
     'octets',
+    'outage_fault',
     'outputs_of',
     'plane_words',
     'poses_data',
@@ -105,7 +102,7 @@ __all__ = [
     'to_message',
     'type_name',
     'unit_fault',
-    'unseen',
     'view_of',
     'with_zero_padding',
+    'wrong_pose_fault',
 ]

@@ -9,7 +9,7 @@ equal bytes and a bag holds nothing of that memory.
 
 import re
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
@@ -154,82 +154,48 @@ def with_zero_padding(data: bytes, cls: Any) -> bytes:
         wstring.
     """
     try:
-        walk = _PaddingWalk(data)
-        walk.pass_fields(cls)
+        walk = _Walk(bytearray(data), len(data), _LENGTHS[data[:2]].unpack_from)
+        end = _pass_fields(walk, HEAD, _steps(cls))
     except (LookupError, struct.error):
         return data
-    return bytes(walk.data[: walk.at])
+    return bytes(walk.data[:end])
 
 
-class _Numbers(NamedTuple):
-    """
-    Numbers that follow each other in a message.
+class _Walk(NamedTuple):
+    """A message whose padding becomes zero, its size, and the reader of the lengths in it."""
 
-    By the position of the first one modulo 8 bytes: the size of all in bytes, and the first and
-    last byte of each gap between them.
-    """
-
-    layouts: list[tuple[int, list[tuple[int, int]]]]
+    data: bytearray
+    size: int
+    length_at: Callable[[bytearray, int], tuple[int]]
 
 
-class _Items(NamedTuple):
-    """An array of numbers of `item` bytes, of strings or of messages; without length a sequence."""
-
-    item: Any
-    length: int | None
-    width: int = 1  # numbers in an item
+# Passes one field, or several numbers in a row, from an offset on; returns the offset behind them.
+_Step: TypeAlias = Callable[[_Walk, int], int]
 
 
-_Step: TypeAlias = _Numbers | _Items
-_TEXT = _Items(1, None)
+def _pass_fields(walk: _Walk, at: int, steps: Sequence[_Step]) -> int:
+    for step in steps:
+        at = step(walk, at)
+    if at > walk.size:
+        raise struct.error('the message is cut off')
+    return at
 
 
-class _PaddingWalk:
-    """Goes through the fields of one message and sets the padding to zero."""
+def _align(walk: _Walk, at: int, size: int) -> int:
+    gap = (HEAD - at) % size
+    if gap:
+        walk.data[at : at + gap] = bytes(gap)
+    return at + gap
 
-    def __init__(self, data: bytes) -> None:
-        self.data, self.at, self._end = bytearray(data), HEAD, len(data)
-        self._length = _LENGTHS[data[:2]].unpack_from
 
-    def pass_fields(self, cls: Any) -> None:
-        for step in _steps(cls):
-            if isinstance(step, _Numbers):
-                size, gaps = step.layouts[(self.at - HEAD) % ALIGNMENT]
-                for first, last in gaps:
-                    self.data[self.at + first : self.at + last] = bytes(last - first)
-                self.at += size
-            else:
-                self._pass_items(step)
-            if self.at > self._end:
-                raise struct.error('the message is cut off')
-
-    def _pass_items(self, step: _Items) -> None:
-        item, count, width = step
-        if count is None:
-            self._align(4)
-            (count,) = self._length(self.data, self.at)
-            self.at += 4
-        if isinstance(item, int):
-            if count:
-                self._align(item)
-                self.at += item * width * count
-        elif item == 'string':
-            for _ in range(count):
-                self._pass_items(_TEXT)
-        else:
-            for _ in range(count):
-                self.pass_fields(item)
-
-    def _align(self, size: int) -> None:
-        gap = (HEAD - self.at) % size
-        if gap:
-            self.data[self.at : self.at + gap] = bytes(gap)
-            self.at += gap
+def _pass_text(walk: _Walk, at: int) -> int:
+    at = _align(walk, at, 4)
+    return at + 4 + walk.length_at(walk.data, at)[0]
 
 
 @cache
 def _steps(cls: Any) -> list[_Step]:
-    """The fields of a message class in order, numbers that follow each other as one."""
+    """Return what passes the fields of a message class in order, numbers in a row as one."""
     steps: list[_Step] = []
     sizes: list[int] = []
     for kind in [*_flat_kinds(cls), '']:
@@ -241,9 +207,9 @@ def _steps(cls: Any) -> list[_Step]:
             sizes = []
         if array := _ARRAY.fullmatch(kind):
             item, bound, size = array.groups()
-            steps.append(_items(item, None if bound or not size else int(size)))
+            steps.append(_array(item, None if bound or not size else int(size)))
         elif kind.startswith('string'):
-            steps.append(_TEXT)
+            steps.append(_pass_text)
         elif kind:
             raise LookupError(kind)
     return steps
@@ -261,7 +227,9 @@ def _flat_kinds(cls: Any) -> list[str]:
     return kinds or ['uint8']
 
 
-def _numbers(sizes: Sequence[int]) -> _Numbers:
+def _numbers(sizes: Sequence[int]) -> _Step:
+    """Pass numbers of these sizes, each aligned to its own."""
+    # By the offset of the first one modulo 8: the size of all, and the gaps between them.
     layouts = []
     for start in range(ALIGNMENT):
         at, gaps = start, []
@@ -270,18 +238,39 @@ def _numbers(sizes: Sequence[int]) -> _Numbers:
                 gaps.append((at - start, at - start + gap))
             at += gap + size
         layouts.append((at - start, gaps))
-    return _Numbers(layouts)
+
+    def step(walk: _Walk, at: int) -> int:
+        size, gaps = layouts[(at - HEAD) % ALIGNMENT]
+        for first, last in gaps:
+            walk.data[at + first : at + last] = bytes(last - first)
+        return at + size
+
+    return step
 
 
-def _items(item: str, count: int | None) -> _Items:
-    if item.startswith('string'):
-        return _Items('string', count)
-    cls = message_class(item) if '/' in item else None
-    kinds = [item] if cls is None else _flat_kinds(cls)
+def _array(item: str, length: int | None) -> _Step:
+    """Pass an array of items of this type; a sequence without `length`."""
+    kinds = _flat_kinds(message_class(item)) if '/' in item else [item]
     sizes = {_SIZES.get(kind, 0) for kind in kinds}
-    if len(sizes) == 1 and 0 not in sizes:
-        # Numbers of one size have no padding between them.
-        return _Items(sizes.pop(), count, len(kinds))
-    if cls is None:
+    # Numbers of one size have no padding between them.
+    size, width = (sizes.pop() if len(sizes) == 1 else 0), len(kinds)
+    steps: list[_Step] = []
+    if not size and item.startswith('string'):
+        steps = [_pass_text]
+    elif not size and '/' in item:
+        steps = _steps(message_class(item))
+    elif not size:
         raise LookupError(item)
-    return _Items(cls, count)
+
+    def step(walk: _Walk, at: int) -> int:
+        count = length
+        if count is None:
+            at = _align(walk, at, 4)
+            count, at = walk.length_at(walk.data, at)[0], at + 4
+        if size:
+            return _align(walk, at, size) + count * width * size if count else at
+        for _ in range(count):
+            at = _pass_fields(walk, at, steps)
+        return at
+
+    return step

@@ -2,26 +2,22 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
-from kinpole_ros.messages._faults import (
-    PLANE_UNKNOWN,
+from kinpole_ros.messages._body_faults import (
     SHOWN_CHARACTERS,
     SMOOTHED,
-    identity_lines,
-    jitter_fault,
-    left_out,
+    absent_markers_fault,
     marker_faults,
-    not_there,
+    outage_fault,
     shape_fault,
-    stamp_faults,
-    tilt_fault,
     unit_fault,
-    unseen,
+    wrong_pose_fault,
 )
+from kinpole_ros.messages._faults import Fault, input_faults, stamp_faults
 from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyValue, ns_to_stamp
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.outages import Outage
@@ -56,11 +52,9 @@ _COUNT_KEYS = {
     'bodies_ambiguous': 'bodies left out of a frame, since points fit them in several ways',
     'unreadable': 'messages that could not be read',
     'dropped': 'messages dropped, since the node or the network could not keep up',
-    'untold': 'results left out, since the node could not keep up',
+    'unpublished': 'results left out, since the node could not keep up',
     'failures': 'failures of the node itself',
 }
-_MILD_TROUBLES = ('clock', 'other types', 'sources', 'rivals')  # figures still come
-_Fault: TypeAlias = tuple[bytes, str]  # level and text
 
 
 class DiagnosticsMaker:
@@ -79,7 +73,7 @@ class DiagnosticsMaker:
         if theory is not None:
             from kinpole_ros.linkage import positions
 
-            self._positions = positions.LivePositions(theory.scene, theory.lies)
+            self._positions = positions.LivePositions(theory.scene, theory.matches)
         # At the last diagnostics: counts, outages by body, and frames with a wrong pose (B,).
         self._counts: Counter[str] = Counter()
         self._outages: dict[str, int] = {}
@@ -132,10 +126,10 @@ class DiagnosticsMaker:
         since = {key: count - self._counts[key] for key, count in tracker.counts.items()}
         self._counts = tracker.counts.copy()
         outages = self._new_outages(tracker)
-        faults = _input_faults(tracker, since, trouble, self._nothing)
-        faults += _stamp_faults(tracker, since, stamps, seconds)
+        faults = input_faults(tracker, since, trouble, self._nothing)
+        faults += stamp_faults(tracker, since, stamps, seconds)
         if '' in outages:
-            faults.append((DiagnosticStatus.WARN, unseen('', outages[''].latest)))
+            faults.append((DiagnosticStatus.WARN, outage_fault('', outages[''].latest)))
         input_status = _input_status(f'{self._name}: markers', tracker, since, seconds, faults)
         bodies = _bodies(self._name, tracker, self._wrong, outages)
         self._wrong = tracker.wrong()
@@ -182,7 +176,7 @@ class DiagnosticsMaker:
         for off in (*rate_differences(self._theory, now), *joint_offsets(self._theory, now)):
             values[f'{off.subject}: {off.what} ({off.unit})'] = off.value
             values[f'{off.subject}: deviation of that ({off.unit})'] = off.deviation
-        positions = self._positions.add(now) if self._positions else None
+        positions = self._positions.append(now) if self._positions else None
         if positions is None and not values:
             message = f'too little is known yet to compare the scene {scene}'
         if positions is not None:
@@ -218,18 +212,21 @@ def _bodies(
                 'noise of its position per axis (m)': noise[b],
                 'noise of its angle (rad)': float(angle_noise[b]),
             }
+        absence = ''
+        if body in absent:
+            absence = absent_markers_fault(body, absent[body], tracker.identities)
         unit = unit_fault(float(space.size[b]), tracker.settings.scale)
         shape = shape_fault(b, residuals[b], causes[b], space)
         warnings = marker_faults(erring[body], noise[b])
         if new_wrong[b] > 0:
-            warnings.append(left_out(int(new_wrong[b])))
+            warnings.append(wrong_pose_fault(int(new_wrong[b])))
         if body in outages:
-            warnings.append(unseen(body, outages[body].latest))
+            warnings.append(outage_fault(body, outages[body].latest))
         bodies.append(
             _Body(
                 number=b,
                 name=f'{name}: {body}',
-                absent=not_there(body, absent[body], tracker.identities) if body in absent else '',
+                absent=absence,
                 noises={key: value for key, value in noises.items() if np.isfinite(value)},
                 fault='; '.join(filter(None, (unit, shape))),
                 is_smoothed=bool(smoothed[b]),
@@ -277,7 +274,7 @@ class _Body(NamedTuple):
             level, message = DiagnosticStatus.WARN, '; '.join((message, *self.warnings))
         return _status(self.name, level, message, values)
 
-    def _describe(self, now: Estimate, values: dict[str, object]) -> _Fault:
+    def _describe(self, now: Estimate, values: dict[str, object]) -> Fault:
         """Add the values of an estimate; return level and message."""
         b = self.number
         values['size (m)'] = float(now.size[b])
@@ -307,7 +304,7 @@ def _input_status(
     tracker: Tracker,
     since: Mapping[str, int],
     seconds: float,
-    faults: list[_Fault],
+    faults: list[Fault],
 ) -> DiagnosticStatus:
     """Return the status of the markers, the worst fault first."""
     faults = sorted(faults, key=lambda fault: fault[0], reverse=True)
@@ -337,80 +334,6 @@ def _input_status(
         }
     values |= {key: tracker.counts[name] for name, key in _COUNT_KEYS.items()}
     return _status(name, level, message, values)
-
-
-def _stamp_faults(
-    tracker: Tracker, since: Mapping[str, int], stamps: Sequence[int], seconds: float
-) -> list[_Fault]:
-    """Return the faults of stamps, and of the plane."""
-    state = tracker.stamp_state()
-    is_regularized = state is not None and state.regularized
-    faults = [
-        (level, text)
-        for level, text in stamp_faults(stamps, seconds, tracker.settings.window)
-        # Frames in bunches do no harm where they are placed at the ticks of a clock.
-        if level == DiagnosticStatus.ERROR or not is_regularized
-    ]
-    if since.get('frames'):
-        jitter = '' if state is None else jitter_fault(state, tracker.settings.stamps)
-        unknown = PLANE_UNKNOWN if tracker.plane is None else ''
-        tilt = unknown or tilt_fault(tracker.space(), tracker.settings.plane)
-        faults += [(DiagnosticStatus.WARN, text) for text in (jitter, tilt) if text]
-    return faults
-
-
-def _input_faults(
-    tracker: Tracker, since: Mapping[str, int], trouble: Mapping[str, str], nothing: str
-) -> list[_Fault]:
-    """
-    Return levels and texts of the faults of the input, by the counts `since` the last ones.
-
-    As in REP-107, with WARN results still come and may suffer, with ERROR they cannot be relied
-    upon. STALE, with the text `nothing`, is when nothing came.
-    """
-    frames = since.get('frames', 0)
-    mild = {*_MILD_TROUBLES}
-    if frames:
-        mild.add('qos')
-    if frames > since.get('unreadable', 0):
-        mild.add('message')
-    faults = [
-        (DiagnosticStatus.WARN if topic in mild else DiagnosticStatus.ERROR, text)
-        for topic, text in trouble.items()
-    ]
-    if not frames and mild.issuperset(trouble):
-        return [(DiagnosticStatus.STALE, nothing), *faults]
-    texts = []
-    if dropped := since.get('dropped'):
-        texts.append(
-            f'{dropped} messages dropped: the node or the network cannot keep up; send fewer '
-            'frames, or read fewer results'
-        )
-    if unpublished := since.get('untold'):
-        texts.append(f'{unpublished} results left out: the node cannot keep up; read fewer results')
-    texts += identity_lines(tracker, since)
-    if since.get('restarts'):
-        texts.append('another publisher sends the markers: the window starts anew')
-    if since.get('frame_changes'):
-        texts.append('the markers have another frame_id: the window starts anew')
-    if late := since.get('late'):
-        texts.append(f'{late} frames came late, after newer ones, and are left out')
-    if resets := since.get('resets'):
-        text = 'stamps jumped: the window starts anew'
-        if resets >= frames:
-            text += (
-                '; they do at every frame: if frames come so seldom, raise the parameter window, '
-                f'{tracker.settings.window:g} s, to hold {FEWEST_SAMPLES} of them or more'
-            )
-        texts.append(text)
-    elif since.get('repeated'):
-        texts.append('stamps repeat: see that the driver sets header.stamp to the time of capture')
-    elif frames and tracker.samples < FEWEST_SAMPLES:
-        texts.append(
-            f'the window holds {tracker.samples} frames and needs {FEWEST_SAMPLES}; wait, or '
-            'raise the parameter window'
-        )
-    return faults + [(DiagnosticStatus.WARN, text) for text in texts]
 
 
 def _status(

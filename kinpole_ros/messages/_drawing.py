@@ -218,7 +218,21 @@ def drawing(bodies: tuple[str, ...], given: Plane, trails: list[Trail], highest:
 
 
 def deletion_of_all(stamp: int, frame_id: str) -> bytes:
-    """Write a MarkerArray that deletes all markers that were drawn; `stamp` in ns."""
+    """
+    Write a message that deletes all markers that were drawn.
+
+    Parameters
+    ----------
+    stamp : int
+        Stamp, ns.
+    frame_id : str
+        Frame of the markers.
+
+    Returns
+    -------
+    bytes
+        A MarkerArray.
+    """
     writer = Writer()
     writer.pack('I', 1)
     _write_marker(writer, stamp, (frame_id, ''), None, Marker.DELETEALL)

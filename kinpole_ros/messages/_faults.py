@@ -5,25 +5,22 @@ Each function returns the text of one fault, or an empty one where there is none
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
+from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.messages._types import DiagnosticStatus
-from kinpole_ros.tracking.deformation import TISSUE
 from kinpole_ros.tracking.matcher import BY_SHAPE, OTHERS, RENAMED, UNCERTAIN
 from kinpole_ros.tracking.plane import FIT, Plane, PlaneSetting, as_parameter
-from kinpole_ros.tracking.space import KEEPS, SpaceReport
+from kinpole_ros.tracking.space import SpaceReport
 from kinpole_ros.tracking.stamps import StampState
 from kinpole_ros.tracking.tracker import Tracker
 
-# Limits of what is listed: names of markers may be of any number and length.
-_LISTED_NAMES, _LISTED_NOTES = 12, 3
-SHOWN_CHARACTERS, _NOTE_CHARACTERS = 80, 120
-_ERRING_RATIO = 3.0  # of the noise of a marker over that of its body: more is a fault
-_PLAUSIBLE_SIZES = (1e-3, 20.0)  # m, of bodies; others are likely in another unit
-_LIKELY_SIZES = (0.02, 20.0)  # m, by which the unit is guessed
-_UNITS = {'m': 1.0, 'mm': 1e-3, 'km': 1e3, 'µm': 1e-6}  # in the order in which they are likely
-_MAX_CENTIMETERS = 100.0  # a body of fewer units may be in cm as well as in mm
+Fault: TypeAlias = tuple[bytes, str]
+"""Level of diagnostic_msgs and text."""
+
+_LISTED_NOTES, _NOTE_CHARACTERS = 3, 120  # notes on identities may be of any number and length
 _MAX_PACE = 100.0  # of stamps against arrivals: a bag played at ten times its speed is no fault
 _BUNCHED_STEP = 0.25  # of the mean step: the median step of frames that come in bunches is less
 _MIN_STAMPS = 5  # to judge their pace
@@ -32,18 +29,6 @@ PLANE_UNKNOWN = (
     'the plane is not known yet: it is found when bodies have moved in two directions of it, by '
     'more than their noise; wait, or set plane: [x, y, z], its normal'
 )
-SMOOTHED = (
-    'its tracker has time-correlated noise, as after smoothing, that is more than is measured, so '
-    'figures are overconfident; fix: have it send them unsmoothed, or set noise or a longer window'
-)
-_DEFORMATION_CAUSES = {
-    '': 'far more than their noise: name those of one link only',
-    TISSUE: (
-        'slowly and far more than their noise, as on soft tissue, through a lens, or where one is '
-        'loose or of another link; deviations include it; fix: fasten them, and name those of one '
-        'link only'
-    ),
-}
 _SHAPE_FAULTS = {
     'mirrored': (
         'the markers of {0} are the mirror image of {0}.shape; fix: change the sign of each y in '
@@ -58,11 +43,26 @@ _SHAPE_FAULTS = {
         'that its markers are seen'
     ),
 }
+_MILD_TROUBLES = ('clock', 'other types', 'sources', 'duplicates')  # figures still come
 _STAMP_FIX = 'see that the driver sets header.stamp to the time of capture, in s and ns'
 
 
 def identity_lines(tracker: Tracker, counts: Mapping[str, int]) -> Iterator[str]:
-    """Yield the faults of identities: the present ones, and those counted in `counts`."""
+    """
+    Yield the faults of the identities of markers.
+
+    Parameters
+    ----------
+    tracker : Tracker
+        The tracker.
+    counts : mapping of str to int
+        What the tracker counted in the time that is described.
+
+    Yields
+    ------
+    str
+        The present faults, then those counted, each with its fix.
+    """
     matcher, bodies = tracker.matcher, np.array(tracker.bodies)
     if matcher.disordered:
         names = ', '.join(bodies[matcher.withheld])
@@ -116,7 +116,19 @@ def _short(text: str) -> str:
 
 
 def plane_words(plane: Plane) -> str:
-    """Describe a plane by its name, or by its axes in the frame of the markers."""
+    """
+    Describe a plane.
+
+    Parameters
+    ----------
+    plane : Plane
+        The plane.
+
+    Returns
+    -------
+    str
+        Its name, or its axes in the frame of the markers.
+    """
     if plane.axes is not None:
         return plane.name
     first, second, normal = map(as_parameter, plane.basis)
@@ -124,7 +136,21 @@ def plane_words(plane: Plane) -> str:
 
 
 def tilt_fault(report: SpaceReport, setting: PlaneSetting) -> str:
-    """Return the fault of a motion that is tilted against the plane."""
+    """
+    Return the fault of a motion that is tilted against the plane.
+
+    Parameters
+    ----------
+    report : SpaceReport
+        The motion in space.
+    setting : str or tuple
+        The parameter `plane`.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
+    """
     if report.plane is None or report.normal is None or not report.is_tilted:
         return ''
     degrees = round(np.degrees(report.tilt))
@@ -143,99 +169,7 @@ def tilt_fault(report: SpaceReport, setting: PlaneSetting) -> str:
     )
 
 
-def shape_fault(b: int, off: float, cause: str, report: SpaceReport) -> str:
-    """
-    Return the fault of body `b`, whose markers are `off` one rigid body in the plane, m, or 0.
-
-    Also that of a body that leaves the plane.
-    """
-    leaves = float(np.nan_to_num(report.off_plane[b]))
-    if np.isnan(report.stretch[b]):
-        # Too early to tell the body from the plane.
-        return ''
-    holds = report.stretch[b] < KEEPS * off
-    if off and report.is_tilted and holds:
-        degrees = round(np.degrees(report.tilt))
-        return (
-            f'its markers are {off:.2g} m off one rigid body as the plane shows them, since the '
-            f'motion is tilted against it by {degrees} degrees: set plane'
-        )
-    if leaves and (holds or not off):
-        return (
-            f'it leaves the plane by {leaves:.2g} m rms, while its markers keep their distances: '
-            'figures are of its motion as the plane shows it; guide it in the plane, or leave it '
-            'out'
-        )
-    if off and holds:
-        return (
-            f'its markers are {off:.2g} m off one rigid body as the plane shows them, while they '
-            'keep their distances in space: set plane'
-        )
-    if not off:
-        return ''
-    return f'its markers are {off:.2g} m off one rigid body, {_DEFORMATION_CAUSES[cause]}'
-
-
-def unit_fault(size: float, scale: float) -> str:
-    """Return the fault of a body of an implausible size, m, with the parameter `scale`."""
-    smallest, largest = _PLAUSIBLE_SIZES
-    if not size or not np.isfinite(size) or smallest <= size <= largest:
-        return ''
-    given = size / scale
-    low, high = _LIKELY_SIZES
-    unit = next((unit for unit, m in _UNITS.items() if low <= given * m <= high), '')
-    across = f'it is {size:.3g} m across'
-    if not unit:
-        return f'{across}: see what unit its markers are in; fix: set scale, m per unit'
-    fix = f'set scale: {_UNITS[unit]}'
-    if unit == 'mm' and given < _MAX_CENTIMETERS:
-        unit, fix = 'mm or cm', f'{fix}, or 0.01 for cm'
-    return f'{across}: its markers are likely in {unit}; fix: {fix}'
-
-
-def marker_faults(erring: Mapping[str, float], noise: float) -> list[str]:
-    """Return the faults of markers by their noise `erring`, m, where the others have `noise`."""
-    return [
-        f'marker {marker[:SHOWN_CHARACTERS]!r} errs by {deviation:.2g} m, {deviation / noise:.2g} '
-        'times as much as the others, and counts for less: see to its fixing and to what reflects '
-        'near it, or leave it out'
-        for marker, deviation in erring.items()
-        if deviation > _ERRING_RATIO * noise
-    ]
-
-
-def left_out(frames: int) -> str:
-    """Return the fault of a body whose pose was wrong in so many frames."""
-    return (
-        f'left out of {frames} frames in which its pose was far off and then back: see that the '
-        'tracker takes no other markers for it'
-    )
-
-
-def unseen(body: str, outage: tuple[int, int]) -> str:
-    """Return the fault of an outage (start and duration, ns) of a body, or of all frames for ''."""
-    since, duration = outage
-    what = 'it was not seen' if body else 'no frames came'
-    return (
-        f'{what} for {duration / 1e9:.3g} s from {since / 1e9:.3f} s on, a window or more: see '
-        + ('to the view of its markers' if body else 'to the tracker and the network')
-    )
-
-
-def not_there(body: str, names: Sequence[str], identities: Sequence[str]) -> str:
-    """Return the fault of markers `names` of a body that are not among the `identities`."""
-    return (
-        f'messages lack {_listed(names)} of {body}; the last one has {_listed(identities)}; '
-        f'correct the parameter {body}.markers, or marker_identity'
-    )
-
-
-def _listed(names: Sequence[str]) -> str:
-    shown = [repr(name)[:SHOWN_CHARACTERS] for name in names[:_LISTED_NAMES]]
-    return ', '.join(shown + ['...'] * (len(names) > _LISTED_NAMES)) or 'none'
-
-
-def stamp_faults(stamps: Sequence[int], seconds: float, window: float) -> list[tuple[bytes, str]]:
+def _pace_faults(stamps: Sequence[int], seconds: float, window: float) -> list[Fault]:
     """
     Return levels and texts of the faults of header stamps (ns) that came within `seconds`.
 
@@ -269,7 +203,21 @@ def stamp_faults(stamps: Sequence[int], seconds: float, window: float) -> list[t
 
 
 def jitter_fault(state: StampState, mode: str) -> str:
-    """Return the fault of stamps that are late, with `mode` the parameter `stamps`."""
+    """
+    Return the fault of stamps that are late by random times.
+
+    Parameters
+    ----------
+    state : StampState
+        The clock of the stamps.
+    mode : str
+        The parameter `stamps`.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
+    """
     if state.regularized and state.jitter > state.interval:
         return (
             f'the stamps are late by {state.jitter:.2g} s rms, up to {state.largest:.2g} s, more '
@@ -288,3 +236,77 @@ def jitter_fault(state: StampState, mode: str) -> str:
         f'the markers by more than their noise; fix: {fix}, or let the driver stamp the time of '
         'capture'
     )
+
+
+def stamp_faults(
+    tracker: Tracker, since: Mapping[str, int], stamps: Sequence[int], seconds: float
+) -> list[Fault]:
+    """Return the faults of stamps, and of the plane."""
+    state = tracker.stamp_state()
+    is_regularized = state is not None and state.regularized
+    faults = [
+        (level, text)
+        for level, text in _pace_faults(stamps, seconds, tracker.settings.window)
+        # Frames in bunches do no harm where they are placed at the ticks of a clock.
+        if level == DiagnosticStatus.ERROR or not is_regularized
+    ]
+    if since.get('frames'):
+        jitter = '' if state is None else jitter_fault(state, tracker.settings.stamps)
+        unknown = PLANE_UNKNOWN if tracker.plane is None else ''
+        tilt = unknown or tilt_fault(tracker.space(), tracker.settings.plane)
+        faults += [(DiagnosticStatus.WARN, text) for text in (jitter, tilt) if text]
+    return faults
+
+
+def input_faults(
+    tracker: Tracker, since: Mapping[str, int], trouble: Mapping[str, str], nothing: str
+) -> list[Fault]:
+    """
+    Return levels and texts of the faults of the input, by the counts `since` the last ones.
+
+    As in REP-107, with WARN results still come and may suffer, with ERROR they cannot be relied
+    upon. STALE, with the text `nothing`, is when nothing came.
+    """
+    frames = since.get('frames', 0)
+    mild = {*_MILD_TROUBLES}
+    if frames:
+        mild.add('qos')
+    if frames > since.get('unreadable', 0):
+        mild.add('message')
+    faults = [
+        (DiagnosticStatus.WARN if topic in mild else DiagnosticStatus.ERROR, text)
+        for topic, text in trouble.items()
+    ]
+    if not frames and mild.issuperset(trouble):
+        return [(DiagnosticStatus.STALE, nothing), *faults]
+    texts = []
+    if dropped := since.get('dropped'):
+        texts.append(
+            f'{dropped} messages dropped: the node or the network cannot keep up; send fewer '
+            'frames, or read fewer results'
+        )
+    if unpublished := since.get('unpublished'):
+        texts.append(f'{unpublished} results left out: the node cannot keep up; read fewer results')
+    texts += identity_lines(tracker, since)
+    if since.get('restarts'):
+        texts.append('another publisher sends the markers: the window starts anew')
+    if since.get('frame_changes'):
+        texts.append('the markers have another frame_id: the window starts anew')
+    if late := since.get('late'):
+        texts.append(f'{late} frames came late, after newer ones, and are left out')
+    if resets := since.get('resets'):
+        text = 'stamps jumped: the window starts anew'
+        if resets >= frames:
+            text += (
+                '; they do at every frame: if frames come so seldom, raise the parameter window, '
+                f'{tracker.settings.window:g} s, to hold {FEWEST_SAMPLES} of them or more'
+            )
+        texts.append(text)
+    elif since.get('repeated'):
+        texts.append('stamps repeat: see that the driver sets header.stamp to the time of capture')
+    elif frames and tracker.samples < FEWEST_SAMPLES:
+        texts.append(
+            f'the window holds {tracker.samples} frames and needs {FEWEST_SAMPLES}; wait, or '
+            'raise the parameter window'
+        )
+    return faults + [(DiagnosticStatus.WARN, text) for text in texts]

@@ -34,16 +34,45 @@ _UNSEEN = np.full(7, np.nan)
 
 
 def kind_of(type_name: str, marker_type: str = 'auto') -> str | None:
-    """Return the key of INPUT_TYPES for messages of this type, by `marker_type`; None if none."""
+    """
+    Return the input type of messages.
+
+    Parameters
+    ----------
+    type_name : str
+        Name of the message type.
+    marker_type : str
+        The parameter `marker_type`.
+
+    Returns
+    -------
+    str or None
+        A key of `INPUT_TYPES`; None where such messages are not read.
+    """
     kinds = AUTO_TYPES if marker_type == 'auto' else (marker_type,)
     return next((kind for kind in kinds if INPUT_TYPE_NAMES[kind] == type_name), None)
 
 
 def reader_of(kind: str, settings: Settings) -> 'MarkerReader | PoseReader':
     """
-    Return the reader of messages of this kind, a key of INPUT_TYPES, for the bodies of `settings`.
+    Return the reader of messages of an input type.
 
-    Raises ParameterError where the settings do not go with the kind.
+    Parameters
+    ----------
+    kind : str
+        A key of `INPUT_TYPES`.
+    settings : Settings
+        The parameters, which name the bodies.
+
+    Returns
+    -------
+    MarkerReader or PoseReader
+        The reader.
+
+    Raises
+    ------
+    ParameterError
+        Where the settings do not go with the type.
     """
     if kind not in POSE_TYPES:
         return MarkerReader(kind, settings.marker_identity)

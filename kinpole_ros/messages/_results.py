@@ -196,7 +196,7 @@ def _add_pairs(table: _Table, bodies: Sequence[str], given: Plane) -> None:
 
 def _add_points(table: _Table, bodies: Sequence[str], theory: 'Theory', given: Plane) -> None:
     """Add the points of interest of the scene and their motion."""
-    from kinpole_ros.linkage.points import measured_point, points_of_interest
+    from kinpole_ros.linkage.theory import measured_point, points_of_interest
 
     for point in points_of_interest(theory):
         body = np.array([bodies.index(point.body)])
@@ -223,12 +223,25 @@ def _pole(order: int) -> Callable[[Estimate], Vectors]:
 
 def theory_of(settings: Settings) -> 'Theory | None':
     """
-    Load the theory of the scene that the settings name; None without a scene.
+    Load the theory of the scene that the parameters name.
 
     `linkage` and `mechanism` are imported only here, with a scene: they take as long as the rest of
     the start of a node.
 
-    Raises ParameterError where the scene cannot be used, or does not go with the bodies.
+    Parameters
+    ----------
+    settings : Settings
+        The parameters.
+
+    Returns
+    -------
+    Theory or None
+        The theory; None without a scene.
+
+    Raises
+    ------
+    ParameterError
+        Where the scene cannot be used, or does not go with the bodies.
     """
     if not settings.scene:
         return None
@@ -238,7 +251,21 @@ def theory_of(settings: Settings) -> 'Theory | None':
 
 
 def outputs_of(settings: Settings, theory: 'Theory | None') -> list[Output]:
-    """Return all topics of results with these settings."""
+    """
+    Return all topics of results with these parameters.
+
+    Parameters
+    ----------
+    settings : Settings
+        The parameters.
+    theory : Theory or None
+        The theory of their scene.
+
+    Returns
+    -------
+    list of Output
+        The topics.
+    """
     return result_outputs(
         tuple(settings.bodies),
         settings.plane,
@@ -251,7 +278,21 @@ def outputs_of(settings: Settings, theory: 'Theory | None') -> list[Output]:
 
 
 def live_outputs(settings: Settings, theory: 'Theory | None') -> list[Output]:
-    """Return all topics of a live node with these settings: also that of live pages."""
+    """
+    Return all topics of a live node: those of results, and that of live pages.
+
+    Parameters
+    ----------
+    settings : Settings
+        The parameters.
+    theory : Theory or None
+        The theory of their scene.
+
+    Returns
+    -------
+    list of Output
+        The topics.
+    """
     build = view(plane_of(settings.plane) or XY)
     page = Output(VIEW, String, settings.derivative_order or 4, build, VIEW_INTERVAL)
     return [*outputs_of(settings, theory), page]

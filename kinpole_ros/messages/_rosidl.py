@@ -13,11 +13,28 @@ _BASIC = {'boolean': 'bool', 'octet': 'byte', 'float': 'float32', 'double': 'flo
 
 
 def message_class(name: str) -> Any:
-    """The class of a message type, 'package/msg/Name' or 'package/Name'; LookupError if unknown."""
+    """
+    Return a message class by name.
+
+    Parameters
+    ----------
+    name : str
+        'package/msg/Name' or 'package/Name'.
+
+    Returns
+    -------
+    type
+        The class.
+
+    Raises
+    ------
+    LookupError
+        For a type that is not installed.
+    """
     try:
         package, *_, short = name.split('/')
         if not _has_messages(package):
-            raise ImportError(package)
+            raise LookupError(name)
         return getattr(import_module(f'{package}.msg'), short)
     except (ImportError, AttributeError, ValueError) as error:
         raise LookupError(name) from error
@@ -32,25 +49,73 @@ def _has_messages(package: str) -> bool:
 
 
 def type_name(cls: Any) -> str:
-    """Full name of a message class, such as 'geometry_msgs/msg/PointStamped'."""
+    """
+    Return the name of a message class.
+
+    Parameters
+    ----------
+    cls : type
+        The class.
+
+    Returns
+    -------
+    str
+        The full name, such as 'geometry_msgs/msg/PointStamped'.
+    """
     package, kind = cls.__module__.split('.')[:2]
     return f'{package}/{kind}/{cls.__name__}'
 
 
 def fields(cls: Any) -> dict[str, str]:
-    """Types of the fields, as a .msg file has them."""
+    """
+    Return the fields of a message class.
+
+    Parameters
+    ----------
+    cls : type
+        The class.
+
+    Returns
+    -------
+    dict
+        Types by name, as a .msg file has them.
+    """
     return {name: _msg_type(idl) for name, idl in cls.get_fields_and_field_types().items()}
 
 
 def constants(cls: Any) -> dict[str, Any]:
-    """Constants of a message type."""
+    """
+    Return the constants of a message class.
+
+    Parameters
+    ----------
+    cls : type
+        The class.
+
+    Returns
+    -------
+    dict
+        Values by name.
+    """
     # The namespace that a class prepares for its metaclass has constants and defaults of fields.
     namespace = type(cls).__prepare__(cls.__name__, ())
     return {k: v for k, v in namespace.items() if not k.endswith('__DEFAULT')}
 
 
 def octets(data: bytes) -> Any:
-    """The value of a field of type uint8[]."""
+    """
+    Return the value of a field of type uint8[].
+
+    Parameters
+    ----------
+    data : bytes
+        Its bytes.
+
+    Returns
+    -------
+    object
+        What such a field takes.
+    """
     return array('B', data)
 
 

@@ -40,11 +40,19 @@ _LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 
 def state_fields(order: int) -> dict[str, list[str]]:
     """
-    Return the names of the float64 fields of each quantity, up to the derivative of `order`.
+    Return the float64 fields of the topic `state`.
 
-    Bit k of the field `determined` is that of the k-th quantity. `pose` is the position, angle and
-    velocity of the body's frame. A number is followed by its standard deviation, a vector by its
-    covariance.
+    Parameters
+    ----------
+    order : int
+        Highest derivative, 1 to 4.
+
+    Returns
+    -------
+    dict
+        The names of the fields by quantity. Bit k of the field `determined` is that of the k-th
+        quantity. `pose` is the position, angle and velocity of the frame of the body. A number
+        is followed by its standard deviation, a vector by its covariance.
     """
     pose = [*_fields_of('position', True), *_fields_of('angle'), *_fields_of('velocity', True)]
     fields = {'pose': pose}

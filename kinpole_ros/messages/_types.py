@@ -70,12 +70,41 @@ class MessageError(ValueError):
 
 
 def stamp_to_ns(stamp: 'Time') -> int:
-    """Return a builtin_interfaces Time as an exact count of ns."""
+    """
+    Return a stamp as an exact number.
+
+    Parameters
+    ----------
+    stamp : Time
+        A builtin_interfaces Time.
+
+    Returns
+    -------
+    int
+        The stamp, ns.
+    """
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 
 
 def ns_to_stamp(ns: int) -> 'Time':
-    """Make a builtin_interfaces Time of ns; ValueError outside what it holds (years 1970-2038)."""
+    """
+    Make a stamp of a number.
+
+    Parameters
+    ----------
+    ns : int
+        The stamp, ns.
+
+    Returns
+    -------
+    Time
+        A builtin_interfaces Time.
+
+    Raises
+    ------
+    ValueError
+        Outside of what it holds, the years 1970 to 2038.
+    """
     sec, nanosec = divmod(int(ns), SECOND)
     if not 0 <= ns < END_OF_TIME:
         raise ValueError(f'stamp {ns} ns is out of range: a ROS time holds 0 to 2^31 s')

@@ -93,10 +93,20 @@ def figures_of(
     quantities: Mapping[str, Numbers | Vectors],
 ) -> dict[str, list[list[float] | None]]:
     """
-    Return quantities (B,) by name as pages read them; None where they are undetermined.
+    Return quantities as pages read them.
 
-    A number is followed by its standard deviation; a vector by its standard deviation along it; a
-    pole by the half axes of its ellipse of one standard deviation and the direction of the first.
+    Parameters
+    ----------
+    quantities : mapping of str to Numbers or Vectors
+        Quantities (B,) by name.
+
+    Returns
+    -------
+    dict
+        By name, a list for each body, None where the quantity is undetermined. A number is
+        followed by its standard deviation, a vector by its standard deviation along it, and a
+        pole by the half axes of its ellipse of one standard deviation and the direction of the
+        first, rad.
     """
     figures = {}
     for name, quantity in quantities.items():

@@ -10,14 +10,11 @@ docs/course_notes.md. Functions raise ValueError for arrays whose shapes do not 
 
 from kinpole_ros.planar._balance import Port, measured_balance
 from kinpole_ros.planar._centrode import (
-    acceleration_terms,
     centrode_curvature,
-    curvature_terms,
     icr_acceleration,
     icr_velocity,
     moving_centrode,
     moving_centrode_curvature,
-    velocity_terms,
 )
 from kinpole_ros.planar._landmarks import (
     LandmarkKinematics,
@@ -53,12 +50,7 @@ from kinpole_ros.planar._procrustes import (
     fit_pose_with_factors,
     procrustes_factors,
 )
-from kinpole_ros.planar._uncertainty import (
-    Linear,
-    covariance,
-    mean_square,
-    variance,
-)
+from kinpole_ros.planar._uncertainty import Linear, covariance, mean_square, variance
 
 __all__ = [
     'Fit',
@@ -66,13 +58,11 @@ __all__ = [
     'Linear',
     'Port',
     'ProcrustesFactors',
-    'acceleration_terms',
     'body_point_derivative',
     'center_offset',
     'centrode_curvature',
     'centrode_velocities',
     'covariance',
-    'curvature_terms',
     'fit_pose',
     'fit_pose_with_factors',
     'fixed_centrode_from_reference',
@@ -101,5 +91,4 @@ __all__ = [
     'to_plane',
     'transport',
     'variance',
-    'velocity_terms',
 ]

@@ -7,26 +7,11 @@ Symbols: v, acc and jerk are the derivatives of the reference point, w, a and j 
 u is the velocity of the ICR and du its rate of change.
 """
 
-from collections.abc import Sequence
-from typing import Any, TypeAlias
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinpole_ros.planar._plane import (
-    Complex,
-    Real,
-    check_vectors,
-    complex_of,
-    to_complex,
-    to_plane,
-)
+from kinpole_ros.planar._plane import Complex, Real, check_vectors, complex_of, to_complex, to_plane
 from kinpole_ros.planar._uncertainty import Linear
-
-# Complex numbers, or arrays of one shape.
-Number: TypeAlias = Any
-# A value with its partial derivatives by position and by angle, from order 1 on.
-Terms: TypeAlias = tuple[Number, tuple[Number, ...], tuple[Number, ...]]
 
 
 @np.errstate(divide='ignore', invalid='ignore', over='ignore')
@@ -48,39 +33,18 @@ def icr_velocity(position: Complex, angle: Real) -> Linear:
     Notes
     -----
     (w R acc - B v) / w^2, seed 000, page 3. It is the same along both centrodes (seed 001, eq. 15).
+    Written here as u = v + q (acc + n v) with q = -1 / (i w) and n = i a q.
 
     """
-    return _linear(velocity_terms(position[1:3], complex_of(0.0, angle[1:3])), 3)
-
-
-def velocity_terms(position: Sequence[Number], turn: Sequence[Number]) -> Terms:
-    """
-    Velocity u of the ICR with its partial derivatives.
-
-    Parameters
-    ----------
-    position
-        v and acc, complex, of one shape.
-    turn
-        i w and i a, complex, of the same shape: a product with a real array takes three times as
-        long.
-
-    Returns
-    -------
-    value, by_position, by_angle
-        u, complex, m/s, and its partial derivatives by (v, acc) and by (w, a).
-
-    Notes
-    -----
-    u = v + q (acc + n v) with q = -1 / (i w) and n = i a q.
-
-    """
-    (v, acc), (t1, t2) = position, turn
-    q = -1 / t1
-    n = t2 * q
+    v, acc = position[1:3]
+    # A product of a complex with a real array takes three times as long.
+    iw, ia = complex_of(0.0, angle[1:3])
+    q = -1 / iw
+    n = ia * q
     nv, iqq = n * v, 1j * q * q
     inner = acc + nv
-    return v + q * inner, (1 + n * q, q), (iqq * (inner + nv), iqq * v)
+    by_position, by_angle = (1 + n * q, q), (iqq * (inner + nv), iqq * v)
+    return _linear(v + q * inner, by_position, by_angle)
 
 
 @np.errstate(divide='ignore', invalid='ignore', over='ignore')
@@ -105,51 +69,23 @@ def icr_acceleration(position: Complex, angle: Real, u: Linear | None = None) ->
     -----
     (-(w j - 2 a^2) R v + (w^3 - 2 w a R) acc + w^2 R jerk) / w^3, seed 000, page 9.
 
+    It is the time derivative of u. Its partial derivative by z(k) is therefore the time derivative
+    of that of u by z(k), plus that of u by z(k-1); the same holds for the angle. The time
+    derivatives of the q and n of `icr_velocity` are n q and c = i j q + n^2.
+
     """
     u = icr_velocity(position, angle) if u is None else u
-    turn = complex_of(0.0, angle[2:4])
-    return _linear(acceleration_terms(position[1:4], turn, u.by_position, u.by_angle), 4)
-
-
-def acceleration_terms(
-    position: Sequence[Number],
-    turn: Sequence[Number],
-    u_by_position: Sequence[Number],
-    u_by_angle: Sequence[Number],
-) -> Terms:
-    """
-    Second time derivative of the ICR with its partial derivatives.
-
-    Parameters
-    ----------
-    position
-        v, acc and jerk, complex, of one shape.
-    turn
-        i a and i j, complex, of the same shape.
-    u_by_position, u_by_angle
-        Partial derivatives of u, from `velocity_terms`.
-
-    Returns
-    -------
-    value, by_position, by_angle
-        du, complex, m/s^2, and its partial derivatives by (v, acc, jerk) and by (w, a, j).
-
-    Notes
-    -----
-    du is the time derivative of u. Its partial derivative by z(k) is therefore the time derivative
-    of that of u by z(k), plus that of u by z(k-1); the same holds for the angle. The time
-    derivatives of q and n of `velocity_terms` are n q and c = i j q + n^2.
-
-    """
-    (v, acc, jerk), (t2, t3) = position, turn
-    by_v, q = u_by_position
-    by_w, by_a = u_by_angle
-    n, m = t2 * q, t3 * q
+    v, acc, jerk = position[1:4]
+    ia, ij = complex_of(0.0, angle[2:4])
+    by_v, q = u.by_position
+    by_w, by_a = u.by_angle
+    n, m = ia * q, ij * q
     iqq, nn, twice = 1j * q * q, n * n, n + n
     c = m + nn
     du_by_w = twice * by_w + iqq * (jerk + twice * acc + (c + c) * v)
     by_v, by_acc = (c + nn) * q, by_v + n * q
-    return by_v * v + by_acc * acc + q * jerk, (by_v, by_acc, q), (du_by_w, by_w + by_w, by_a)
+    value = by_v * v + by_acc * acc + q * jerk
+    return _linear(value, (by_v, by_acc, q), (du_by_w, by_w + by_w, by_a))
 
 
 @np.errstate(divide='ignore', invalid='ignore', over='ignore')
@@ -175,51 +111,30 @@ def centrode_curvature(position: Complex, angle: Real, u: Linear | None = None) 
     (u x du) / |u|^3, seed 000, page 3. In a mechanism of one degree of freedom it does not depend
     on the speed.
 
+    Computed as Im(g) / |u| with g = du / u. A change of u and du changes g by
+    (d(du) - g d(u)) / u, and |u| by |u| Re(d(u) / u).
+
     """
     u = icr_velocity(position, angle) if u is None else u
     du = icr_acceleration(position, angle, u)
-    return _linear(curvature_terms(u[:3], du[:3]), 4)
-
-
-def curvature_terms(velocity: Terms, acceleration: Terms) -> Terms:
-    """
-    Curvature of the fixed centrode with its partial derivatives.
-
-    Parameters
-    ----------
-    velocity, acceleration
-        From `velocity_terms` and `acceleration_terms`.
-
-    Returns
-    -------
-    value, by_position, by_angle
-        Curvature, 1/m, and its partial derivatives by (v, acc, jerk) and by (w, a, j), complex. Its
-        change is the real part of their sum.
-
-    Notes
-    -----
-    Im(g) / |u| with g = du / u. A change of u and du changes g by (d(du) - g d(u)) / u, and |u| by
-    |u| Re(d(u) / u).
-
-    """
-    u, *u_by = velocity
-    du, *du_by = acceleration
-    inverse = 1 / u
+    inverse = 1 / u.value
     slowness = abs(inverse)
-    g = du * inverse
+    g = du.value * inverse
     by_du = inverse * slowness * -1j
     by_u = by_du * (0.5 * g.conjugate() - 1.5 * g)
     by_position, by_angle = (
         (by_du * d0 + by_u * u0, by_du * d1 + by_u * u1, by_du * d2)
-        for (u0, u1), (d0, d1, d2) in zip(u_by, du_by, strict=True)
+        for (u0, u1), (d0, d1, d2) in ((u[1], du[1]), (u[2], du[2]))
     )
-    return g.imag * slowness, by_position, by_angle
+    return _linear(g.imag * slowness, by_position, by_angle)
 
 
-def _linear(terms: Terms, stop: int) -> Linear:
-    """Make a Linear of terms by the orders 1 to stop - 1."""
-    value, by_position, by_angle = terms
-    return Linear(value, np.array(by_position), np.array(by_angle), slice(1, stop), slice(1, stop))
+def _linear(
+    value: Complex, by_position: tuple[Complex, ...], by_angle: tuple[Complex, ...]
+) -> Linear:
+    """A Linear with partial derivatives from order 1 on."""
+    orders = slice(1, len(by_position) + 1)
+    return Linear(value, np.array(by_position), np.array(by_angle), orders, orders)
 
 
 def moving_centrode_curvature(fixed: Real, omega: Real, speed: Real) -> Real:

@@ -122,6 +122,14 @@ def pole(
     -----
     z - z(n) / a_n. Seed 000, pages 1 and 2: ICR = r - (w R)^-1 v, IAP = r - B^-1 acc, and so on.
 
+    Examples
+    --------
+    A wheel of radius 0.5 m that rolls along the x axis has its ICR at the point of contact.
+
+    >>> position, angle = np.array([2.0 + 0.5j, 1.0]), np.array([0.0, -2.0])
+    >>> print(pole(1, position, angle).value)
+    (2+0j)
+
     """
     a, by_turn = rotation(order, angle) if turn is None else turn
     by_position = np.empty((2, *a.shape), complex)

@@ -97,6 +97,13 @@ def fit_pose(points: Complex, shape: Complex, weights: Real) -> Fit:
     With points p and shape s about their weighted means, the rotation is c / |c| with
     c = sum(weights conj(s) p). Schoenemann 1966; complex form, Kendall 1984.
 
+    Examples
+    --------
+    >>> shape = np.array([0.0, 1.0, 1.0j])
+    >>> fit = fit_pose(2.0 + 1j * shape, shape, np.ones(3))  # turned by 90 degrees
+    >>> print(fit.position.round(9), np.degrees(fit.angle).round(9))
+    (2+0j) 90.0
+
     """
     return fit_pose_with_factors(points, procrustes_factors(shape, weights))
 

@@ -176,6 +176,7 @@ class LeanExecutor(SingleThreadedExecutor):
             for node in nodes:
                 node.get_logger().warning(
                     f'this rclpy has other internals than are known ({error}), so its own executor '
-                    'waits, at more CPU time'
+                    'waits, at more CPU time; set the parameter executor to rclpy to have no '
+                    'warning'
                 )
         self._source.group.is_polled = self._is_supported

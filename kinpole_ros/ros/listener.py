@@ -70,21 +70,32 @@ def listen(
     node = Node('kinpole_discover', context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    received = _Messages(name)
+    messages: list[bytes] = []
+    refused: list[str] = []
+    size = 0
+
+    def receive(data: bytes) -> None:
+        nonlocal size
+        if len(data) <= MAX_MESSAGE_BYTES:
+            messages.append(data)
+            size += len(data)
+        elif not refused:
+            refused.append(describe_excess(name, len(data)))
+
     try:
         kind = _published_kind(node, executor, name)
         qos = QoSProfile(depth=SUBSCRIPTION_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-        node.create_subscription(MARKER_TYPES[kind], name, received.append, qos, raw=True)
+        node.create_subscription(MARKER_TYPES[kind], name, receive, qos, raw=True)
         end = time.monotonic() + _PATIENCE
         has_begun = False
         while time.monotonic() < end and context.ok():
             executor.spin_once(timeout_sec=_POLL_INTERVAL)
-            if received.size > _MAX_KEPT_BYTES:
+            if size > _MAX_KEPT_BYTES:
                 raise BagError(
                     f'more than {_MAX_KEPT_BYTES >> 20} MiB came on {name}; fix: listen for fewer '
                     'seconds, or record a bag and read that'
                 )
-            if received.messages and not has_begun:
+            if messages and not has_begun:
                 has_begun, end = True, time.monotonic() + seconds
             if has_begun and progress is not None:
                 progress(min(1.0, 1 - (end - time.monotonic()) / seconds))
@@ -92,34 +103,15 @@ def listen(
         executor.shutdown()
         node.destroy_node()
         context.try_shutdown()
-    results = MarkerReader(kind).read(received.messages)
+    results = MarkerReader(kind).read(messages)
     frames = [result for result in results if not isinstance(result, MessageError)]
     if not frames:
-        errors = [str(result) for result in results] or received.refused
+        errors = [str(result) for result in results] or refused
         reason = f': {errors[0]}' if errors else ''
         raise BagError(
             f'no markers came on {name} that can be read{reason}; fix: see that its publisher runs'
         )
     return frames, name
-
-
-class _Messages:
-    """Messages of a topic that are not too large, and their `size` in bytes."""
-
-    def __init__(self, topic: str) -> None:
-        self._topic = topic
-        self.messages: list[bytes] = []
-        self.size = 0
-        # The fault of the first message that was left out.
-        self.refused: list[str] = []
-
-    def append(self, data: bytes) -> None:
-        """Append a message, unless it is too large."""
-        if len(data) <= MAX_MESSAGE_BYTES:
-            self.messages.append(data)
-            self.size += len(data)
-        elif not self.refused:
-            self.refused.append(describe_excess(self._topic, len(data)))
 
 
 def _published_kind(node: Node, executor: SingleThreadedExecutor, name: str) -> str:

@@ -9,7 +9,7 @@ import gc
 import sys
 import time
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import rclpy
@@ -17,8 +17,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -28,17 +26,15 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import Trigger
 
 from kinpole_ros.messages import (
-    DRAWING,
     TF,
     DiagnosticsMaker,
     MessageError,
-    Output,
-    deletion_of_all,
     live_outputs,
 )
 from kinpole_ros.ros.executor import make_executor, reason_of, start_ros
 from kinpole_ros.ros.parameters import ParameterNode, qos_overrides_without_effect
 from kinpole_ros.ros.private import RCLError, wrap_service
+from kinpole_ros.ros.publishers import NO_EVENTS, ResultPublishers
 from kinpole_ros.ros.source import MarkerSource, publishers_of
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
@@ -49,14 +45,8 @@ _DIAGNOSTICS_INTERVAL = 1.0  # s
 _DISCOVERY_INTERVAL = 0.1  # s: how often subscribers and publishers are looked up
 # With so many messages waiting the node is behind: only the newest frame is published.
 _BEHIND = 25
-# Results kept for a reliable reader that is slow, such as a recorder on a busy machine: messages
-# that wait are taken at once, so results come in bunches. A reader that asks for less gets less.
-_DEPTH = 1000
 # The node ends after so many failures, for so long (s), without a success between them.
 _MAX_FAILURES, _MAX_FAILING = 100, 10.0
-# The callbacks of rclpy only log, and cost 6 us a publisher in each wait.
-_NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
-_ACKNOWLEDGMENT_WAIT = 0.1  # s; ms suffice, but a reader of Fast DDS may acknowledge after 3 s
 _MAX_STAMP = 2**31 * 10**9 - 1  # ns
 # Faults that are over when they were not noted again in the time of one diagnostics.
 _PASSING_FAULTS = frozenset({'message', 'failure', 'clock'})
@@ -76,19 +66,11 @@ class KinpoleNode(ParameterNode):
             )
         self._tracker = Tracker(self.settings)
         self._diagnostics = self._make_diagnostics()
-        self._publisher_of_topic: dict[str, Any] = {}
-        self._outputs: list[tuple[Output, Any]] = []
-        # Those with subscribers, looked up now and then, which takes 0.6 us each: those of every
-        # frame, and those for displays, with the time at which the next is due.
-        self._frame_outputs: list[tuple[Output, Any]] = []
-        self._display_outputs: list[tuple[Output, Any]] = []
-        self._display_due = 0.0
+        self.results = ResultPublishers(self)
         self._is_processing = False
         # Stamps and newest estimate of the frames since the last diagnostics.
         self._stamps: list[int] = []
         self._latest: Estimate | None = None
-        # The last estimate published since the drawing was deleted.
-        self._drawn: Estimate | None = None
         # Present faults, and the keys of those noted since the last diagnostics.
         self._faults: dict[str, str] = {}
         self._noted: set[str] = set()
@@ -129,7 +111,7 @@ class KinpoleNode(ParameterNode):
     def use_settings(self) -> None:
         """Restart with the changed settings; publishers that stay in use are kept."""
         self._restart()
-        if self._outputs:
+        if self.results.are_made:
             self._make_outputs()
 
     def check_settings(self, settings: Settings) -> None:
@@ -162,7 +144,7 @@ class KinpoleNode(ParameterNode):
             return TransitionCallbackReturn.FAILURE
         self._make_outputs()
         self._status_publisher = self.create_publisher(
-            DiagnosticArray, '/diagnostics', 10, event_callbacks=_NO_EVENTS
+            DiagnosticArray, '/diagnostics', 10, event_callbacks=NO_EVENTS
         )
         return super().on_configure(state)
 
@@ -194,7 +176,7 @@ class KinpoleNode(ParameterNode):
         self._diagnostics_timer.cancel()
         self.active = False
         self.source.close()
-        self._delete_drawing()
+        self.results.delete_drawing()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -220,58 +202,17 @@ class KinpoleNode(ParameterNode):
             for output in live_outputs(self.settings, self.theory)
             if output.topic != TF or self.settings.publish_tf
         ]
-        self._drop_outputs({output.topic for output in outputs})
-        for output in outputs:
-            publisher = self._publisher_of_topic.get(output.topic)
-            if publisher is None:
-                publisher = self.create_lifecycle_publisher(
-                    output.message_type, output.under('~'), _DEPTH, event_callbacks=_NO_EVENTS
-                )
-                if self.active:
-                    publisher.on_activate(LifecycleState('active', 0))
-                self._publisher_of_topic[output.topic] = publisher
-            self._outputs.append((output, publisher))
-        self._look_up_subscribers()
+        self.results.make(outputs, self.active)
 
     def close_outputs(self) -> None:
         """Delete the drawing, and destroy the publishers of all results."""
-        self._drop_outputs(set())
-
-    def _drop_outputs(self, retained: Collection[str]) -> None:
-        """Destroy the publishers of all topics but the retained ones."""
-        if DRAWING not in retained:
-            self._delete_drawing()
-        dropped = [
-            self._publisher_of_topic.pop(topic)
-            for topic in self._publisher_of_topic.keys() - set(retained)
-        ]
-        # Readers drop messages on their way when their publisher is destroyed.
-        deadline = time.monotonic() + _ACKNOWLEDGMENT_WAIT
-        for publisher in dropped:
-            remaining = max(0.0, deadline - time.monotonic())
-            publisher.wait_for_all_acked(Duration(seconds=remaining))
-        for publisher in dropped:
-            self.destroy_lifecycle_publisher(publisher)
-        self._outputs = []
-        self._look_up_subscribers()
-
-    def _delete_drawing(self) -> None:
-        """Have viewers delete what was drawn, which they keep otherwise."""
-        drawn, self._drawn = self._drawn, None
-        publisher = self._publisher_of_topic.get(DRAWING)
-        if drawn is not None and publisher is not None and publisher.get_subscription_count():
-            publisher.publish(deletion_of_all(int(drawn.stamp[-1]), drawn.frame_id))
-
-    def _look_up_subscribers(self) -> None:
-        read = [row for row in self._outputs if row[1].get_subscription_count()]
-        self._frame_outputs = [row for row in read if not row[0].interval]
-        self._display_outputs = [row for row in read if row[0].interval]
+        self.results.drop()
 
     def _discover(self) -> None:
         """Look up subscribers of the results and publishers of the markers."""
         if not self.active:
             return
-        self._look_up_subscribers()
+        self.results.look_up_subscribers()
         if self.source.update():
             self._tracker.reset()
             self._tracker.counts['restarts'] += 1
@@ -280,9 +221,8 @@ class KinpoleNode(ParameterNode):
         """Process this message and all that wait: a node that is behind loses the oldest first."""
         self._is_processing = True
         now = time.monotonic()
-        displayed = self._display_outputs if now >= self._display_due else []
-        outputs = (*self._frame_outputs, *displayed)
-        order = max((output.order for output, _ in outputs), default=None)
+        displays = self.results.due_displays(now)
+        order = self.results.highest_order(displays)
         results, messages, lost = self.source.take(message, info)
         self._tracker.counts['dropped'] += lost
         last: Estimate | None = None
@@ -296,13 +236,10 @@ class KinpoleNode(ParameterNode):
                 continue
             self._stamps.extend(frames.stamps.tolist())
             for estimate in self._tracker.add(frames, order):
-                self._latest = self._drawn = estimate
-                _publish(self._frame_outputs, estimate)
-                last = estimate
-        # Displays come after all other topics.
-        if displayed and last is not None:
-            _publish(displayed, last)
-            self._display_due = now + max(output.interval for output, _ in displayed)
+                self._latest = last = estimate
+                self.results.publish(estimate)
+        if displays and last is not None:
+            self.results.publish_displays(displays, last, now)
         self._tracker.learn_if_due()
         self._is_processing = False
 
@@ -321,7 +258,7 @@ class KinpoleNode(ParameterNode):
     def _add_unpublished(self, frames: MarkerFrames) -> None:
         self._stamps.extend(frames.stamps.tolist())
         self._tracker.add(frames, None)
-        self._tracker.counts['untold'] += len(frames.stamps)
+        self._tracker.counts['unpublished'] += len(frames.stamps)
 
     def _note(self, key: str, text: str) -> None:
         """Keep a fault for the diagnostics, and log it when it begins; without text it is over."""
@@ -353,7 +290,7 @@ class KinpoleNode(ParameterNode):
 
     def _note_duplicate_publishers(self) -> None:
         """Note other nodes that publish the same results."""
-        topic = next(iter(self._publisher_of_topic.values())).topic_name
+        topic = self.results.first_topic
         text = ''
         # The count is cheaper than the names.
         if self.count_publishers(topic) > 1:
@@ -368,7 +305,7 @@ class KinpoleNode(ParameterNode):
                     'name of its own (-r __node:=NAME), and play of a bag the markers alone; what '
                     'was killed counts for some seconds more'
                 )
-        self._note('rivals', text)
+        self._note('duplicates', text)
 
     def recover(self, error: Exception) -> None:
         """Note an error that no callback caught; while processing markers, restart the tracker."""
@@ -381,15 +318,6 @@ class KinpoleNode(ParameterNode):
         self._tracker.counts['failures'] += 1
         text = ' '.join(str(error).split())
         self._note('failure', f'the node failed ({type(error).__name__}: {text}) and {outcome}')
-
-
-def _publish(outputs: Sequence[tuple[Output, Any]], estimate: Estimate) -> None:
-    """Make all messages before the first is sent: its readers wake, and take the core."""
-    messages = [
-        (publisher, data) for output, publisher in outputs for data in output.build(estimate)[1]
-    ]
-    for publisher, data in messages:
-        publisher.publish(data)
 
 
 def _change_if_possible(change: Callable[..., Any], request: Any, response: Any) -> Any:

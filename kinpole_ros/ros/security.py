@@ -5,9 +5,8 @@ python -m kinpole_ros.ros.security [my_rig.yaml] > kinpole.policy.xml
 """
 
 import sys
-from collections.abc import Iterable
 from dataclasses import replace
-from xml.sax.saxutils import escape, quoteattr
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from kinpole_ros.messages import TF, live_outputs, theory_of
 from kinpole_ros.tracking.parameters import ParameterError, Settings, load_settings
@@ -70,31 +69,16 @@ def policy(settings: Settings, node: str = 'kinpole', namespace: str = '/') -> s
         As `permitted` does.
     """
     names = permitted(settings)
-    enclave = f'{namespace.rstrip("/")}/{node}'
-    return '\n'.join(
-        [
-            '<?xml version="1.0" encoding="UTF-8"?>',
-            '<policy version="0.2.0">',
-            '  <enclaves>',
-            f'    <enclave path={quoteattr(enclave)}>',
-            '      <profiles>',
-            f'        <profile ns={quoteattr(namespace)} node={quoteattr(node)}>',
-            *_profile_lines('services', 'service', 'reply', names['reply']),
-            *_profile_lines('topics', 'topic', 'subscribe', names['subscribe']),
-            *_profile_lines('topics', 'topic', 'publish', names['publish']),
-            '        </profile>',
-            '      </profiles>',
-            '    </enclave>',
-            '  </enclaves>',
-            '</policy>',
-            '',
-        ]
-    )
-
-
-def _profile_lines(group: str, item: str, verb: str, names: Iterable[str]) -> list[str]:
-    inner = [f'            <{item}>{escape(name)}</{item}>' for name in names]
-    return [f'          <{group} {verb}="ALLOW">', *inner, f'          </{group}>']
+    root = Element('policy', version='0.2.0')
+    enclaves, path = SubElement(root, 'enclaves'), f'{namespace.rstrip("/")}/{node}'
+    profiles = SubElement(SubElement(enclaves, 'enclave', path=path), 'profiles')
+    profile = SubElement(profiles, 'profile', ns=namespace, node=node)
+    for group, verb in (('service', 'reply'), ('topic', 'subscribe'), ('topic', 'publish')):
+        permission = SubElement(profile, f'{group}s', {verb: 'ALLOW'})
+        for name in names[verb]:
+            SubElement(permission, group).text = name
+    indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{tostring(root, "unicode")}\n'
 
 
 def main(words: list[str]) -> int:

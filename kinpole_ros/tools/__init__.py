@@ -1,1 +1,1 @@
-"""What people use: the command line, pictures, the mechanism's own analysis, the demo."""
+"""The command line `kinpole`, and the tools that it runs: pictures, reports, analysis, demo."""

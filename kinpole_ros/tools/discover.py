@@ -1,12 +1,9 @@
-"""
-`kinpole discover`: a rig that nobody has described, from its markers alone.
-
-Reads a bag or listens to a topic, has `linkage` find what there is, and writes it down.
-"""
+"""`kinpole discover`: the bodies and joints of an unknown rig, from its markers alone."""
 
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,121 +21,133 @@ from kinpole_ros.linkage import (
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.plane import NORMALS, canonical_name
 
-# s of data, where nobody says.
-_OF_A_BAG = 60.0
-_LIVE = 20.0
-# Share of the time that reading takes.
-_READING = 0.2
+# Seconds of data that are used by default.
+_SECONDS_OF_BAG, _SECONDS_LIVE = 60.0, 20.0
+# Fractions of the time until reading, and the search, are done.
+_READING, _SEARCH = 0.2, 0.9
+
+Progress = Callable[[float], None] | None
+
+
+class DiscoverOptions(NamedTuple):
+    """
+    What `discover_rig` reads and writes; the names are those of the options of `kinpole discover`.
+
+    `plane` is xy, yz, zx, a normal as 'nx,ny,nz', or auto for the plane of the motion. `output` is
+    the parameter file, `scene` the draft scene and `plot` the picture to write.
+    """
+
+    topic: str | None = None
+    seconds: float | None = None
+    plane: str = 'auto'
+    output: str | Path | None = None
+    scene: str | Path | None = None
+    plot: str | Path | None = None
 
 
 def discover_rig(
     source: str,
-    topic: str | None = None,
-    seconds: float | None = None,
-    output: str | Path | None = None,
-    scene: str | Path | None = None,
-    picture: str | Path | None = None,
-    progress: Callable[[float], None] | None = None,
-    report: Callable[[Truncated], None] | None = None,
-    plane: str = 'auto',
+    options: DiscoverOptions | None = None,
+    progress: Progress = None,
+    on_truncated: Callable[[Truncated], None] | None = None,
 ) -> list[str]:
     """
-    What the markers of a bag or topic show, as lines to print; also writes the files named.
+    Find the bodies and joints of a rig; return lines to print, and write the files of the options.
 
-    `output` is the parameter file, `scene` the draft scene, `picture` what was found, drawn;
-    `report` is called with what a bag lacks that is not whole. `plane` is xy, yz, zx, a normal as
-    'nx,ny,nz', or auto for that of the motion. Raises BagError for what cannot be
-    read, found or written, with the fix.
+    `source` is a bag of markers, or a topic that is being published. `progress` is called with the
+    fraction done, `on_truncated` with what is missing from a truncated bag. Raises BagError if the
+    markers cannot be read, nothing is found, or a file cannot be written.
     """
-    if seconds is not None and not 0 < seconds < float('inf'):
-        raise BagError(f'--seconds is {seconds}; it must be more than 0')
-
-    normal = _normal(plane)
-    if picture is not None:
+    options = options or DiscoverOptions()
+    if options.seconds is not None and not 0 < options.seconds < float('inf'):
+        raise BagError(f'--seconds is {options.seconds}; it must be more than 0')
+    normal = _normal(options.plane)
+    if options.plot is not None:
         from kinpole_ros.tools.plot import picture_format
 
-        picture_format(picture)
+        picture_format(options.plot)
 
-    def part(first: float, share: float) -> Callable[[float], None] | None:
-        return None if progress is None else (lambda done: progress(first + share * done))
+    def stage(first: float, last: float) -> Progress:
+        if progress is None:
+            return None
+        return lambda fraction: progress(first + (last - first) * fraction)
 
-    parts, name, live = _read(source, topic, seconds, part(0.0, _READING), report)
+    frames, name, is_live = _read(source, options, stage(0.0, _READING), on_truncated)
     try:
-        found = discover(parts, part(_READING, 0.9 - _READING), normal)
+        linkage = discover(frames, stage(_READING, _SEARCH), normal)
     except UndiscoveredError as error:
         raise BagError(f'{source}: {error}') from None
     about = f'Found by kinpole discover {printable(source)}'
-    drawn = draft(found, f'{about}: a draft, to be checked and named.')
+    drawn = draft(linkage, f'{about}: a draft, to be checked and named.')
     if progress is not None:
         progress(1.0)
-    lines = table(found, drawn[1] if drawn else None)
-    if output is not None:
-        _write(output, parameter_file(found, name, f'{about}.'))
-        lines.append(f'parameters written to {output}')
-    if scene is not None:
+    lines = table(linkage, drawn[1] if drawn else None)
+    if options.output is not None:
+        _write(options.output, parameter_file(linkage, name, f'{about}.'))
+        lines.append(f'parameters written to {options.output}')
+    if options.scene is not None:
         if drawn is None or not drawn[1].explains:
-            raise BagError(f'{scene} is not written: {_why_no_scene(found, drawn)}')
-        _write(scene, drawn[0])
-        lines.append(f'draft scene written to {scene}')
-    if picture is not None:
+            raise BagError(f'{options.scene} is not written: {_why_no_scene(linkage, drawn)}')
+        _write(options.scene, drawn[0])
+        lines.append(f'draft scene written to {options.scene}')
+    if options.plot is not None:
         from kinpole_ros.tools.plot import draw_linkage
 
-        draw_linkage(found, picture, printable(Path(source).name if not live else name))
-        lines.append(f'drawn to {picture}')
+        title = name if is_live else Path(source).name
+        draw_linkage(linkage, options.plot, printable(title))
+        lines.append(f'drawn to {options.plot}')
     return lines
 
 
 def _normal(plane: str) -> np.ndarray | None:
-    """The normal (3,) of a plane as it is given, None for that of the motion."""
+    """Return the normal (3,) of a plane, None for that of the motion."""
     if plane == 'auto':
         return None
     name = canonical_name(plane)
     with suppress(ValueError):
-        normal = np.array(
-            NORMALS.get(name) or [float(part) for part in name.strip('[]').split(',')]
-        )
+        normal = np.array(NORMALS.get(name) or [float(x) for x in name.strip('[]').split(',')])
         if normal.shape == (3,) and np.isfinite(normal).all() and normal.any():
             return normal
     raise BagError(f'--plane is {plane!r}; it must be auto, xy, yz, zx or a normal nx,ny,nz')
 
 
-def _why_no_scene(found: Linkage, drawn: tuple[str, Checked] | None) -> str:
-    if found.space is not None:
+def _why_no_scene(linkage: Linkage, drawn: tuple[str, Checked] | None) -> str:
+    if linkage.space is not None:
         return (
-            'the bodies do not move in one plane, and a scene is of one; fix: guide the motion, or '
-            'go on with the parameter file: figures are then those of the projection'
+            'the bodies do not move in one plane, as those of a scene; fix: guide the motion, or '
+            'use the parameter file alone, for results of the projection'
         )
     if drawn is None:
         return (
-            'no joint connects a body with the ground; fix: record more of the motion, or mark the '
-            'bodies between'
+            'no joint connects a body with the ground; fix: record more of the motion, or put '
+            'markers on the bodies between'
         )
     checked = drawn[1]
     why = checked.problem or (
-        f'its markers are {checked.first * 1e3:.2g} mm rms off those measured at the first frame, '
-        f'of a noise of {checked.noise * 1e3:.2g} mm'
+        f'its markers differ by {checked.first * 1e3:.2g} mm rms from those measured at the first '
+        f'frame, with a noise of {checked.noise * 1e3:.2g} mm'
     )
     return (
-        f'the draft does not explain the markers: {why}; fix: see what is left over in the table, '
-        'and record more of the motion'
+        f'the draft does not explain the markers: {why}; fix: see the column "left over" in the '
+        'table, and record more of the motion'
     )
 
 
 def _read(
     source: str,
-    topic: str | None,
-    seconds: float | None,
-    progress: Callable[[float], None] | None,
-    report: Callable[[Truncated], None] | None,
+    options: DiscoverOptions,
+    progress: Progress,
+    on_truncated: Callable[[Truncated], None] | None,
 ) -> tuple[list[MarkerFrames], str, bool]:
-    """The frames, the topic, and whether it is live."""
-    if Path(source).exists() or source.endswith('.mcap') or topic is not None:
-        parts, name = read_frames(source, topic, seconds or _OF_A_BAG, progress, report)
-        return parts, name, False
+    """Return the frames, the topic, and whether it is live."""
+    if Path(source).exists() or source.endswith('.mcap') or options.topic is not None:
+        seconds = options.seconds or _SECONDS_OF_BAG
+        frames, name = read_frames(source, options.topic, seconds, progress, on_truncated)
+        return frames, name, False
     from kinpole_ros.ros.listener import listen
 
-    parts, name = listen(source, seconds or _LIVE, progress)
-    return parts, name, True
+    frames, name = listen(source, options.seconds or _SECONDS_LIVE, progress)
+    return frames, name, True
 
 
 def _write(path: str | Path, text: str) -> None:

@@ -1,4 +1,4 @@
-"""`kinpole fit`: the dimensions of a scene from a bag of markers, as lines, and as a scene."""
+"""`kinpole fit`: the dimensions of a scene from a bag of markers."""
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
@@ -13,10 +13,10 @@ from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.parameters import ParameterError, Settings, load_settings, settings_from
 from kinpole_ros.tracking.tracker import Tracker
 
-# Frames at a time, to tell how far it is.
-_AT_ONCE = 1000
-# Share of the time that reading takes.
-_READING = 0.2
+# Frames between two reports of the progress.
+_BLOCK = 1000
+# Fractions of the time until reading, and tracking, are done.
+_READING, _TRACKING = 0.2, 0.9
 
 
 def fit_bag(
@@ -30,48 +30,51 @@ def fit_bag(
     report: Callable[[Truncated], None] | None = None,
 ) -> list[str]:
     """
-    Fit the scene to the markers of a bag; returns lines to print, and writes the scene to `output`.
+    Fit the scene to the markers of a bag; return lines to print, and write it to `output`.
 
-    `report` is called with what a bag lacks that is not whole.
-
-    Raises SceneError, ParameterError or BagError for what cannot be used, with the fix.
+    Without `config`, the bodies and markers of the scene are tracked. `free` are names of the
+    dimensions to fit; without any, those that the scene lists as free, or all. `progress` is called
+    with the fraction done, `report` with what is missing from a truncated bag. Raises SceneError,
+    ParameterError or BagError for what cannot be used.
     """
     bag_files(bag)  # a table is refused before its scene is read
     loaded = load_scene(scene)
     numbers = free_dimensions(loaded, list(chain(*free)) or loaded.free)
     if not numbers:
-        raise SceneError(f'{scene}: its joints have no dimensions to be fitted: add joints')
+        raise SceneError(f'{scene}: its joints have no dimensions to fit; add joints')
     settings = _settings(loaded, scene, config)
     theory = load_theory(settings)
 
-    def part(first: float, share: float) -> Callable[[float], None] | None:
-        return None if progress is None else (lambda done: progress(first + share * done))
+    def stage(first: float, last: float) -> Callable[[float], None] | None:
+        if progress is None:
+            return None
+        return lambda fraction: progress(first + (last - first) * fraction)
 
     topic = topic or (settings.marker_topic if config else None)
-    frames, _ = read_frames(
-        bag, topic, None, part(0.0, _READING), identity=settings.marker_identity
-    )
-    found = fit_scene(theory, _estimates(settings, frames, part(_READING, 0.7)), numbers)
+    identity = settings.marker_identity
+    frames, _ = read_frames(bag, topic, None, stage(0.0, _READING), identity=identity)
+    fit = fit_scene(theory, _estimates(settings, frames, stage(_READING, _TRACKING)), numbers)
     if progress is not None:
         progress(1.0)
-    lines = fitted_lines(found)
+    lines = fitted_lines(fit)
     if output is None:
         return lines
-    changes = {row.dimension: row.value for row in found.dimensions if not row.held}
+    values = {row.dimension: row.value for row in fit.dimensions if not row.undetermined}
+    paths = {dimension.path for dimension in values}
     # Both coordinates of a point are written.
     changes = {
-        one: changes.get(one, one.value)
-        for one in loaded.equations.dimensions
-        if one.path in {other.path for other in changes}
+        dimension: values.get(dimension, dimension.value)
+        for dimension in loaded.equations.dimensions
+        if dimension.path in paths
     }
     text = rewritten(scene_text(scene), changes)
-    with in_place_of(output) as target:
-        target.write_text(text, encoding='utf-8')
+    with in_place_of(output) as part:
+        part.write_text(text, encoding='utf-8')
     lines.append(f'written to {output}')
     try:
         load_scene(text if '\n' in text else output)
     except SceneError as error:
-        lines.append(f'as fitted it does not move as it is driven: {error}')
+        lines.append(f'the fitted scene cannot move as its drivers prescribe: {error}')
     return lines
 
 
@@ -89,14 +92,14 @@ def _settings(scene: Scene, name: str, config: str | None) -> Settings:
 def _estimates(
     settings: Settings, frames: list[MarkerFrames], progress: Callable[[float], None] | None
 ) -> Iterator[Estimate]:
-    """All estimates; of derivatives no more than the first is wanted."""
+    """Yield all estimates, up to the first derivative."""
     tracker = Tracker(settings)
-    total = sum(len(part.stamps) for part in frames)
+    total = sum(len(one.stamps) for one in frames)
     done = 0
-    for part in frames:
-        for first in range(0, len(part.stamps), _AT_ONCE):
-            some = part_of(part, slice(first, first + _AT_ONCE))
-            yield from tracker.add(some, 1)
-            done += len(some.stamps)
+    for one in frames:
+        for first in range(0, len(one.stamps), _BLOCK):
+            block = part_of(one, slice(first, first + _BLOCK))
+            yield from tracker.add(block, 1)
+            done += len(block.stamps)
             if progress is not None:
                 progress(done / total)

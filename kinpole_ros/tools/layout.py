@@ -1,7 +1,7 @@
 """
 Layouts of other viewers for the topics of a rig: Foxglove or Lichtblick, and PlotJuggler.
 
-Made of the parameters or of a bag of results, so every curve has its topic.
+They are made from the parameters or from a bag of results, so every curve has its topic.
 """
 
 import json
@@ -22,16 +22,16 @@ from kinpole_ros.tracking.plane import XY, plane_of
 Json = dict[str, Any]
 _JOINTS = '/joint_states'
 _UNITS = ('rad/s', 'rad/s²', 'rad/s³', 'rad/s⁴')
-# Of the camera, degrees from the z axis and about it, to look along the normal.
-_VIEWS = {'x': (90.0, 90.0), 'y': (90.0, 180.0), 'z': (0.0, 0.0)}
+# Angles of the camera from the z axis and about it, degrees, to look along each axis.
+_CAMERA_ANGLES = {'x': (90.0, 90.0), 'y': (90.0, 180.0), 'z': (0.0, 0.0)}
 
 
-class Shown(NamedTuple):
+class RigTopics(NamedTuple):
     """
-    What there is to show: topics of a `node` by full name, with types, and its bodies and joints.
+    The topics of a `node` by full name, with their types, and its bodies and joints.
 
-    `axis` is that of the frame which the normal of the plane is nearest to, `frame` that of the
-    markers, '' where it is not known.
+    `axis` is the axis nearest to the normal of the plane, in the `frame` of the markers ('' if
+    unknown).
     """
 
     node: str
@@ -42,17 +42,17 @@ class Shown(NamedTuple):
     frame: str
 
     def curves(self) -> dict[str, list[tuple[str, str, str]]]:
-        """By title, (label, topic, color) of vectors whose part along the normal is drawn."""
-        found: dict[str, list[tuple[str, str, str]]] = {}
-        own = [(body, body) for body in self.bodies]
+        """Return (label, topic, color) by title, of vectors along the normal."""
+        bodies = [(body, body) for body in self.bodies]
         pairs = [
             (f'{self.bodies[j]} wrt {self.bodies[i]}', f'{self.bodies[j]}/wrt/{self.bodies[i]}')
             for i, j in measured_pairs(len(self.bodies))
         ]
-        colors = {label: self.color(n) for n, (label, _) in enumerate(own + pairs)}
-        parts = [(name, unit, own) for name, unit in zip(RATE_NAMES, _UNITS, strict=True)]
-        parts.insert(2, ('angular_velocity', f'{_UNITS[0]}, relative', pairs))
-        for name, unit, subjects in parts:
+        colors = {label: color_of(n) for n, (label, _) in enumerate(bodies + pairs)}
+        plots = [(name, unit, bodies) for name, unit in zip(RATE_NAMES, _UNITS, strict=True)]
+        plots.insert(2, ('angular_velocity', f'{_UNITS[0]}, relative', pairs))
+        curves: dict[str, list[tuple[str, str, str]]] = {}
+        for name, unit, subjects in plots:
             rows = [
                 (f'{label}{suffix}', topic, colors[label])
                 for label, subject in subjects
@@ -60,65 +60,62 @@ class Shown(NamedTuple):
                 if (topic := f'{self.node}/{subject}/{name}{end}') in self.kinds
             ]
             if rows:
-                found[f'{name.replace("_", " ")} ({unit})'] = rows
-        return found
-
-    @staticmethod
-    def color(number: int) -> str:
-        """That in which the body of this number is drawn."""
-        red, green, blue = (round(255 * part) for part in COLORS[number % len(COLORS)])
-        return f'#{red:02x}{green:02x}{blue:02x}'
+                curves[f'{name.replace("_", " ")} ({unit})'] = rows
+        return curves
 
 
-def shown_of(config: str | None) -> Shown:
+def color_of(number: int) -> str:
+    """Return the color in which the node draws the body of this number."""
+    red, green, blue = (round(255 * value) for value in COLORS[number % len(COLORS)])
+    return f'#{red:02x}{green:02x}{blue:02x}'
+
+
+def topics_of(config: str | None) -> RigTopics:
     """
-    What a parameter file has published, or a bag of results holds; without either, the defaults.
+    Return the topics of a parameter file or of a bag of results; without either, the default ones.
 
-    Raises ParameterError as reading one does, and BagError as reading the other.
+    Raises ParameterError or BagError if the file cannot be used.
     """
     if config and (Path(config).is_dir() or config.endswith('.mcap')):
-        return _of_bag(config)
+        return _topics_of_bag(config)
     settings = load_settings(config) if config else Settings()
     node = f'/{NODE_NAME}'
     kinds = {
         output.under(node): type_name(output.message_type)
         for output in outputs_of(settings, theory_of(settings))
     }
-    normal = (plane_of(settings.plane) or XY).normal
-    bodies, joints = tuple(settings.bodies), tuple(settings.joints)
-    return Shown(node, kinds, bodies, joints, _axis(normal), '')
+    axis = _nearest_axis((plane_of(settings.plane) or XY).normal)
+    return RigTopics(node, kinds, tuple(settings.bodies), tuple(settings.joints), axis, '')
 
 
-def _of_bag(bag: str) -> Shown:
+def _topics_of_bag(bag: str) -> RigTopics:
     kinds = topics(bag)
     splits = (topic.rsplit('/', 2) for topic in kinds)
-    nodes = [parts[0] for parts in splits if parts[0] and parts[-1] == 'odom']
-    nodes = sorted({node for node in nodes if not node.endswith('/truth')})
+    nodes = {words[0] for words in splits if words[0] and words[-1] == 'odom'}
+    nodes = {node for node in nodes if not node.endswith('/truth')}
     if not nodes:
         raise BagError(f'{bag} holds no results; make them first: kinpole replay {bag} --output R')
-    node = nodes[0]
+    node = min(nodes)
     bodies = bodies_of(node, kinds)
-    poses = [f'{node}/{body}/odom' for body in bodies]
     axis, frame, joints = 'z', '', []
-    for message in read_messages(bag, poses):
-        pose = decode(message.type_name, message.data)
-        frame = pose.header.frame_id
-        axis = _axis(plane_of_motion(np.array([row_of(message.type_name, message.data)])).normal)
+    for message in read_messages(bag, [f'{node}/{body}/odom' for body in bodies]):
+        frame = decode(message.type_name, message.data).header.frame_id
+        odometry = np.array([row_of(message.type_name, message.data)])
+        axis = _nearest_axis(plane_of_motion(odometry).normal)
         break
     for message in read_messages(bag, [node + _JOINTS]):
         joints = list(decode(message.type_name, message.data).name)
         break
-    return Shown(node, kinds, bodies, joints, axis, frame)
+    return RigTopics(node, kinds, bodies, joints, axis, frame)
 
 
-def _axis(normal: np.ndarray) -> str:
+def _nearest_axis(normal: np.ndarray) -> str:
     return 'xyz'[int(np.abs(normal).argmax())]
 
 
-def foxglove(shown: Shown) -> str:
-    """A layout for Foxglove and Lichtblick: JSON, as they save it."""
-    phi, theta = _VIEWS[shown.axis]
-    drawing = f'{shown.node}/{DRAWING}'
+def foxglove(rig: RigTopics) -> str:
+    """Return a layout for Foxglove and Lichtblick: JSON, as they save it."""
+    phi, theta = _CAMERA_ANGLES[rig.axis]
     panels: dict[str, Json] = {
         '3D!kinpole': {
             'cameraState': {
@@ -134,10 +131,10 @@ def foxglove(shown: Shown) -> str:
                 'far': 1000,
             },
             'followMode': 'follow-none',
-            **({'followTf': shown.frame} if shown.frame else {}),
+            **({'followTf': rig.frame} if rig.frame else {}),
             'scene': {'transforms': {'axisScale': 0.1, 'showLabel': False}},
             'transforms': {},
-            'topics': {drawing: {'visible': True}},
+            'topics': {f'{rig.node}/{DRAWING}': {'visible': True}},
             'layers': {},
         },
         'DiagnosticSummary!kinpole': {
@@ -148,89 +145,86 @@ def foxglove(shown: Shown) -> str:
             'sortByLevel': True,
         },
     }
-    plots = []
-    for number, (title, rows) in enumerate(shown.curves().items()):
-        panel = f'Plot!kinpole{number}'
-        plots.append(panel)
-        panels[panel] = {
-            # The one is Foxglove's, the other Lichtblick's.
-            'foxglovePanelTitle': title,
-            'lichtblickPanelTitle': title,
-            'paths': [
-                {
-                    'value': f'{topic}.vector.{shown.axis}',
-                    'label': label,
-                    'enabled': True,
-                    'timestampMethod': 'headerStamp',
-                    'color': color,
-                    'lineSize': 1 if label.endswith('σ') else 2,
-                }
-                for label, topic, color in rows
-            ],
-            'xAxisVal': 'timestamp',
-            'isSynced': True,
-            'showLegend': True,
-            'legendDisplay': 'floating',
-            'showPlotValuesInLegend': True,
-            'showXAxisLabels': True,
-            'showYAxisLabels': True,
-            'sidebarDimension': 240,
-            'followingViewWidth': 10,
-        }
-    left: Any = _split('column', ['3D!kinpole', 'DiagnosticSummary!kinpole'], 70)
+    plots = {
+        f'Plot!kinpole{number}': _foxglove_plot(title, rows, rig.axis)
+        for number, (title, rows) in enumerate(rig.curves().items())
+    }
+    first_column: Any = _split('column', [*panels], 70)
+    columns = [first_column, _equal_column([*plots])] if plots else []
     layout = {
-        'configById': panels,
+        'configById': panels | plots,
         'globalVariables': {},
         'userNodes': {},
         'playbackConfig': {'speed': 1},
-        'layout': _split('row', [left, _column(plots)], 50) if plots else left,
+        'layout': _split('row', columns, 50) if plots else first_column,
     }
     return json.dumps(layout, indent=2, ensure_ascii=False) + '\n'
 
 
-def _split(direction: str, parts: Sequence[Any], percentage: float) -> Json:
-    first, second = parts
+def _foxglove_plot(title: str, rows: Sequence[tuple[str, str, str]], axis: str) -> Json:
+    return {
+        'foxglovePanelTitle': title,
+        'lichtblickPanelTitle': title,
+        'paths': [
+            {
+                'value': f'{topic}.vector.{axis}',
+                'label': label,
+                'enabled': True,
+                'timestampMethod': 'headerStamp',
+                'color': color,
+                'lineSize': 1 if label.endswith('σ') else 2,
+            }
+            for label, topic, color in rows
+        ],
+        'xAxisVal': 'timestamp',
+        'isSynced': True,
+        'showLegend': True,
+        'legendDisplay': 'floating',
+        'showPlotValuesInLegend': True,
+        'showXAxisLabels': True,
+        'showYAxisLabels': True,
+        'sidebarDimension': 240,
+        'followingViewWidth': 10,
+    }
+
+
+def _split(direction: str, panels: Sequence[Any], percentage: float) -> Json:
+    first, second = panels
     return {'direction': direction, 'first': first, 'second': second, 'splitPercentage': percentage}
 
 
-def _column(panels: Sequence[str]) -> Any:
-    """Panels one under the other, equally high."""
-    first, *rest = panels
-    return _split('column', [first, _column(rest)], 100 / len(panels)) if rest else first
+def _equal_column(panels: Sequence[str]) -> Any:
+    """Return panels below each other, of equal height."""
+    if len(panels) == 1:
+        return panels[0]
+    return _split('column', [panels[0], _equal_column(panels[1:])], 100 / len(panels))
 
 
-def plotjuggler(shown: Shown) -> str:
-    """A layout for PlotJuggler: XML, as version 3 saves it."""
+def plotjuggler(rig: RigTopics) -> str:
+    """Return a layout for PlotJuggler: XML, as version 3 saves it."""
     root = ET.Element('root')
     tabs = ET.SubElement(root, 'tabbed_widget', {'name': 'Main Window', 'parent': 'main_window'})
     rates = {
-        title: [(color, {'name': f'{topic}/vector/{shown.axis}'}) for _, topic, color in rows]
-        for title, rows in shown.curves().items()
+        title: [(color, {'name': f'{topic}/vector/{rig.axis}'}) for _, topic, color in rows]
+        for title, rows in rig.curves().items()
     }
     _add_tab(tabs, 'rates', rates, 'TimeSeries')
-    across = [axis for axis in 'xyz' if axis != shown.axis]
-    poles = {
-        pole.upper(): [
-            (
-                shown.color(number),
-                {
-                    'name': f'{topic}/point [{body}]',
-                    'curve_x': f'{topic}/point/{across[0]}',
-                    'curve_y': f'{topic}/point/{across[1]}',
-                },
-            )
-            for number, body in enumerate(shown.bodies)
-            if (topic := f'{shown.node}/{body}/{pole}') in shown.kinds
-        ]
-        for pole in POLE_NAMES
-    }
+    x, y = (axis for axis in 'xyz' if axis != rig.axis)
+    poles: dict[str, list[tuple[str, dict[str, str]]]] = {}
+    for pole in POLE_NAMES:
+        poles[pole.upper()] = []
+        for number, body in enumerate(rig.bodies):
+            if (topic := f'{rig.node}/{body}/{pole}') in rig.kinds:
+                curve = {'curve_x': f'{topic}/point/{x}', 'curve_y': f'{topic}/point/{y}'}
+                named = {'name': f'{topic}/point [{body}]', **curve}
+                poles[pole.upper()].append((color_of(number), named))
     _add_tab(tabs, 'poles', poles, 'XYPlot')
-    states = shown.node + _JOINTS
+    states = rig.node + _JOINTS
     joints = {
-        f'joint {what}': [('#444444', {'name': f'{states}/{joint}/{what}'})]
-        for joint in shown.joints
-        for what in ('position', 'velocity')
-        if states in shown.kinds
+        f'joint {name}': [('#444444', {'name': f'{states}/{joint}/{name}'})]
+        for joint in rig.joints
+        for name in ('position', 'velocity')
+        if states in rig.kinds
     }
     _add_tab(tabs, 'joints', joints, 'TimeSeries')
     ET.SubElement(tabs, 'currentTabIndex', index='0')
@@ -245,7 +239,7 @@ def _add_tab(
     plots: Mapping[str, Sequence[tuple[str, Mapping[str, str]]]],
     mode: str,
 ) -> None:
-    """One more tab, of plots one under the other, if any has a curve."""
+    """Add a tab with plots below each other, if any has a curve."""
     plots = {name: curves for name, curves in plots.items() if curves}
     if not plots:
         return
@@ -256,19 +250,19 @@ def _add_tab(
     split = ET.SubElement(container, 'DockSplitter', orientation='-', count=count, sizes=sizes)
     for name, curves in plots.items():
         area = ET.SubElement(split, 'DockArea', name=name)
-        words = {'mode': mode, 'style': 'Lines', 'flip_x': 'false', 'flip_y': 'false'}
-        plot = ET.SubElement(area, 'plot', words)
+        style = {'mode': mode, 'style': 'Lines', 'flip_x': 'false', 'flip_y': 'false'}
+        plot = ET.SubElement(area, 'plot', style)
         ET.SubElement(plot, 'limitY')
         for color, curve in curves:
             ET.SubElement(plot, 'curve', {**curve, 'color': color})
 
 
-LAYOUTS: dict[str, Callable[[Shown], str]] = {'foxglove': foxglove, 'plotjuggler': plotjuggler}
+LAYOUTS: dict[str, Callable[[RigTopics], str]] = {'foxglove': foxglove, 'plotjuggler': plotjuggler}
 
 
-def write_layout(viewer: str, config: str | None, output: str) -> Shown:
-    """Write the layout of a viewer, one of LAYOUTS; returns what it shows."""
-    shown = shown_of(config)
+def write_layout(viewer: str, config: str | None, output: str) -> RigTopics:
+    """Write the layout of a viewer, a key of LAYOUTS; return the topics that it shows."""
+    rig = topics_of(config)
     with in_place_of(output) as part:
-        part.write_text(LAYOUTS[viewer](shown), encoding='utf-8')
-    return shown
+        part.write_text(LAYOUTS[viewer](rig), encoding='utf-8')
+    return rig

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -30,10 +31,10 @@ class _HelpFormatter(argparse.HelpFormatter):
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         return '\n\n'.join(
-            part
-            if '\n  ' in f'\n{part}'
-            else super(_HelpFormatter, self)._fill_text(part, width, '')
-            for part in text.split('\n\n')
+            paragraph
+            if '\n  ' in f'\n{paragraph}'
+            else textwrap.fill(' '.join(paragraph.split()), width, break_on_hyphens=False)
+            for paragraph in text.split('\n\n')
         )
 
 

@@ -1,8 +1,8 @@
 /*
- * Frame by frame from points to derivatives: the loop that live and replay share.
+ * The loop from the markers of frames to derivatives, which live and replay share.
  *
- * Whatever is not usual ends the loop, and step.py goes on with it. Results are those of the frame
- * that falls due, computed from the window of frames up to the newest.
+ * An unusual frame ends the loop, and is taken in Python. The result of a frame is computed when it is
+ * due, from the window of frames up to the newest.
  */
 
 #include <math.h>
@@ -14,8 +14,8 @@
 
 #pragma GCC optimize("O3", "cx-limited-range")
 
-/* Results (T, ...) of `instants` instants, of which there are `count`, as `Estimate` has them; there
-   is no result of more. `derivatives` are those of `Call` for all of them. */
+/* Results (T, ...) of at most `instants` instants, of which `count` are filled; none while a window has
+   fewer than `fewest` frames. `derivatives` are those of `Call`. See results.py. */
 typedef struct {
     long long instants, count, fewest;
     long long *stamp, *due;
@@ -24,17 +24,23 @@ typedef struct {
     unsigned char *missing;
 } Results;
 
-/* Why the loop ends, besides the codes of `Call`. */
+/* Why the loop ends, besides the return values of `kinpole_derive`. */
 enum { UNUSUAL = 2, SEEN_AGAIN, DEFORMED, FULL };
-/* Why a body has no result, the most important last: see results.py. */
+/* Why a body has no result; larger numbers go first: see results.py. */
 enum { KNOWN, NOT_FULL, TOO_NOISY, NOISE_UNKNOWN, NOT_SEEN };
 
-/* Room for one call of `kinpole_derive`. */
+/* The arrays of one call of `kinpole_derive`. `heading` is the angle of the body, and `angle` that by
+   which its hub moves: the heading plus what a tilted body turns beyond it. */
 typedef struct {
-    double *angle, *heading, *turn_information, *place_information, *found;
+    double *angle, *heading, *turn_information, *place_information, *derivatives;
     Number *position, *hub;
     long long frames[3];
-} Room;
+} Workspace;
+
+/* A result is due this share of an interval before its frame is as old as the lag. */
+static const double EARLY = 0.75, TURN = 6.283185307179586;
+/* Poses off a pin in a window that are outliers at most. */
+enum { MAX_OFF_PIN = 2 };
 
 static Number
 unit_at(double angle)
@@ -42,7 +48,7 @@ unit_at(double angle)
     return cos(angle) + I * sin(angle);
 }
 
-/* How many frames were before `at`, ns. */
+/* Number of frames in the history with a time before `at`, ns. */
 static long long
 number_before(const Frames *f, long long at)
 {
@@ -57,9 +63,9 @@ number_before(const Frames *f, long long at)
     return low - f->first;
 }
 
-/* Takes the next frame as it comes, if it is usual. */
+/* Takes the next frame, if it is usual. */
 static int
-take(Frames *f)
+take_frame(Frames *f)
 {
     long long all = f->bodies * f->markers, row = f->end, k = f->frame;
     const Number *points = f->points + k * all;
@@ -93,6 +99,7 @@ take(Frames *f)
     for (long long b = 0; b < f->bodies; b++) {
         if (isnan(f->angle[row * f->bodies + b]))
             continue;
+        /* Python repeats this for all bodies if one is seen again. */
         again |= f->seen_last[b] >= 0 && f->stamp[row] - f->seen_last[b] >= f->window;
         if (!again)
             f->seen_last[b] = f->stamp[row];
@@ -101,7 +108,7 @@ take(Frames *f)
     return again ? SEEN_AGAIN : DONE;
 }
 
-/* Whether a body was on its pin in all frames of the window, save for single poses off it. */
+/* Whether a body was on its pin in all frames of the window but two at most. */
 static int
 holds_on_pin(const Frames *f, long long oldest, long long b)
 {
@@ -117,14 +124,14 @@ holds_on_pin(const Frames *f, long long oldest, long long b)
         double placed = f->error[b] / (information[f->bodies] * f->scale[f->bodies + b]);
         double square =
             square_of(f->position[at] + unit_at(f->angle[at]) * f->pin_arm[b] - f->pin[b]);
-        off += square > f->sure * f->sure * (placed + square_of(f->pin_arm[b]) * turned);
+        off += square > f->n_sigma * f->n_sigma * (placed + square_of(f->pin_arm[b]) * turned);
     }
-    return off < 3;
+    return off <= MAX_OFF_PIN;
 }
 
-/* Fills the room with poses of the hubs in the window from `oldest` on; whether bodies tilt. */
+/* Computes the poses of the hubs in the window from `oldest` on; whether any body tilts. */
 static int
-fill_room(const Frames *f, long long oldest, Room *room)
+fill_window(const Frames *f, long long oldest, Workspace *work)
 {
     int tilts = 0;
     for (long long i = oldest * f->bodies; f->posed && i < f->end * f->bodies; i++)
@@ -134,28 +141,29 @@ fill_room(const Frames *f, long long oldest, Room *room)
             long long at = row * f->bodies + b, to = at - oldest * f->bodies;
             const double *information = f->information + 2 * row * f->bodies + b;
             double turned = information[0] * f->scale[b];
-            double placed = information[f->bodies] * f->scale[f->bodies + b], far = 0.0;
-            Number hub = room->hub[b], position = f->position[at];
-            room->heading[to] = f->angle[at];
-            room->angle[to] = f->angle[at] + (tilts ? f->extra_turn[at] - f->turned[b] : 0.0);
+            double placed = information[f->bodies] * f->scale[f->bodies + b], growth = 0.0;
+            Number hub = work->hub[b], position = f->position[at];
+            work->heading[to] = f->angle[at];
+            work->angle[to] = f->angle[at] + (tilts ? f->extra_turn[at] - f->tilt_turn[b] : 0.0);
             if (hub != 0.0) {
-                position += hub * unit_at(room->angle[to]);
-                /* Farther from the middle of the markers the error of the angle tells more. Without
-                   its other markers a body may seem to lie far from its middle. */
+                position += hub * unit_at(work->angle[to]);
+                /* The variance at the hub is that at the middle of the markers, plus that of the angle
+                   times the squared distance. With hidden markers the fit is about another middle, so
+                   the first may come out negative. */
                 if (placed > 0.0) {
-                    double share = placed / turned;
-                    far = 1.0 - square_of(f->middle[b]) * share;
-                    far = (far > 0.0 ? far : 0.0) + square_of(hub - f->middle[b]) * share;
+                    double ratio = placed / turned;
+                    growth = 1.0 - square_of(f->middle[b]) * ratio;
+                    growth = (growth > 0.0 ? growth : 0.0) + square_of(hub - f->middle[b]) * ratio;
                 }
             }
-            room->position[to] = position;
-            room->turn_information[to] = turned;
-            room->place_information[to] = far > 0.0 ? placed / far : placed;
+            work->position[to] = position;
+            work->turn_information[to] = turned;
+            work->place_information[to] = growth > 0.0 ? placed / growth : placed;
         }
     return tilts;
 }
 
-/* The mean of the markers that are used in a row, in the axes of the body. */
+/* The weighted mean of the markers used in a row, in the frame of the body. */
 static Number
 middle_of_used(const Frames *f, long long row, long long b)
 {
@@ -169,7 +177,7 @@ middle_of_used(const Frames *f, long long row, long long b)
     return total > 0.0 ? sum / total : NAN;
 }
 
-/* Copies derivatives of one instant to their place among all of them; NaN where bodies have none. */
+/* Copies the derivatives of one instant into the results; NaN for bodies without any. */
 static void
 copy_derivatives(const Frames *f, const Call *call, Results *r)
 {
@@ -187,7 +195,7 @@ copy_derivatives(const Frames *f, const Call *call, Results *r)
 
 /* Computes the result of the frame in row `now` from the window of those from `oldest` on. */
 static int
-compute_result(const Frames *f, Call *call, Results *r, Room *room, long long oldest, long long now)
+compute_result(const Frames *f, Call *call, Results *r, Workspace *work, long long oldest, long long now)
 {
     long long bodies = f->bodies, newest = f->end - 1, t = r->count, deformed = 0;
     for (long long b = 0; b < bodies; b++) {
@@ -195,50 +203,50 @@ compute_result(const Frames *f, Call *call, Results *r, Room *room, long long ol
         int pinned = holds_on_pin(f, oldest, b);
         r->pin[to] = pinned ? f->pin[b] : NAN + I * NAN;
         r->pin_variance[to] = pinned ? f->pin_variance[b] : NAN;
-        room->hub[b] = pinned ? 0.0 : f->hub[b];
+        work->hub[b] = pinned ? 0.0 : f->hub[b];
     }
-    int tilts = fill_room(f, oldest, room);
+    int tilts = fill_window(f, oldest, work);
     call->frames = f->end - oldest, call->bodies = bodies;
-    room->frames[0] = now - oldest, room->frames[1] = 0, room->frames[2] = newest - oldest;
+    work->frames[0] = now - oldest, work->frames[1] = 0, work->frames[2] = newest - oldest;
     call->time = f->time + oldest, call->turns = f->turns + oldest * bodies;
-    call->windows = room->frames, call->left_out = f->newest;
-    call->angle = room->angle, call->position = (const double *)room->position;
-    call->angle_information = room->turn_information;
-    call->position_information = room->place_information;
-    call->noise = f->noise, call->results = room->found, call->next = 0;
+    call->windows = work->frames, call->left_out = f->newest;
+    call->angle = work->angle, call->position = (const double *)work->position;
+    call->angle_information = work->turn_information;
+    call->position_information = work->place_information;
+    call->noise = f->noise, call->results = work->derivatives, call->next = 0;
     int code = kinpole_derive(call);
     if (code)
         return code;
     if (tilts) {
-        /* The angle itself is the heading; the hub has turned by the other. */
-        double *angle = room->found + 2 * call->orders * bodies;
+        /* The published angle is the heading; the hub is turned into its axes. */
+        double *angle = work->derivatives + 2 * call->orders * bodies;
         for (long long b = 0; b < bodies; b++)
-            room->hub[b] *= isnan(angle[b]) ? 1.0 : unit_at(angle[b]);
-        call->angle = room->heading, call->next = 0;
+            work->hub[b] *= isnan(angle[b]) ? 1.0 : unit_at(angle[b]);
+        call->angle = work->heading, call->next = 0;
         long long size = (3 * call->orders + 2 * call->orders * call->orders + 2) * bodies;
-        call->results = room->found + size;
+        call->results = work->derivatives + size;
         code = kinpole_derive(call);
         if (code)
             return code;
         const double *heading = call->results + 2 * call->orders * bodies;
         for (long long b = 0; b < bodies; b++) {
-            room->hub[b] *= isnan(heading[b]) ? 1.0 : conj(unit_at(heading[b]));
+            work->hub[b] *= isnan(heading[b]) ? 1.0 : conj(unit_at(heading[b]));
             angle[b] = heading[b];
         }
-        call->results = room->found;
+        call->results = work->derivatives;
     }
     for (long long b = 0; b < bodies; b++) {
         long long at = now * bodies + b, to = t * bodies + b, orders = call->orders;
         const double *information = f->information + 2 * now * bodies + b;
         int seen = information[0] > 0.0 && information[bodies] > 0.0 && now <= newest - f->newest[b];
-        const double *rate = room->found + (2 * orders + 1) * bodies + b;
-        const double *velocity = room->found + 2 * (bodies + b);
+        const double *rate = work->derivatives + (2 * orders + 1) * bodies + b;
+        const double *velocity = work->derivatives + 2 * (bodies + b);
         int found = isfinite(*rate) && isfinite(velocity[0]) && isfinite(velocity[1]);
-        int missing = !seen ? NOT_SEEN : f->unusable[b];
+        int missing = !seen ? NOT_SEEN : f->reason[b];
         r->missing[to] = missing ? missing : found ? KNOWN : NOT_FULL;
         r->size[to] = f->size[b], r->height[to] = f->height[at];
-        r->reference[to] = room->hub[b];
-        r->angle[to] = f->angle[at] + 6.283185307179586 * f->turns[at];
+        r->reference[to] = work->hub[b];
+        r->angle[to] = f->angle[at] + TURN * f->turns[at];
         r->position[to] = f->position[at];
         r->noise[to] = f->noise[b];
         r->middle[to] = f->posed ? f->middle[b] : middle_of_used(f, now, b);
@@ -255,7 +263,7 @@ compute_result(const Frames *f, Call *call, Results *r, Room *room, long long ol
     return deformed ? DEFORMED : DONE;
 }
 
-/* Computes the results that fall due with the newest frame. */
+/* Computes the results that are due with the newest frame. */
 static int
 compute_due(Frames *f, Call *call, Results *r)
 {
@@ -265,30 +273,30 @@ compute_due(Frames *f, Call *call, Results *r)
     oldest = f->first + number_before(f, f->time[newest] - f->window);
     f->samples = newest - oldest + 1;
     f->interval = (double)(f->time[newest] - f->time[oldest]) / (f->samples > 1 ? f->samples - 1 : 1);
-    long long before = f->time[newest] - (long long)rint(f->lag - 0.75 * f->interval);
-    long long end = number_before(f, before + 1);
+    long long latest = f->time[newest] - (long long)rint(f->lag - EARLY * f->interval);
+    long long end = number_before(f, latest + 1);
     int code = DONE;
     if (f->due < end && r->instants && newest - oldest >= r->fewest - 1) {
         if (f->first + f->due < oldest)
             f->due = oldest - f->first;
-        /* Twice the derivatives, for bodies that tilt. */
+        /* Twice the space for derivatives: bodies that tilt have two angles. */
         long long all = (f->end - oldest) * f->bodies;
-        long long found = 2 * (3 * call->orders + 2 * call->orders * call->orders + 2) * f->bodies;
-        Room room;
-        double *data = malloc((6 * all + found + 2 * f->bodies) * sizeof *data);
+        long long derivatives = 2 * (3 * call->orders + 2 * call->orders * call->orders + 2) * f->bodies;
+        Workspace work;
+        double *data = malloc((6 * all + derivatives + 2 * f->bodies) * sizeof *data);
         if (!data)
             return NO_MEMORY;
-        room.position = (Number *)data, room.hub = (Number *)(data + 2 * all);
-        room.angle = data + 2 * all + 2 * f->bodies, room.heading = room.angle + all;
-        room.turn_information = room.heading + all;
-        room.place_information = room.turn_information + all;
-        room.found = room.place_information + all;
+        work.position = (Number *)data, work.hub = (Number *)(data + 2 * all);
+        work.angle = data + 2 * all + 2 * f->bodies, work.heading = work.angle + all;
+        work.turn_information = work.heading + all;
+        work.place_information = work.turn_information + all;
+        work.derivatives = work.place_information + all;
         for (; !code && f->due < end; ) {
             if (r->count == r->instants) {
                 code = FULL;
                 break;
             }
-            code = compute_result(f, call, r, &room, oldest, f->first + f->due);
+            code = compute_result(f, call, r, &work, oldest, f->first + f->due);
             if (code == DONE || code == DEFORMED)
                 f->due++;
         }
@@ -300,8 +308,8 @@ compute_due(Frames *f, Call *call, Results *r)
     return DONE;
 }
 
-/* Takes frames as long as they are usual, and computes the results that fall due. Returns 0, or why
-   it is to be called again once step.py has done its part. */
+/* Takes frames while they are usual, and computes the results that are due. Returns DONE, or why it has
+   to be called again after step.py has done its part. */
 int
 kinpole_follow(Frames *f, Call *call, Results *r)
 {
@@ -309,7 +317,7 @@ kinpole_follow(Frames *f, Call *call, Results *r)
         int code = compute_due(f, call, r);
         if (code || f->frame == f->frames || f->until_update <= 0)
             return code;
-        code = take(f);
+        code = take_frame(f);
         if (code)
             return code;
     }

@@ -1,5 +1,5 @@
 /*
- * What the compiled part of the tracker works on: arrays of History and Bodies, and frames that come.
+ * The arrays that the compiled part of the tracker works on: of History, of Bodies, and of new frames.
  *
  * Names and shapes are those of history.py and bodies.py; all arrays are row-major.
  */
@@ -8,33 +8,33 @@
 
 typedef double complex Number;
 
-/* Rows from `first` to `end` of the history are in use; results are known up to row `due`, counted
-   from `first`. Frames from `frame` to `frames` of those that came are still to be taken, at most
-   `until_update` of them before the next update. */
+/* Rows `first` to `end` of the history are in use. The next result is that of row `due`, counted from
+   `first`. The new frames `frame` to `frames` are still to be taken, at most `until_update` of them
+   before the next update. */
 typedef struct {
     long long bodies, markers, first, end, due;
     long long frame, frames, until_update, hidden_is_unusual;
-    /* The length of the window and the lag, ns; the number of frames in the window and the mean
-       interval between them, ns. */
+    /* Length of the window and lag, ns; number of frames in the window, and their mean interval, ns;
+       whether the input are poses. */
     long long window, samples, posed;
     double lag, interval;
-    /* How far poses may be off their paths: see step.py. */
-    double far, newest_far, near, gap, sure;
+    /* Limits for poses off their paths: see step.py. */
+    double far, newest_factor, near, gap, n_sigma;
     /* Columns of the history. */
     long long *stamp, *time, *count;
     unsigned char *goes_on, *used;
     double *angle, *turns, *information, *height, *heights, *extra_turn;
     Number *position, *residual, *marker;
-    /* Of the bodies, as they were learned. */
+    /* What is known of the bodies. */
     Number *shape, *hub, *middle, *pin, *pin_arm, *known_shape;
     double *weights, *largest, *doubtful, *spread, *loosest, *last_angle, *jump_scale, *size;
-    double *error, *scale, *noise, *freedom, *pin_variance, *turned;
+    double *error, *scale, *noise, *freedom, *pin_variance, *tilt_turn;
     long long *pin_since;
-    unsigned char *unusable;
-    /* What is counted of the bodies: see step.py. */
+    unsigned char *reason;
+    /* The state of the bodies: see step.py. */
     unsigned char *unusual;
     long long *wrong, *newest, *seen_last;
-    /* The frames that came. */
+    /* The new frames. */
     const long long *new_stamp, *new_time, *new_count;
     const Number *points;
     const double *point_heights;

@@ -242,7 +242,7 @@ kinpole_follow_paths(const Frames *f, long long *wrong, long long *newest)
             continue;
         for (int s = 0; s < 2; s++) {
             most[s] = f->far * f->jump_scale[s * f->bodies + b];
-            more[s] = f->newest_far * most[s] > least[s] ? f->newest_far * most[s] : least[s];
+            more[s] = f->newest_factor * most[s] > least[s] ? f->newest_factor * most[s] : least[s];
         }
         double turns;
         int length = wrong_before_last(&path, most, least, &turns);

@@ -4,19 +4,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kinpole_ros.planar import procrustes_factors
+from kinpole_ros.planar import Fit, fit_pose_with_factors, procrustes_factors
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.tracking.thresholds import ROUNDED
 
 # A marker farther off than this is an outlier, in standard deviations of residuals.
 OUTLIER_SIGMAS = 6.0
-# The same while the residuals are not known, as a share of the diameter of the body.
+# The same as a share of the body size, while the residuals are not known.
 YOUNG_OUTLIER = 0.03
-# An angle noisier than this wanders, and its errors are no longer small, rad.
-UNSTEADY = 0.15
+# rad. Errors of an angle with more noise are not small, and its whole turns are not known.
+MAX_ANGLE_NOISE = 0.15
 # Fewer fits, or degrees of freedom, than these give no usable variance.
 MIN_FITS = 20
-# Number of frames after which the place of a marker is known well enough to be kept.
+# The place of a marker is kept after so many frames.
 SETTLED_FRAMES = 1000
 
 
@@ -25,18 +25,51 @@ class Bodies:
     """
     What is known of B bodies of up to n markers.
 
-    shape : complex (B, n), m. Places of the markers in the frame of the body.
-    frames : int (B, n). Number of frames that each place is known from, at most SETTLED_FRAMES.
-    order : int (B, n). Which marker of the message is in each place, where some were exchanged.
-    exchanged_for : int (B,). Number of frames since the order has changed.
-    relative : (B, n). Variance of each marker over that of the others of its body, mostly 1.
-    deviation : (B, n), m. Standard deviation of markers that count for less; 0 for the others.
-    begun : bool (B,). Its first frames were looked at for outliers.
-    fits : int (B,). Number of fits, of bodies that move, that `misfit` is known from.
-    misfit : (B,), m^2. Variance of a coordinate of a marker about its place, whatever the cause.
-    noise : (B,), m. Standard deviation of a coordinate, as far as it is noise; NaN if unknown.
-    lasting : bool (B,). The noise is correlated for longer than can be measured.
-    jump_scale : (2, B), rad and m. A pose that leaves the path of its body by more is wrong.
+    Attributes
+    ----------
+    shape : (B, n) complex
+        Places of the markers in the frame of the body, m.
+    frames : (B, n) int
+        Number of frames that each place is learned from, at most SETTLED_FRAMES.
+    order : (B, n) int
+        The marker of the message in each slot, where some were exchanged.
+    exchanged : bool
+        Whether any are; `exchanged_for` (B,) counts the frames since the order changed.
+    relative : (B, n) float
+        Variance of each marker over that of the others of its body, mostly 1.
+    deviation : (B, n) float
+        Standard deviation of noisy markers, m, 0 for the others.
+    begun : (B,) bool
+        Whether the first frames were checked for outliers.
+    given : (B,) bool
+        Whether the parameters give the shape.
+    fits : (B,) int
+        Number of fits, of bodies that move, behind `misfit`.
+    misfit : (B,) float
+        Variance of a coordinate of a marker about its place, m^2, whatever the cause.
+    noise : (B,) float
+        Standard deviation of a coordinate, m, as far as it is noise; NaN if unknown.
+    white, degrees : (B,) float
+        The part that is independent from frame to frame, and its degrees of freedom.
+    lasting : (B,) bool
+        Whether the noise is correlated for longer than can be measured.
+    least_noise : (B,) float
+        Noise that is given, or due to rounding, m.
+    angle_noise : (B,) float
+        Noise of the angles of input poses, rad.
+    scale : (2, B) float
+        Factors of the information of angle and position, for input poses.
+    jump_scale : (2, B) float
+        Residuals of angle, rad, and position, m, about the paths of the bodies.
+    freedom : (B,) float
+        Degrees of freedom of the residuals of deformed bodies, 0 for rigid ones.
+    hidden_factor : (B,) float
+        By how much the noise of these residuals is larger, where markers are hidden.
+    hub : (B,) complex
+        Hub in the frame of the body, m, 0 for none.
+    extra_turn, last_angle : (B,) float
+        See `TiltedTurns`, and the angle of the last pose, rad.
+
     """
 
     count: int
@@ -44,12 +77,12 @@ class Bodies:
     shape: Complex = field(init=False)
 
     def __post_init__(self) -> None:
-        both = self.count, self.width
-        self.shape = np.zeros(both, complex)
-        self.frames = np.zeros(both, int)
+        slots = self.count, self.width
+        self.shape = np.zeros(slots, complex)
+        self.frames = np.zeros(slots, int)
         self.order = np.tile(np.arange(self.width), (self.count, 1))
-        self.relative = np.ones(both)
-        self.deviation = np.zeros(both)
+        self.relative = np.ones(slots)
+        self.deviation = np.zeros(slots)
         self.fits = np.zeros(self.count, int)
         self.misfit = np.zeros(self.count)
         self.noise = np.full(self.count, np.nan)
@@ -67,55 +100,64 @@ class Bodies:
         self.white = np.full(self.count, np.nan)
         self.degrees = np.zeros(self.count)
         self.freedom = np.zeros(self.count)
-        self.held = np.ones(self.count)
+        self.hidden_factor = np.ones(self.count)
         self.hub = np.zeros(self.count, complex)
         self.update()
 
     def update(self) -> None:
-        """Compute what follows from shapes, weights and misfit, and every fit needs."""
-        known = self.frames > 0
-        self.known = known.sum(axis=1)
-        self.incomplete_places = ~known
-        self.incomplete = bool(self.incomplete_places.any())
-        self.unmet = np.flatnonzero(self.known == 0)
-        mean = np.where(known, self.shape, 0).sum(axis=1) / np.maximum(self.known, 1)
-        arms = np.where(known, self.shape - mean[:, None], 0)
+        """Compute what every fit needs from shapes, weights and misfit."""
+        is_learned = self.frames > 0
+        self.learned_count = is_learned.sum(axis=1)
+        self.unknown_slots = ~is_learned
+        self.incomplete = bool(self.unknown_slots.any())
+        self.unseen = np.flatnonzero(self.learned_count == 0)
+        count = np.maximum(self.learned_count, 1)
+        mean = np.where(is_learned, self.shape, 0).sum(axis=1) / count
+        arms = np.where(is_learned, self.shape - mean[:, None], 0)
         self.spread = (arms.real**2 + arms.imag**2).sum(axis=1)
-        self.size = 2 * np.sqrt(self.spread / np.maximum(self.known, 1))
-        # A place known from N frames adds 1 / N to the variance of its marker.
+        self.size = 2 * np.sqrt(self.spread / count)
+        # A place learned from N frames adds 1 / N to the variance of its marker.
         self.weights = self.frames / (self.frames + 1.0) / self.relative
-        self.grip = procrustes_factors(self.shape, self.weights)
-        self.middle = self.grip.mean
+        self.factors = procrustes_factors(self.shape, self.weights)
+        self.middle = self.factors.mean
         self.mature = self.fits >= MIN_FITS
         usual = OUTLIER_SIGMAS * np.sqrt(np.maximum(self.misfit, ROUNDED**2 * self.spread))
         young = np.maximum(YOUNG_OUTLIER * self.size, 2 * usual)
         self.limit = np.where(self.mature, usual, young)
         self.largest = np.where(self.mature, usual**2, np.inf)[:, None] * self.relative
-        # What moves by less, as on soft tissue, still has its name.
+        # A marker on soft tissue that moves by less keeps its name.
         doubtful = np.maximum(self.limit, YOUNG_OUTLIER * self.size)
         self.doubtful = (doubtful**2)[:, None] * self.relative
-        self.loosest = self.error / UNSTEADY**2
+        self.loosest = self.error / MAX_ANGLE_NOISE**2
 
     @property
     def error(self) -> Real:
         """Variance (B,) of a coordinate of a marker, m^2: the misfit, no less than rounding."""
         return np.maximum(self.misfit, self.least_noise**2)
 
+    def fit(self, markers: Complex) -> Fit:
+        """Fit the poses of all bodies to their markers (..., B, n), m, NaN for those not seen."""
+        unseen = np.isnan(markers)
+        factors = self.factors
+        if np.count_nonzero(unseen):
+            factors = procrustes_factors(self.shape, np.where(unseen, 0.0, self.weights))
+        return fit_pose_with_factors(markers, factors)
+
     def begin(self, markers: Complex) -> None:
-        """Take shapes of bodies not seen before from a frame (B, n); origin at the mean."""
+        """Take the shapes of new bodies from a frame (B, n); their origins are the means."""
         seen = ~np.isnan(markers)
         number = seen.sum(axis=1)
         mean = np.where(seen, markers, 0).sum(axis=1) / np.maximum(number, 1)
         arms = np.where(seen, markers - mean[:, None], 0)
         distinct = np.abs(arms).max(axis=1) > ROUNDING * np.abs(mean)
-        new = ((self.known == 0) & (number >= 2) & distinct)[:, None] & seen
+        new = ((self.learned_count == 0) & (number >= 2) & distinct)[:, None] & seen
         if new.any():
             self.shape = np.where(new, arms, self.shape)
             self.frames[new] = 1
             self.update()
 
     def give(self, shapes: Complex) -> None:
-        """Begin with shapes (B, n) that are known, NaN for none; they are refined like others."""
+        """Start from given shapes (B, n), NaN for none, which are refined like learned ones."""
         given = ~np.isnan(shapes)
         self.shape = np.where(given, shapes, self.shape)
         self.frames[given] = 1
@@ -123,7 +165,7 @@ class Bodies:
         self.update()
 
     def restart(self, which: np.ndarray) -> None:
-        """Forget the bodies `which` (B,): they begin anew as they are seen next."""
+        """Forget some bodies (B,), which start again when they are seen next."""
         for part in (self.shape, self.frames, self.fits, self.misfit, self.deviation, self.freedom):
             part[which] = 0
         self.order[which] = np.arange(self.width)
@@ -135,16 +177,16 @@ class Bodies:
 
     def widen(self, width: int) -> None:
         """Make room for up to `width` markers per body."""
-        more = (0, 0), (0, width - self.width)
+        added_slots = (0, 0), (0, width - self.width)
         self.shape, self.frames, self.deviation = (
-            np.pad(part, more) for part in (self.shape, self.frames, self.deviation)
+            np.pad(part, added_slots) for part in (self.shape, self.frames, self.deviation)
         )
-        self.relative = np.pad(self.relative, more, constant_values=1.0)
+        self.relative = np.pad(self.relative, added_slots, constant_values=1.0)
         added = np.tile(np.arange(self.width, width), (self.count, 1))
         self.order = np.hstack((self.order, added))
         self.width = width
         self.update()
 
     def markers(self) -> Complex:
-        """Places (B, n) of the markers, NaN for those not seen yet."""
+        """Return the places (B, n) of the markers, m, NaN for those not seen yet."""
         return np.where(self.frames > 0, self.shape, complex(np.nan, np.nan))

@@ -1,58 +1,68 @@
 """
 The point that a body turns about: a pin, fixed to the ground, or a hub, on a simple path.
 
-With the arm c in the axes of the body, its origin is at z = p - c exp(i angle) for its point p.
-Regressing z on exp(i angle) gives c where the path of p is a polynomial of time: of degree 0 over
-all poses for a pin, of a low degree over each window for a hub. A hub is followed by longer windows
-than a point on the rim, so it stands for the position of the body.
+Let c be that point in the frame of the body, and p its position in the plane. The origin of the
+body is at z = p - c exp(i angle). Where p is a polynomial of time, regression of z on exp(i angle)
+gives c. A pin has degree 0 over all poses, a hub a low degree over each window. The path of a hub
+is smoother than that of a point on the rim, so the hub represents the position of the body.
 """
 
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.bodies import Bodies
-from kinpole_ros.tracking.fit import fit_markers
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.statistics import chi_square, medians, student
 from kinpole_ros.tracking.thresholds import CONFIRMING_FRAMES, MEMORY_FRAMES, MIN_SAMPLES, N_SIGMA
 
-# Poses kept per body, and the angle between them, rad: 4 rad of one-way turning.
-_KEPT = 64
-_STEP = 4 / _KEPT
-# Mean square misfit, over what the rigid fit lets expect, below which a pin is taken and above
-# which it is dropped.
-_MISFIT = 2.0
-# What is not noise makes a pin less sure from so many deviations on: the sum of residuals, or
-# products of neighbors, where the misfit is similar from pose to pose.
-_DOUBTED = 2.0
-# An arc bent by such a misfit has its center off by this many times its square over the spread of
-# the angles (a centrode of constant speed, seen over a small arc).
-_BEND = 15.0
-# An ICR that wandered by this much, body sizes per rad, would have been seen.
-_WANDER = 0.05
-# A window is looked at in which the body is seen in this share of the frames.
-_PRESENT = 0.5
-# Of polynomials whose rests are looked at: one says whether, the one that tells best where. That
-# may be a line, as the hub of a wheel goes, of which a parabola takes half away.
+# Poses kept per body, and the angle between them, rad: 4 rad of turning in one direction.
+_MAX_POSES = 64
+_MIN_STEP = 4 / _MAX_POSES
+# A pin is taken below this ratio of its mean square residual to that of the rigid fit, and dropped
+# above it.
+_MAX_MISFIT_RATIO = 2.0
+# Correlation of residuals beyond this many standard deviations adds to the variance of a pin.
+_CORRELATION_SIGMAS = 2.0
+# The center of an arc whose residuals are correlated is off by this many times their square over
+# the spread of the angles (a centrode of constant speed over a small arc).
+_ARC_BIAS = 15.0
+# An ICR that moves by this many body sizes per rad would be seen.
+_MIN_ICR_SPEED = 0.05
+# A body has to be visible in this share of the frames of a window.
+_MIN_VISIBLE = 0.5
+# Degrees of the polynomials of a hub. The first two decide whether there is a hub; of all, the one
+# with the smallest variance locates it. The hub of a wheel moves on a line, and higher degrees
+# would take part of its motion away.
 _DEGREES = np.arange(1, 6)[:, None]
-_WHETHER = 1
-# A point is taken when turning about it explains this share of what moves, and far more than the
-# noise would have it explain; the angle must turn by as many times its noise.
-_SHARE, _CLEAR = 0.9, N_SIGMA**2
-# Number of windows that must agree on a hub, reckoned as many in which the body turns alike.
-_WINDOWS = 2.9
-# A window that leaves more than the others by this factor counts for less, in proportion.
-_UNEXPLAINED = 100.0
-# The newest frames may turn out to have been at other times, where stamps are late.
+_DECIDING_DEGREE = 1
+# A hub is taken if turning about it explains this share of the motion, and far more than noise
+# would; and if the angle changes by as many times its noise.
+_MIN_EXPLAINED, _MIN_SIGNAL = 0.9, N_SIGMA**2
+# Number of windows with equal turning that must agree on a hub.
+_MIN_WINDOWS = 2.9
+# Windows whose residuals exceed those of the others by this factor are down-weighted.
+_MAX_RESIDUAL_RATIO = 100.0
+# Counts of newer frames may still change, where stamps are late.
 UNSETTLED = 20
 
 
 class Pins:
     """
-    Pins of B bodies: `center` (B,), complex, m, NaN for none, its `arm` in the axes of the body,
-    the `variance` of a coordinate, m^2, and `since` when the body was seen to turn about it, ns.
+    Pins of B bodies.
 
-    Poses are kept by the angle turned, not by time: a body at rest stays what it was.
+    Poses are kept by the angle turned, not by time, so that a body at rest keeps its pin.
+
+    Attributes
+    ----------
+    center : (B,) complex
+        Where the pins are in the plane, m, NaN for none.
+    arm : (B,) complex
+        Where they are in the frames of the bodies, m.
+    variance : (B,) float
+        Variance of a coordinate, m^2.
+    since : (B,) int64
+        When each body was first seen to turn about its pin, ns.
+
     """
 
     def __init__(self, bodies: Bodies) -> None:
@@ -61,124 +71,135 @@ class Pins:
         self.arm = np.zeros(count, complex)
         self.variance = np.full(count, np.nan)
         self.since = np.zeros(count, np.int64)
-        self._markers = np.full((_KEPT, count, bodies.width), complex(np.nan, np.nan))
-        self._number = np.zeros(count, int)
-        self._wanted = np.full(count, _KEPT // 2)
-        self._last = np.full(count, np.nan)
+        self._markers = np.full((_MAX_POSES, count, bodies.width), complex(np.nan, np.nan))
+        self._pose_count = np.zeros(count, int)
+        self._required_poses = np.full(count, _MAX_POSES // 2)
+        self._last_angle = np.full(count, np.nan)
 
     def widen(self, width: int) -> None:
         """Make room for up to `width` markers per body."""
-        more = (0, 0), (0, 0), (0, width - self._markers.shape[2])
-        self._markers = np.pad(self._markers, more, constant_values=np.nan)
+        added = (0, 0), (0, 0), (0, width - self._markers.shape[2])
+        self._markers = np.pad(self._markers, added, constant_values=np.nan)
 
     def forget(self, which: np.ndarray) -> None:
-        """Forget the poses and pins of the bodies `which` (B,)."""
+        """Forget the poses and pins of some bodies (B,)."""
         self.center[which] = complex(np.nan, np.nan)
         self.variance[which] = np.nan
-        self._number[which] = 0
+        self._pose_count[which] = 0
 
     def off(self, position: Complex, angle: Real, variance: Real) -> np.ndarray:
-        """Where (N, B) a body is off its pin; `variance` (N, 2, B) is of angle and position."""
+        """Return where (N, B) bodies are off their pins; `variance` (N, 2, B) is of the poses."""
         with np.errstate(invalid='ignore'):
             off = np.abs(position + np.exp(1j * angle) * self.arm - self.center) ** 2
             spread = variance[:, 1] + np.abs(self.arm) ** 2 * variance[:, 0]
             return np.asarray(off > N_SIGMA**2 * spread)
 
     def update(self, bodies: Bodies, history: History, new: int, posed: bool = False) -> None:
-        """Take the `new` newest frames, and fit pins to the poses that are kept."""
+        """Take the `new` newest frames, and fit pins to the poses kept so far."""
         rows = slice(len(history) - new, None)
         angle, position = history['angle'][rows], history['position'][rows]
         information = history['information'][rows] * bodies.scale
-        known = (information > 0).all(axis=1)
+        has_pose = (information > 0).all(axis=1)
         with np.errstate(divide='ignore', invalid='ignore'):
             variance = bodies.error / information
-        off = known & self.off(position, angle, variance)
-        self._leave(_any_run(off, CONFIRMING_FRAMES))
-        usable = known & ~off
+        off = has_pose & self.off(position, angle, variance)
+        self._drop(_any_run(off, CONFIRMING_FRAMES))
+        usable = has_pose & ~off
         with np.errstate(invalid='ignore'):
-            far = np.abs((angle - self._last + np.pi) % (2 * np.pi) - np.pi) > _STEP
-        fresh = usable & (far | (self._number == 0))
+            far = np.abs((angle - self._last_angle + np.pi) % (2 * np.pi) - np.pi) > _MIN_STEP
+        fresh = usable & (far | (self._pose_count == 0))
         for b in np.flatnonzero(fresh.any(axis=0)).tolist():
             at = np.flatnonzero(usable[:, b] & (np.arange(new) >= fresh[:, b].argmax()))
             at = at[_spaced(angle[at, b].tolist())]
-            if not self._number[b]:
+            if not self._pose_count[b]:
                 self.since[b] = history['time'][rows][at[0]]
-            place = (self._number[b] + np.arange(len(at))) % _KEPT
+            slots = (self._pose_count[b] + np.arange(len(at))) % _MAX_POSES
             used = history['used'][rows][at, b]
-            self._markers[place, b] = np.where(used, history['markers'][rows][at, b], np.nan)
-            self._last[b] = angle[at[-1], b]
-            self._number[b] += len(at)
-        self._fit(bodies, self._number >= MIN_SAMPLES, posed)
+            self._markers[slots, b] = np.where(used, history['markers'][rows][at, b], np.nan)
+            self._last_angle[b] = angle[at[-1], b]
+            self._pose_count[b] += len(at)
+        self._fit(bodies, self._pose_count >= MIN_SAMPLES, posed)
 
     def _fit(self, bodies: Bodies, which: np.ndarray, posed: bool) -> None:
-        """Fit pins to the poses kept of the bodies `which` (B,)."""
+        """Fit pins to the poses kept of some bodies (B,)."""
         if not which.any():
             return
         which = np.flatnonzero(which)
-        count = np.minimum(self._number, _KEPT)
-        held = np.arange(_KEPT)[:, None] < count
-        fit = fit_markers(bodies, np.where(held[..., None], self._markers, np.nan))
-        held = (held & np.isfinite(fit.angle))[:, which]
-        count = np.maximum(held.sum(axis=0), 3)
-        z = np.where(held, fit.position[:, which], 0)
-        e = np.where(held, np.exp(1j * fit.angle[:, which]), 0)
+        count = np.minimum(self._pose_count, _MAX_POSES)
+        is_pose = np.arange(_MAX_POSES)[:, None] < count
+        fit = bodies.fit(np.where(is_pose[..., None], self._markers, np.nan))
+        is_pose = (is_pose & np.isfinite(fit.angle))[:, which]
+        count = np.maximum(is_pose.sum(axis=0), 3)
+        z = np.where(is_pose, fit.position[:, which], 0)
+        e = np.where(is_pose, np.exp(1j * fit.angle[:, which]), 0)
         misfit = bodies.error[which]
         information = fit.weight[:, which], fit.spread[:, which]
         if posed:
             information = bodies.scale[1, which], bodies.scale[0, which]
         with np.errstate(divide='ignore', invalid='ignore'):
-            even, of_angle = (np.where(held, misfit / part, 0.0) for part in information)
+            even, of_angle = (np.where(is_pose, misfit / part, 0.0) for part in information)
             scale = np.sqrt(misfit[:, None] * bodies.relative[which])
-            left = fit.residual[:, which] / scale
-        left = np.where(held[..., None] & ~np.isnan(left), left, 0)
-        arm = _arm(z, e, held / count)[0]
-        weights = np.where(held, 1 / np.where(held, even + np.abs(arm) ** 2 * of_angle, 1), 0)
-        weights /= weights.sum(axis=0)
-        arm, z_mean, e_mean, spread = _arm(z, e, weights)
-        around = np.where(held, e - e_mean, 0)
-        off = (np.where(held, z - z_mean, 0) + arm * around) * e.conj()
-        along = np.where(arm == 0, 1, arm / np.maximum(np.abs(arm), np.finfo(float).tiny))
-        off = off * along.conj()
+            marker_residual = fit.residual[:, which] / scale
+        usable = is_pose[..., None] & ~np.isnan(marker_residual)
+        marker_residual = np.where(usable, marker_residual, 0)
+        # Weight by the variance at the pin, which depends on the arm.
+        arm = _fit_arm(z, e, is_pose / count)[0]
         across = even + np.abs(arm) ** 2 * of_angle
-        squares = off.real**2 / np.where(held, even, 1) + off.imag**2 / np.where(held, across, 1)
+        weights = 1 / np.where(is_pose, across, 1)
+        weights = np.where(is_pose, weights, 0.0)
+        weights /= weights.sum(axis=0)
+        arm, z_mean, e_mean, spread = _fit_arm(z, e, weights)
+        across = even + np.abs(arm) ** 2 * of_angle
+        around = np.where(is_pose, e - e_mean, 0)
+        # Residuals in the frame of the body, along and across the arm.
+        residual = (np.where(is_pose, z - z_mean, 0) + arm * around) * e.conj()
+        direction = np.where(arm == 0, 1, arm / np.maximum(np.abs(arm), np.finfo(float).tiny))
+        residual = residual * direction.conj()
+        squares = residual.real**2 / np.where(is_pose, even, 1)
+        squares += residual.imag**2 / np.where(is_pose, across, 1)
         square = squares.sum(axis=0) / np.maximum(2 * count - 4, 1)
+        # The center is linear in the poses, with these coefficients.
         shares = weights * (1 - e_mean * around.conj() / spread)
-        each = np.maximum(square, 1) * np.where(held, even + across, 0) / 2
-        off *= np.sqrt(weights)
-        similar = (off * np.roll(off, 1, axis=0).conj()).real.sum(axis=0)
-        total = (np.abs(off) ** 2).sum(axis=0)
-        bent = np.maximum(similar - _DOUBTED * total / np.sqrt(count), 0) / 2
-        found = (np.abs(shares) ** 2 * each).sum(axis=0) + _BEND * bent / spread
-        slow = np.einsum('kb,kbn->bn', shares * e * np.sqrt((even + across) / 2), left)
-        freedom = np.maximum(2 * left.any(axis=0).sum(axis=-1) - 3, 1)
+        white = np.maximum(square, 1) * np.where(is_pose, even + across, 0) / 2
+        variance = (np.abs(shares) ** 2 * white).sum(axis=0)
+        variance += _ARC_BIAS * _correlated_part(residual * np.sqrt(weights), count) / spread
+        # Errors of the shape move the center with the angle, and are seen in the markers.
+        slow = np.einsum('kb,kbn->bn', shares * e * np.sqrt((even + across) / 2), marker_residual)
+        freedom = np.maximum(2 * marker_residual.any(axis=0).sum(axis=-1) - 3, 1)
         slow = (np.abs(slow) ** 2).sum(axis=-1) / freedom
-        surely = slow > chi_square(freedom, _DOUBTED) * found
-        found = np.where(surely, slow * student(freedom), found)
-        contradicted = square > _MISFIT
-        noise = (weights * even).sum(axis=0)
-        size = bodies.size[which]
-        seen = np.sqrt(noise) < _WANDER * 0.45 * size * spread
-        seen &= found < (_WANDER * size) ** 2
-        taken = (self._number[which] >= self._wanted[which]) & seen
-        taken |= np.isfinite(self.center[which])
-        taken &= ~contradicted
-        pinned = which[taken]
-        self.center[pinned] = (z_mean + arm * e_mean)[taken]
-        self.arm[pinned] = arm[taken]
-        self.variance[pinned] = found[taken]
-        gone = np.zeros(bodies.count, bool)
-        gone[which[contradicted]] = True
-        self._leave(gone)
+        is_slow = slow > chi_square(freedom, _CORRELATION_SIGMAS) * variance
+        variance = np.where(is_slow, slow * student(freedom), variance)
+        contradicted = square > _MAX_MISFIT_RATIO
+        noise, size = (weights * even).sum(axis=0), bodies.size[which]
+        is_seen = np.sqrt(noise) < _MIN_ICR_SPEED * 0.45 * size * spread
+        is_seen &= variance < (_MIN_ICR_SPEED * size) ** 2
+        is_pinned = (self._pose_count[which] >= self._required_poses[which]) & is_seen
+        is_pinned |= np.isfinite(self.center[which])
+        is_pinned &= ~contradicted
+        pinned = which[is_pinned]
+        self.center[pinned] = (z_mean + arm * e_mean)[is_pinned]
+        self.arm[pinned] = arm[is_pinned]
+        self.variance[pinned] = variance[is_pinned]
+        dropped = np.zeros(bodies.count, bool)
+        dropped[which[contradicted]] = True
+        self._drop(dropped)
 
-    def _leave(self, which: np.ndarray) -> None:
-        """Take the bodies `which` (B,) off their pins; next time eight times as much is wanted."""
-        left = which & np.isfinite(self.center)
-        self._wanted[left] = np.minimum(8 * self._wanted[left], MEMORY_FRAMES)
+    def _drop(self, which: np.ndarray) -> None:
+        """Drop the pins of some bodies (B,), which need eight times as many poses for another."""
+        pinned = which & np.isfinite(self.center)
+        self._required_poses[pinned] = np.minimum(8 * self._required_poses[pinned], MEMORY_FRAMES)
         self.forget(which)
 
 
+def _correlated_part(residual: Complex, count: np.ndarray) -> Real:
+    """Mean product (b,) of neighboring residuals (T, b), beyond that of white noise."""
+    products = (residual * np.roll(residual, 1, axis=0).conj()).real.sum(axis=0)
+    total = (np.abs(residual) ** 2).sum(axis=0)
+    return np.asarray(np.maximum(products - _CORRELATION_SIGMAS * total / np.sqrt(count), 0) / 2)
+
+
 def _any_run(values: np.ndarray, length: int) -> np.ndarray:
-    """Where (B,) so many values (N, B) in a row are true."""
+    """Where (B,) values (N, B) are true this many times in a row."""
     if len(values) < length:
         return np.zeros(values.shape[1], bool)
     runs = np.lib.stride_tricks.sliding_window_view(values, length, axis=0)
@@ -187,9 +208,22 @@ def _any_run(values: np.ndarray, length: int) -> np.ndarray:
 
 def find_hubs(bodies: Bodies, history: History, window: int, before: Complex) -> Complex:
     """
-    The hubs (B,) of bodies in their frames, complex, m, 0 for a body that has none.
+    Find the hubs of bodies.
 
-    `window`, ns, is as long as that of the derivatives; `before` (B,) are the hubs up to now.
+    Parameters
+    ----------
+    bodies, history : Bodies, History
+        What is known of the bodies, and their poses.
+    window : int
+        Length of the windows of the derivatives, ns.
+    before : (B,) complex
+        The hubs found before.
+
+    Returns
+    -------
+    (B,) complex
+        The hubs in the frames of the bodies, m, 0 for a body that has none.
+
     """
     time = history['time'][: len(history) - UNSETTLED]
     ends = [len(time)]
@@ -198,62 +232,72 @@ def find_hubs(bodies: Bodies, history: History, window: int, before: Complex) ->
     if len(ends) == 1:
         return np.zeros(bodies.count, complex)
     first, end = np.array(ends[1:]), np.array(ends[:-1])
-    # Rows (W, N) of the windows, as many as the largest has.
+    # Rows (W, N) of W windows, as many as the largest has.
     rows = end[:, None] - np.arange((end - first).max(), 0, -1)
-    within = rows >= first[:, None]
+    is_inside = rows >= first[:, None]
     rows = np.maximum(rows, 0)
     information = history['information'][rows] * bodies.scale
-    seen = (information > 0).all(axis=2) & within[..., None]
-    number = seen.sum(axis=1)
-    enough = np.maximum(_DEGREES[-1] + 1, _PRESENT * (end - first)[:, None])
-    known = number > enough
-    if not known.any():
+    visible = (information > 0).all(axis=2) & is_inside[..., None]
+    count = visible.sum(axis=1)
+    usable = count > np.maximum(_DEGREES[-1] + 1, _MIN_VISIBLE * (end - first)[:, None])
+    if not usable.any():
         return np.zeros(bodies.count, complex)
-    seen &= known[:, None]
+    visible &= usable[:, None]
     position = history['position'][rows]
-    start = np.take_along_axis(position, seen.argmax(axis=1)[:, None], axis=1)
-    values = np.where(seen, (position - start, np.exp(1j * history['angle'][rows])), 0.0)
+    start = np.take_along_axis(position, visible.argmax(axis=1)[:, None], axis=1)
+    values = np.where(visible, (position - start, np.exp(1j * history['angle'][rows])), 0.0)
     times = (time[rows] - time[first][:, None]) / window
-    moves, turns, product = np.where(known, _rests(times, values, seen), 0.0)  # (D, W, B)
-    moves, turns = moves.real, turns.real
+    sums = np.where(usable, _residual_sums(times, values, visible), 0.0)  # (3, D, W, B)
     with np.errstate(divide='ignore', invalid='ignore'):
-        variance = np.where(seen[:, :, None], bodies.error / information, 0.0)
-    mean = variance.sum(axis=1) / np.maximum(number, 1)[:, None]
-    counts = np.where(known, number - 1 - _DEGREES[..., None], 0)
-    even, still = 2 * counts * mean[:, 1], counts * mean[:, 0]
-    wrong = np.abs(product + before * turns) ** 2 > np.abs(product) ** 2
-    wrong = (wrong & (turns > _CLEAR * still))[_WHETHER, 0] & (before != 0)
-    # A window that no arm explains, such as one with a jump, counts for less.
-    own = np.abs(product[_WHETHER]) ** 2 / np.where(turns[_WHETHER] > 0, turns[_WHETHER], 1.0)
-    rest = (moves[_WHETHER] - own) / np.maximum(counts[_WHETHER], 1)
-    usual = np.maximum(medians(np.where(known, rest, np.nan).T), np.finfo(float).tiny)
-    weights = 1 / np.maximum(rest / (_UNEXPLAINED * usual), 1.0)
-    moves, turns, product, even, still, counts = (
-        weights * part for part in (moves, turns, product, even, still, counts)
-    )
-    squares = (turns[_WHETHER] ** 2).sum(axis=0)
-    both = product.sum(axis=1)
-    moves, turns, even, still, counts = (
-        part.sum(axis=1) for part in (moves, turns, even, still, counts)
-    )
-    counts = np.maximum(counts, 1.0)
-    clear = turns > _CLEAR * still
-    turns = np.where(clear, turns - still, 1.0)
-    best = np.where(clear, -both / turns, 0.0)
-    gained = np.abs(both * best)
-    left = np.maximum(moves - gained, 0.0) / counts
-    enough = np.maximum(_SHARE * (moves - even), _CLEAR * even / counts)
-    taken = (gained > enough) & (turns**2 > _WINDOWS * squares)
-    degree = np.where(clear, left / turns, np.inf).argmin(axis=0), np.arange(bodies.count)
-    moved = clear[degree] & taken[_WHETHER] & ~wrong
-    return np.where(moved, best[degree], 0.0)
+        variance = np.where(visible[:, :, None], bodies.error / information, 0.0)
+    variance = variance.sum(axis=1) / np.maximum(count, 1)[:, None]
+    freedom = np.where(usable, count - 1 - _DEGREES[..., None], 0)
+    return _hubs_of_sums(sums, variance, freedom, before)
 
 
-def _arm(z: Complex, e: Complex, weights: Real) -> tuple[Complex, Complex, Complex, Real]:
+def _hubs_of_sums(sums: Complex, variance: Real, freedom: Real, before: Complex) -> Complex:
     """
-    The arms (b,) to the pins of bodies at poses `z`, turned by `e` (T, b).
+    Hubs (B,) from the sums of `_residual_sums` over windows, 0 for none.
 
-    Also the means of both, and the spread of the turns; the `weights` (T, b) add up to 1.
+    `variance` (W, 2, B) is that of angle and position in each window, `freedom` (D, W, B) the
+    degrees of freedom of each polynomial.
+    """
+    path, turning, product = sums[0].real, sums[1].real, sums[2]
+    path_noise, turning_noise = 2 * freedom * variance[:, 1], freedom * variance[:, 0]
+    deciding = _DECIDING_DEGREE
+    # The former hub is wrong if it explains the newest window worse than no hub.
+    is_wrong = np.abs(product + before * turning) ** 2 > np.abs(product) ** 2
+    is_wrong = (is_wrong & (turning > _MIN_SIGNAL * turning_noise))[deciding, 0] & (before != 0)
+    # Down-weight a window that no hub explains, such as one with a jump.
+    own_hub = np.abs(product[deciding]) ** 2
+    own_hub /= np.where(turning[deciding] > 0, turning[deciding], 1.0)
+    residual = (path[deciding] - own_hub) / np.maximum(freedom[deciding], 1)
+    usable = freedom[deciding] > 0
+    typical = medians(np.where(usable, residual, np.nan).T)
+    typical = np.maximum(typical, np.finfo(float).tiny)
+    weights = 1 / np.maximum(residual / (_MAX_RESIDUAL_RATIO * typical), 1.0)
+    squares = ((weights * turning[deciding]) ** 2).sum(axis=0)
+    path, turning, product, path_noise, turning_noise, freedom = (
+        (weights * part).sum(axis=1)
+        for part in (path, turning, product, path_noise, turning_noise, freedom)
+    )
+    freedom = np.maximum(freedom, 1.0)
+    turns = turning > _MIN_SIGNAL * turning_noise
+    turning = np.where(turns, turning - turning_noise, 1.0)
+    hub = np.where(turns, -product / turning, 0.0)
+    explained = np.abs(product * hub)
+    unexplained = np.maximum(path - explained, 0.0) / freedom
+    required = np.maximum(_MIN_EXPLAINED * (path - path_noise), _MIN_SIGNAL * path_noise / freedom)
+    is_hub = (explained > required) & (turning**2 > _MIN_WINDOWS * squares)
+    best = np.where(turns, unexplained / turning, np.inf).argmin(axis=0), np.arange(hub.shape[1])
+    return np.where(turns[best] & is_hub[deciding] & ~is_wrong, hub[best], 0.0)
+
+
+def _fit_arm(z: Complex, e: Complex, weights: Real) -> tuple[Complex, Complex, Complex, Real]:
+    """
+    Fit the arms (b,) to the pins of bodies at `z`, turned by `e` (T, b).
+
+    Also returns the means of both, and the spread of the turns. The weights (T, b) add up to 1.
     """
     z_mean, e_mean = (weights * z).sum(axis=0), (weights * e).sum(axis=0)
     around = e - e_mean
@@ -262,36 +306,36 @@ def _arm(z: Complex, e: Complex, weights: Real) -> tuple[Complex, Complex, Compl
 
 
 def _spaced(angles: list[float]) -> list[int]:
-    """Places of the first angle, and of each that is a step off the last one kept."""
-    kept, last = [0], angles[0]
+    """Indices of the first angle, and of each that is a step from the one before."""
+    spaced, last = [0], angles[0]
     for k, angle in enumerate(angles):
-        if abs((angle - last + np.pi) % (2 * np.pi) - np.pi) > _STEP:
-            kept.append(k)
+        if abs((angle - last + np.pi) % (2 * np.pi) - np.pi) > _MIN_STEP:
+            spaced.append(k)
             last = angle
-    return kept
+    return spaced
 
 
-def _rests(times: Real, values: Complex, seen: np.ndarray) -> Complex:
+def _residual_sums(times: Real, values: Complex, visible: np.ndarray) -> Complex:
     """
-    Sums (3, D, W, B) over what polynomials of each degree leave of paths and turns (2, W, N, B).
+    Sums (3, D, W, B) over the residuals of polynomials of each degree, fitted to each window.
 
-    Of |path|^2, of |turn|^2 and of conj(turn) path, in windows of frames at `times` (W, N), with
-    values of 0 where they are not `seen` (W, N, B).
+    The sums are of |path|^2, |turn|^2 and conj(turn) path. `values` (2, W, N, B) are paths and
+    turns at `times` (W, N), 0 where a body is not `visible` (W, N, B).
     """
     powers = (times - 0.5)[..., None] ** np.arange(int(_DEGREES[-1, 0]) + 1)
-    if (seen == seen[..., :1]).all():
-        seen = seen[..., :1]
-    powers = powers[:, None] * seen.swapaxes(1, 2)[..., None]
+    if (visible == visible[..., :1]).all():
+        visible = visible[..., :1]
+    powers = powers[:, None] * visible.swapaxes(1, 2)[..., None]
     basis, _ = np.linalg.qr(powers)  # (W, 1 or B, N, P)
     columns = values.swapaxes(2, 3)[..., None]
-    part = basis.swapaxes(2, 3) @ columns
-    rest = (columns - basis @ part)[..., 0]
-    part = np.moveaxis(part[..., 0], -1, 1)  # (2, P, W, B)
-    # What the highest leaves, and what each lower one leaves more than that.
-    found = []
-    for one, other in ((0, 0), (1, 1), (1, 0)):
-        product = part[one].conj() * part[other]
-        sums = np.cumsum(product[:1:-1], axis=0)[::-1]
-        sums = np.concatenate((sums, np.zeros_like(sums[:1])))
-        found.append(sums + (rest[one].conj() * rest[other]).sum(axis=-1))
-    return np.array(found)
+    coefficients = basis.swapaxes(2, 3) @ columns
+    residual = (columns - basis @ coefficients)[..., 0]
+    coefficients = np.moveaxis(coefficients[..., 0], -1, 1)  # (2, P, W, B)
+    # The residual of the highest degree, plus the coefficients that each lower degree lacks.
+    sums = []
+    for first, second in ((0, 0), (1, 1), (1, 0)):
+        product = coefficients[first].conj() * coefficients[second]
+        lacking = np.cumsum(product[:1:-1], axis=0)[::-1]
+        lacking = np.concatenate((lacking, np.zeros_like(lacking[:1])))
+        sums.append(lacking + (residual[first].conj() * residual[second]).sum(axis=-1))
+    return np.array(sums)

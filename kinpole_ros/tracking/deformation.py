@@ -1,12 +1,12 @@
 """
-Bodies that are not rigid: what markers that move against each other do to the results.
+Errors of bodies that are not rigid, whose markers move against each other.
 
-Soft tissue wobbles, a lens bends what it sees, a loose marker moves with the motion. All of that is
-slow, so no noise accounts for it, and part of it looks like a motion of the body: of the 2n
-coordinates of n markers a rigid fit takes three and leaves 2n - 3. What it leaves can be seen, and
-what it takes has as much error per degree of freedom, with the same spectrum. So residuals are
-differentiated by stencils of the span and degree by which the poses are, about the same instant.
-Their mean squares, less those of the noise, are variances of the derivatives.
+Soft tissue wobbles, a lens distorts, a loose marker moves. Such errors are slow, so they are no
+noise, and a part of them looks like motion of the body: a rigid fit uses three of the 2n
+coordinates of n markers, and leaves 2n - 3 in the residuals. Both have the same error per degree of
+freedom, with the same spectrum. So the residuals are differentiated by stencils of the same span
+and degree as the poses, at the same instant. Their mean squares, less those of the noise, are added
+to the variances of the derivatives.
 """
 
 from functools import lru_cache
@@ -18,27 +18,27 @@ from numpy.lib.stride_tricks import sliding_window_view
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.statistics import chi_square, student
 
-# The cause of residuals that are slow, as `Tracker.causes` has it.
+# The cause of slow residuals, as `Tracker.causes` returns it.
 TISSUE = 'tissue'
-# Stencils apart by this share of their length have independent errors; nearer ones, by the other,
-# are looked at, from this many windows before the window on.
-INDEPENDENT, APART, EARLIER = 1 / 2, 1 / 8, 1 / 2
+# Stencils have independent errors at a distance of this share of their length. They are applied at
+# the second share, from so many windows before the window on.
+INDEPENDENT_SHARE, STEP_SHARE, EARLIER_WINDOWS = 1 / 2, 1 / 8, 1 / 2
 # Lengths of stencils are powers of this, and their degrees in this range.
-LADDER = 1 + APART
+LENGTH_RATIO = 1 + STEP_SHARE
 DEGREES = 2, 8
-# A body is deformed where residuals change more than noise by this many standard deviations.
+# A body is deformed if its residuals change more than noise by this many standard deviations.
 SIGMAS = 4.0
 
 
 def hold_hidden(residual: Complex) -> Complex:
-    """Residuals (N, B, n) with those of hidden markers as they were last, 0 before the first."""
+    """Return residuals (N, B, n) with the last ones of hidden markers, 0 before the first."""
     hidden = np.isnan(residual)
     if not hidden.any():
         return residual
     row = np.where(hidden, -1, np.arange(len(residual))[:, None, None])
     row = np.maximum.accumulate(row, axis=0)
-    found = np.take_along_axis(residual, np.maximum(row, 0), axis=0)
-    return np.where(row < 0, 0, found)
+    last = np.take_along_axis(residual, np.maximum(row, 0), axis=0)
+    return np.where(row < 0, 0, last)
 
 
 def deformed_freedom(
@@ -63,7 +63,7 @@ def deformed_freedom(
     array, shape (B,)
         Degrees of freedom, 2n - 3, of the residuals of deformed bodies; 0 for the others.
     array, shape (B,)
-        Factor by which noise counts for more, where hidden markers are held where they were.
+        Factor of the noise, larger if residuals of hidden markers are held.
 
     """
     count = max(4, half_window)
@@ -73,19 +73,19 @@ def deformed_freedom(
     if len(residual) < 2 * count:
         return np.zeros(bodies), np.ones(bodies)
     row = stencils(count, (count - 1) // 2, 1, 1)[1]
-    # By blas, one marker after the other: an einsum of windows is ten times slower.
+    # A matrix product; an einsum of windows is ten times slower.
     rates = sliding_window_view(hold_hidden(residual), count, axis=0) @ row
     squares = (rates.real**2 + rates.imag**2).sum(axis=-1)
-    there = seen.any(axis=-1)[count - 1 :]
+    visible = seen.any(axis=-1)[count - 1 :]
     share = seen.sum(axis=-1)[count - 1 :] / np.maximum(seen.any(axis=0).sum(axis=-1), 1)
-    frames = there.sum(axis=0)
+    frames = visible.sum(axis=0)
     with np.errstate(divide='ignore', invalid='ignore'):
-        held = np.where(frames > 0, 2 * frames / share.sum(axis=0) - 1, 1.0)
-        sure = chi_square(free * frames / (INDEPENDENT * count), SIGMAS)
-        sure = sure / chi_square(degrees, -SIGMAS)
-        most = frames * free * (row @ row) * held * noise**2 * sure
-        deformed = np.where(there, squares, 0.0).sum(axis=0) > most
-    return np.where(deformed, free, 0.0), held
+        factor = np.where(frames > 0, 2 * frames / share.sum(axis=0) - 1, 1.0)
+        quantile = chi_square(free * frames / (INDEPENDENT_SHARE * count), SIGMAS)
+        quantile = quantile / chi_square(degrees, -SIGMAS)
+        limit = frames * free * (row @ row) * factor * noise**2 * quantile
+        deformed = np.where(visible, squares, 0.0).sum(axis=0) > limit
+    return np.where(deformed, free, 0.0), factor
 
 
 def deformation_covariance(
@@ -100,9 +100,7 @@ def deformation_covariance(
     order: int,
 ) -> Real:
     """
-    Covariance (K, K) of derivatives of the slow residuals of one body, (m/s^k)^2, K = order + 1.
-
-    That of one coordinate, per degree of freedom.
+    Compute the covariance of the derivatives of the slow residuals of one body.
 
     Parameters
     ----------
@@ -121,32 +119,36 @@ def deformation_covariance(
     order : int
         The highest derivative.
 
+    Returns
+    -------
+    array, shape (order + 1, order + 1), (m/s^k)^2
+        The covariance of one coordinate, per degree of freedom.
+
     """
     newest = len(residual) - 1
-    held = newest - oldest
-    found = np.zeros((order + 1, order + 1))
-    if not (np.isfinite(span) and held > DEGREES[0] + 1):
-        return found
+    frames = newest - oldest
+    if not (np.isfinite(span) and frames > DEGREES[0] + 1):
+        return np.zeros((order + 1, order + 1))
     degree = max(degree, DEGREES[0])
     integer = min(round(degree), DEGREES[1])
-    # One of a lower degree that is shorter by as much follows as fast a motion.
+    # A stencil of a lower degree has to be shorter to follow the same motion.
     length = (span / interval + 1) * (integer + 1) / (degree + 1)
-    length = LADDER ** np.rint(np.log(length) / np.log(LADDER))
-    integer = min(integer, held - 2)
-    count = int(np.clip(np.rint(length), integer + 2, held))
+    length = LENGTH_RATIO ** np.rint(np.log(length) / np.log(LENGTH_RATIO))
+    integer = min(integer, frames - 2)
+    count = int(np.clip(np.rint(length), integer + 2, frames))
     rows = stencils(count, min((count - 1) // 2, newest - now), integer, order)
-    step = max(1, round(APART * count))
-    first = max(oldest - round(EARLIER * held), 0)
+    step = max(1, round(STEP_SHARE * count))
+    first = max(oldest - round(EARLIER_WINDOWS * frames), 0)
     part = residual[first + (newest - count - first) % step : newest]
     derived = sliding_window_view(part, count, axis=0)[::step] @ rows.T
-    looked = len(derived)
+    number = len(derived)
     products = np.einsum('tni,tnj->ij', derived.conj(), derived).real
-    mean = products / (looked * freedom)
+    mean = products / (number * freedom)
     squares = np.diag(mean)
     white = noise**2 * (rows**2).sum(axis=1)
     with np.errstate(divide='ignore', invalid='ignore'):
         share = np.sqrt(np.where(squares > white, 1 - white / squares, 0.0))
-    independent = 1 + (looked - 1) * step / (INDEPENDENT * count)
+    independent = 1 + (number - 1) * step / (INDEPENDENT_SHARE * count)
     share *= np.sqrt(student(np.asarray(freedom * independent)))
     share /= interval ** np.arange(order + 1.0)
     return np.asarray(share[:, None] * share * mean)
@@ -155,14 +157,14 @@ def deformation_covariance(
 @lru_cache(maxsize=512)
 def stencils(count: int, ahead: int, degree: int, order: int) -> Real:
     """
-    Rows (order + 1, count) that differentiate samples at steps of 1, `ahead` before the last.
+    Return rows (order + 1, count) that differentiate samples, `ahead` samples before the last.
 
-    By local polynomials of `degree`, or of the order of the derivative where that is higher.
+    Each is a local polynomial of `degree`, or of the order of its derivative if that is higher.
     """
-    places = (np.arange(count) - (count - 1 - ahead)) / count
+    times = (np.arange(count) - (count - 1 - ahead)) / count
     rows = []
     for k in range(order + 1):
-        basis = np.vander(places, min(max(degree, k), count - 1) + 1, increasing=True)
+        basis = np.vander(times, min(max(degree, k), count - 1) + 1, increasing=True)
         row = np.linalg.pinv(basis)[k] if k < count else np.zeros(count)
         rows.append(row * factorial(k) / float(count) ** k)
     return np.array(rows)

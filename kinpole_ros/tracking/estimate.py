@@ -1,8 +1,9 @@
 """
-What is known of all bodies at some instants, each quantity computed when it is first asked for.
+The estimated motion of all bodies at some instants.
 
-Holds the poses with their derivatives and covariances; rates, poles and centrodes follow from them
-by `planar`. Whatever does not stand out of its noise is marked undetermined, with the reason.
+An estimate holds poses with their derivatives and covariances. Rates, poles and centrodes are
+computed from them when they are first asked for. A quantity that does not exceed its noise is
+undetermined, for a reason that is named.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -26,9 +27,9 @@ from kinpole_ros.tracking.quantities import (
 # A denominator counts as known when it exceeds its standard deviation this many times. Beyond this
 # many body sizes a pole is as good as at infinity. Both as in _quantities.c.
 SIGNIFICANT, FARTHEST = 4.0, 1e3
-# Bodies whose pairs are all measured: 20 have 190 pairs, 300 would have 44,850.
+# Most bodies with relative motions of all pairs: 20 have 190 pairs, 300 would have 44,850.
 MOST_PAIRED_BODIES = 20
-# Why a body whose ICR is known has no curvature of the centrode.
+# Reasons why a body with a determined ICR has no curvature of the centrode.
 PINNED = 'pinned: the ICR stands still'
 SLOW_ICR = 'the velocity of the ICR does not stand out of its noise'
 POLE_NAMES = ('icr', 'iap', 'ijp', 'isp')
@@ -53,13 +54,13 @@ class Numbers(NamedTuple):
 
 class FramePoses(NamedTuple):
     """
-    Poses of the frames themselves (T, B), each from its own markers, so with errors of their own.
+    Poses (T, B) fitted to the markers of single frames, with independent errors.
 
-    `angle` (rad) has whole turns; `position` is that of the origins of the bodies' frames, complex,
-    m. `angle_information` and `position_information` are inverse variances over that of a
-    coordinate of a marker, 0 for a body not seen, and `noise`, m, is the deviation of the latter.
-    Angle and position have no error in common where the markers seen have their mean, `middle`,
-    complex, m, in the body's frame.
+    `angle`, rad, includes whole turns. `position`, complex, m, is that of the origin of the body's
+    frame. `angle_information` and `position_information` are inverse variances over that of a
+    coordinate of a marker, 0 for a hidden body; `noise`, m, is the standard deviation of such a
+    coordinate. The errors of angle and position are independent at `middle`, complex, m, the mean
+    of the visible markers in the body's frame.
     """
 
     angle: np.ndarray
@@ -70,7 +71,7 @@ class FramePoses(NamedTuple):
     noise: np.ndarray
 
 
-_Parts = TypeVar('_Parts', bound=Vectors | Numbers | FramePoses)
+_Arrays = TypeVar('_Arrays', bound=Vectors | Numbers | FramePoses)
 # Which axis of each array is that of the instants.
 INSTANT_AXIS = {
     **dict.fromkeys(('position_covariance', 'angle_covariance'), 2),
@@ -202,11 +203,11 @@ class Estimate:
 
         make = self._make_frame_poses and partial(self._frame_poses_at, instant)
         one = Estimate(column, self.frame_id, self.bodies, self.run, self.plane, make)
-        # What was computed of all instants is not computed again of the one.
+        # Quantities of all instants are not computed again for one.
         one._poles = {order: _at(instant, pole) for order, pole in self._poles.items()}
-        for name, figure in vars(self).items():
-            if isinstance(figure, Vectors | Numbers):
-                vars(one)[name] = _at(instant, figure)
+        for name, quantity in vars(self).items():
+            if isinstance(quantity, Vectors | Numbers):
+                vars(one)[name] = _at(instant, quantity)
         return one
 
     @cached_property
@@ -216,7 +217,7 @@ class Estimate:
 
     @cached_property
     def frame_poses(self) -> FramePoses | None:
-        """The poses of the frames themselves, None where they are not kept."""
+        """Poses fitted to single frames; None if they are not available."""
         return self._make_frame_poses and self._make_frame_poses()
 
     def _frame_poses_at(self, instant: int) -> FramePoses:
@@ -225,20 +226,20 @@ class Estimate:
 
     @property
     def order(self) -> int:
-        """The highest derivative known."""
+        """The highest derivative."""
         return len(self.angle) - 1
 
     def origin(self, order: int) -> np.ndarray:
-        """The origins of the bodies' frames (T, B), or their derivatives, complex, m/s^order."""
+        """Return the origins of the bodies' frames (T, B), or a derivative, complex, m/s^order."""
         if order not in self._origins:
-            place = self.position[0] - self.reference * np.exp(1j * self.angle[0])
+            origin = self.position[0] - self.reference * np.exp(1j * self.angle[0])
             if order > 0:
-                place = planar.body_point_derivative(order, place, self.position, self.angle)
-            self._origins[order] = np.asarray(place)
+                origin = planar.body_point_derivative(order, origin, self.position, self.angle)
+            self._origins[order] = np.asarray(origin)
         return self._origins[order]
 
     def rate(self, order: int) -> Numbers:
-        """Derivative of the angle of that order (rad/s^order), order 1 to 4."""
+        """Return the derivative of the angle of order 1 to 4, rad/s^order."""
         if order not in self._rates:
             value, variance = self.angle[order], self.angle_covariance[order, order]
             self._rates[order] = Numbers(value, variance, np.isfinite(value))
@@ -246,19 +247,19 @@ class Estimate:
 
     @cached_property
     def _motion(self) -> Motion:
-        """What poles and centrodes follow from."""
+        """The arguments of `compute_quantity`."""
         covariances = self.position_covariance, self.angle_covariance
         return Motion(
             *(self.position, self.angle, *covariances, self.size, self.pin, self.pin_variance)
         )
 
     def general_pole(self, order: int) -> Vectors:
-        """The pole of order 1 to 4 (m) as it follows from the motion, whatever is known of pins."""
+        """Return the pole of order 1 to 4, m, from the motion alone, without pins."""
         value, spread, flags = compute_quantity(FREE + order, self._motion)
         return Vectors(value, spread, flags > 0)
 
     def pole(self, order: int) -> Vectors:
-        """ICR, IAP, IJP or ISP (m) for order 1 to 4, on the pin where there is one."""
+        """Return ICR, IAP, IJP or ISP, m, for order 1 to 4; the pin of a pinned body."""
         if order not in self._poles:
             value, spread, flags = compute_quantity(order, self._motion)
             self._poles[order] = Vectors(value, spread, flags > 0)
@@ -266,15 +267,15 @@ class Estimate:
 
     def motion(self, body: int) -> str:
         """
-        What a body does at one instant: 'still', 'translating', 'pinned' or 'general'.
+        Return the motion of a body at one instant: 'still', 'translating', 'pinned' or 'general'.
 
-        Empty for a body of which nothing is known.
+        Empty if nothing is known of the body.
         """
         if self.missing[body]:
             return ''
         if _stands_out(np.abs(self.angle), self.angle_covariance)[body]:
             return 'pinned' if self.pinned[body] else 'general'
-        # Two axes have twice the variance of one.
+        # The length of a vector has twice the variance of one coordinate.
         moves = _stands_out(np.abs(self.position), 2 * self.position_covariance)
         return 'translating' if moves[body] else 'still'
 
@@ -292,7 +293,7 @@ class Estimate:
 
     @property
     def icr_moves(self) -> np.ndarray:
-        """Where (T, B) the ICR, however well known, is seen to move: on a pin it does not."""
+        """Where (T, B) the velocity of the ICR exceeds its noise; nowhere for a pinned body."""
         return (compute_quantity(VELOCITY, self._motion)[2] & MOVES) > 0
 
     @cached_property
@@ -326,8 +327,8 @@ class Estimate:
             spread = planar.covariance(by_j, *(one[..., j] for one in covariances))
             spread += planar.covariance(by_i, *(one[..., i] for one in covariances))
             turning = np.abs(rate.value) > SIGNIFICANT * np.sqrt(rate.variance)
-            place, size = self.position[0], self.size
-            distance = np.abs(by_j.value - (place[..., j] + place[..., i]) / 2)
+            position, size = self.position[0], self.size
+            distance = np.abs(by_j.value - (position[..., j] + position[..., i]) / 2)
             near = distance < FARTHEST * np.maximum(size[..., j], size[..., i])
         finite = np.isfinite(by_j.value) & np.isfinite(spread).all(axis=(-2, -1))
         return Vectors(by_j.value, spread, turning & near & finite)
@@ -335,10 +336,10 @@ class Estimate:
     @cached_property
     def kennedy(self) -> tuple[np.ndarray, np.ndarray]:
         """
-        How far the relative centers are from the line through their bodies' pins, for every pair.
+        Distances of relative centers from the line through the pins, for every pair of bodies.
 
-        The distance, m, and that over its standard deviation; NaN but for two bodies on pins, the
-        only centers found without the velocities (`planar.kennedy_residual`).
+        In m, and in standard deviations. NaN unless both bodies are pinned: only pins are found
+        without the velocities (`planar.kennedy_residual`).
         """
         j, i = self.pairs
         center = self.relative_icr
@@ -347,40 +348,40 @@ class Estimate:
             np.stack((self.pin[..., i], self.pin[..., j], center.value)),
             np.stack((even[..., i, :, :], even[..., j, :, :], center.covariance)),
         )
-        known = self.pinned[..., i] & self.pinned[..., j] & center.determined
-        return np.where(known, distance, np.nan), np.where(known, deviations, np.nan)
+        usable = self.pinned[..., i] & self.pinned[..., j] & center.determined
+        return np.where(usable, distance, np.nan), np.where(usable, deviations, np.nan)
 
     def reasons(self, body: int) -> dict[str, str]:
-        """Why each quantity of a body at one instant is undetermined, of those of this order."""
+        """Return why quantities of a body at one instant are undetermined, by name."""
         if self.missing[body]:
             return {'all': str(self.missing[body])}
-        found = {name: str(why[body]) for name, why in self.withheld().items()}
-        return {name: why for name, why in found.items() if why}
+        reasons = {name: str(why[body]) for name, why in self.withheld().items()}
+        return {name: why for name, why in reasons.items() if why}
 
     def withheld(self) -> dict[str, np.ndarray]:
         """
-        Why each quantity (T, B) of this order is undetermined, '' where it is determined.
+        Return why each quantity (T, B) is undetermined, '' where it is determined.
 
-        Poles and, from order 3 on, the curvature of the centrode; only what is in `missing` is
-        the reason for all.
+        The quantities are the poles and, from order 3 on, the curvature of the centrode. A reason
+        in `missing` holds for all of them.
         """
-        found = {}
+        reasons = {}
         for order in range(1, self.order + 1):
             pole = self.pole(order)
             with np.errstate(invalid='ignore'):
                 far = np.abs(pole.value - self.position[0]) > FARTHEST * self.size
             reason = np.where(self.pole(1).determined, 'lost in its noise', 'no rotation')
             reason = np.where(far, 'pole at infinity', reason)
-            found[POLE_NAMES[order - 1]] = np.where(pole.determined, '', reason)
+            reasons[POLE_NAMES[order - 1]] = np.where(pole.determined, '', reason)
         if self.order >= 3:
-            # An ICR velocity that is lost in its noise is no evidence of a pin: all poses are.
+            # A velocity within its noise does not show a pin; all poses together do.
             reason = np.where(self.pole(1).determined, SLOW_ICR, '')
             reason = np.where(self.pinned & self.pole(1).determined, PINNED, reason)
             reason = np.where(self.icr_moves, 'lost in its noise', reason)
-            known = self.centrode_curvature.determined
-            found['centrode_curvature'] = np.where(known, '', reason)
+            is_known = self.centrode_curvature.determined
+            reasons['centrode_curvature'] = np.where(is_known, '', reason)
         return {
-            name: np.where(self.missing == '', why, self.missing) for name, why in found.items()
+            name: np.where(self.missing == '', why, self.missing) for name, why in reasons.items()
         }
 
 
@@ -392,21 +393,21 @@ def _pairs(bodies: int) -> tuple[np.ndarray, np.ndarray]:
 
 def measured_pairs(bodies: int) -> list[tuple[int, int]]:
     """
-    List the pairs (i, j), i before j, of which relative motions are measured.
+    Return the pairs (i, j), i before j, whose relative motion is measured.
 
-    All pairs of up to 20 bodies, and none of more: their number grows with the square.
+    These are all pairs of up to 20 bodies, and none of more bodies.
     """
     j, i = _pairs(bodies)
     return list(zip(i.tolist(), j.tolist(), strict=True))
 
 
-def _at(instant: int, parts: _Parts) -> _Parts:
+def _at(instant: int, arrays: _Arrays) -> _Arrays:
     """One instant of arrays (T, ...)."""
-    return type(parts)(*(part[instant] for part in parts))
+    return type(arrays)(*(array[instant] for array in arrays))
 
 
 def _stands_out(values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Where (..., B) any of the derivatives (K, ..., B) of order 1 and up exceeds its noise."""
+    """Where (..., B) any derivative (K, ..., B) of order 1 or higher exceeds its noise."""
     variance = np.einsum('kk...->k...', covariance)
     with np.errstate(invalid='ignore'):
         return np.asarray((values > SIGNIFICANT * np.sqrt(variance))[1:].any(axis=0))

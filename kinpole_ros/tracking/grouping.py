@@ -1,8 +1,8 @@
 """
-Which named markers move as one rigid body, when those named for a body do not.
+Markers that are listed for the wrong body.
 
 Two markers that were exchanged in the parameters, or before the shape was learned, leave two bodies
-that are not rigid. The distances between all markers say which exchange makes them so.
+that are not rigid. The distances between all markers show which exchange makes them rigid.
 """
 
 from itertools import combinations
@@ -13,14 +13,16 @@ import numpy as np
 from kinpole_ros.planar._plane import Complex
 from kinpole_ros.tracking.thresholds import N_SIGMA
 
-# Frames that are looked at.
+# Frames for the distances.
 _FRAMES = 64
 
 
 class Grouping(NamedTuple):
     """
-    `order` (B, n) says which slot, counted through all bodies, belongs in the place of which, None
-    where nothing is to be exchanged; `confused` are bodies that several exchanges make rigid.
+    The exchange of markers that makes bodies rigid.
+
+    `order` (B, n) is the slot, counted through all bodies, whose marker belongs in each slot; None
+    if no marker is to be exchanged. `confused` are bodies that several exchanges make rigid.
     """
 
     order: np.ndarray | None
@@ -28,7 +30,7 @@ class Grouping(NamedTuple):
 
 
 def group(points: Complex, loose: np.ndarray) -> Grouping:
-    """Look for the exchange that makes `loose` (B,) bodies rigid, in `points` (T, B, n), m."""
+    """Find the exchange that makes `loose` (B,) bodies rigid, from their markers (T, B, n), m."""
     points = points[np.unique(np.linspace(0, len(points) - 1, _FRAMES).round().astype(int))]
     bodies, width = points.shape[1:]
     flat = points.reshape(len(points), -1)
@@ -40,7 +42,7 @@ def group(points: Complex, loose: np.ndarray) -> Grouping:
     within = int((body[i] == body[j]).sum())
     if not within:
         return Grouping(None, [])
-    # Distances of one body, as the most constant ones: of those are about as many as of one body.
+    # The most constant distances are those within bodies; as many as the bodies have.
     rigid = varied <= N_SIGMA * np.median(np.sort(varied[i, j])[:within])
     members = [np.flatnonzero(body == b).tolist() for b in range(bodies)]
     bent = [b for b in np.flatnonzero(loose).tolist() if not _is_rigid(members[b], rigid)]
@@ -51,7 +53,7 @@ def group(points: Complex, loose: np.ndarray) -> Grouping:
     order = np.arange(bodies * width)
     for x, y in clear:
         order[slots[[x, y]]] = slots[[y, x]]
-    if not exchanges and (moved := _by_cores(members, bent, rigid)) is not None:
+    if not exchanges and (moved := _moves_to_cores(members, bent, rigid)) is not None:
         for old, new in moved:
             order[slots[old]] = slots[new]
         clear = moved
@@ -65,33 +67,33 @@ def _is_rigid(members: list[int], rigid: np.ndarray) -> bool:
 def _exchanges(
     members: list[list[int]], bent: list[int], rigid: np.ndarray
 ) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Pairs of bodies with the markers of each that, exchanged, leave both rigid."""
-    found = []
+    """Pairs of bodies, each with the pair of markers whose exchange makes both rigid."""
+    exchanges = []
     for b, c in combinations(bent, 2):
         for x in members[b]:
-            ones = [m for m in members[b] if m != x]
+            of_b = [m for m in members[b] if m != x]
             for y in members[c]:
-                others = [m for m in members[c] if m != y]
-                fits = rigid[y, ones].all() and rigid[x, others].all()
-                if fits and _is_rigid(ones, rigid) and _is_rigid(others, rigid):
-                    found.append(((b, c), (x, y)))
-    return found
+                of_c = [m for m in members[c] if m != y]
+                fits = rigid[y, of_b].all() and rigid[x, of_c].all()
+                if fits and _is_rigid(of_b, rigid) and _is_rigid(of_c, rigid):
+                    exchanges.append(((b, c), (x, y)))
+    return exchanges
 
 
-def _by_cores(
+def _moves_to_cores(
     members: list[list[int]], bent: list[int], rigid: np.ndarray
 ) -> list[tuple[int, int]] | None:
     """
-    Markers of bodies and those to take their places, where most of each body are rigid.
+    Pairs of markers, the second to take the slot of the first, if most of each body is rigid.
 
-    Those that are not must each be rigid with just one other body that lacks some, and as many as
-    it lacks; else None.
+    Each stray marker has to be rigid with just one other body, and each body needs as many as it
+    lost; otherwise None.
     """
     cores = {b: _core(members[b], rigid) for b in bent}
     strays = {b: [m for m in members[b] if m not in core] for b, core in cores.items() if core}
     homes: dict[int, list[int]] = {b: [] for b in strays}
-    for b, some in strays.items():
-        for x in some:
+    for b, markers in strays.items():
+        for x in markers:
             fits = [c for c in strays if c != b and rigid[x, cores[c]].all()]
             if len(fits) != 1:
                 return None
@@ -102,11 +104,11 @@ def _by_cores(
 
 
 def _core(members: list[int], rigid: np.ndarray) -> list[int]:
-    """Most of the members that are rigid with one another; none where that is not clear."""
-    for left in (len(members) - 1, len(members) - 2):
-        if left < 2 or 2 * left <= len(members):
+    """All but one or two of the members that are rigid; none if the choice is ambiguous."""
+    for size in (len(members) - 1, len(members) - 2):
+        if size < 2 or 2 * size <= len(members):
             return []
-        whole = [list(some) for some in combinations(members, left) if _is_rigid([*some], rigid)]
-        if whole:
-            return whole[0] if len(whole) == 1 else []
+        cores = [list(part) for part in combinations(members, size) if _is_rigid([*part], rigid)]
+        if cores:
+            return cores[0] if len(cores) == 1 else []
     return []

@@ -1,4 +1,4 @@
-"""Update what is known of the bodies from the frames of late."""
+"""Learn shapes, noise and weights of the bodies from the history."""
 
 from collections import Counter
 
@@ -7,51 +7,73 @@ import numpy as np
 from kinpole_ros.planar import procrustes_factors
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.tracking.bodies import MIN_FITS, OUTLIER_SIGMAS, SETTLED_FRAMES, Bodies
-from kinpole_ros.tracking.corrections import agreed
-from kinpole_ros.tracking.fit import fit_markers
+from kinpole_ros.tracking.corrections import consensus_shape
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.noise import correlated_noise, marker_variances, white_noise
-from kinpole_ros.tracking.statistics import mean_square, medians, tame_part
-from kinpole_ros.tracking.thresholds import ROUNDED
+from kinpole_ros.tracking.noise import (
+    MAX_MARKERS,
+    MIN_FRAMES,
+    correlated_noise,
+    marker_variances,
+    white_noise,
+)
+from kinpole_ros.tracking.statistics import bulk_maximum, mean_square, medians
+from kinpole_ros.tracking.thresholds import MIN_DOF, ROUNDED
 
-# Frames that noise is estimated from, and those for the misfit, which must follow faster.
+# Frames for the noise, and for the misfit, which has to follow changes faster.
 NOISE_FRAMES, MISFIT_FRAMES = 512, 200
-# The share of chi-squares that all but the worst 30% stay below, over their mean, within a tenth.
+# `bulk_maximum` is a 70% quantile, which is 1.08 to 1.22 times the mean of a chi-square.
 MISFIT_RATIO = 1.15
-# A marker that did not fit in so many frames in a row sits at another place.
+# A marker has moved if it was seen in half of so many frames and fitted in none.
 MOVED_FRAMES = 100
-# A settled place is moved where residuals are off it by this share of the misfit on average.
-CONTRADICTED = 0.25
+# A settled place moves if the mean residual exceeds this share of the root of the misfit.
+MAX_MEAN_RESIDUAL = 0.25
+# Variances of single markers are estimated if the largest mean square exceeds the median so often.
+MIN_SUSPICIOUS_RATIO = 1.4
 
 
 def refit(bodies: Bodies, history: History) -> None:
-    """Fit all frames of the history anew, as shapes or weights have changed."""
+    """Fit all frames of the history again, after shapes or weights have changed."""
     before = history['angle'].copy()
-    wrong = (history['information'] == 0).all(axis=1) & np.isfinite(before)
-    fit = fit_markers(bodies, np.where(history['used'], history['markers'], np.nan))
-    loose = (bodies.spread > bodies.loosest) & (fit.spread < bodies.loosest)
-    known = np.isfinite(fit.angle) & ~loose
+    left_out = (history['information'] == 0).all(axis=1) & np.isfinite(before)
+    fit = bodies.fit(np.where(history['used'], history['markers'], np.nan))
+    is_unsteady = (bodies.spread > bodies.loosest) & (fit.spread < bodies.loosest)
+    has_pose = np.isfinite(fit.angle) & ~is_unsteady
     with np.errstate(invalid='ignore'):
-        whole = np.nan_to_num(np.rint((before - fit.angle) / (2 * np.pi)))
-    # Next to half a turn it may lie on the other side by now: the whole turns stay what they are.
-    history['angle'][...] = np.where(known, fit.angle + 2 * np.pi * whole, np.nan)
-    history['position'][...] = np.where(known, fit.position, np.nan)
+        turns = np.nan_to_num(np.rint((before - fit.angle) / (2 * np.pi)))
+    # Near half a turn the new angle may have the other sign; the whole turns stay the same.
+    history['angle'][...] = np.where(has_pose, fit.angle + 2 * np.pi * turns, np.nan)
+    history['position'][...] = np.where(has_pose, fit.position, np.nan)
     history['residual'][...] = fit.residual
-    held = known & ~wrong
-    history['information'][...] = np.where(held, (fit.spread, fit.weight), 0.0).swapaxes(0, 1)
+    is_used = has_pose & ~left_out
+    history['information'][...] = np.where(is_used, (fit.spread, fit.weight), 0.0).swapaxes(0, 1)
 
 
 def learn(
     bodies: Bodies, history: History, window: int, given: float, counts: Counter[str]
 ) -> np.ndarray:
     """
-    Update shapes, misfit, noise and weights; returns which bodies (B,) began anew.
+    Update shapes, misfit, noise and weights.
 
-    `window`, ns, is as long as that of the derivatives; `given`, m, is the noise if it was given.
+    Parameters
+    ----------
+    bodies, history : Bodies, History
+        What is updated, and the frames to learn from.
+    window : int
+        Length of the window of the derivatives, ns.
+    given : float
+        The noise that the parameters give, m; 0 for none.
+    counts : Counter
+        Numbers of corrected markers by kind, updated.
+
+    Returns
+    -------
+    (B,) bool
+        Which bodies started again.
+
     """
-    anew = _begin_robustly(bodies, history, counts)
-    moved = _move_markers(bodies, history)
-    if anew.any() or moved:
+    restarted = _restart_with_outliers(bodies, history, counts)
+    has_moved = _relearn_moved_markers(bodies, history)
+    if restarted.any() or has_moved:
         bodies.update()
         refit(bodies, history)
     if _update_shapes(bodies, history):
@@ -65,12 +87,12 @@ def learn(
         _update_misfit(bodies, history)
         _update_noise(bodies, history, window, given)
     bodies.update()
-    return anew
+    return restarted
 
 
-def _begin_robustly(bodies: Bodies, history: History, counts: Counter[str]) -> np.ndarray:
-    """Begin bodies anew by what most of their first frames agree on, once there are enough."""
-    anew = np.zeros(bodies.count, bool)
+def _restart_with_outliers(bodies: Bodies, history: History, counts: Counter[str]) -> np.ndarray:
+    """Start bodies again from the first frames that agree, if some of these have outliers."""
+    restarted = np.zeros(bodies.count, bool)
     fits = np.isfinite(history['angle']).sum(axis=0)
     due = ~bodies.begun & (fits >= MIN_FITS)
     bodies.begun |= due
@@ -79,147 +101,145 @@ def _begin_robustly(bodies: Bodies, history: History, counts: Counter[str]) -> n
             continue
         seen = np.isfinite(history['angle'][:, b])
         markers = np.where(history['used'][seen, b], history['markers'][seen, b], np.nan)
-        found = agreed(markers, OUTLIER_SIGMAS / np.sqrt(MISFIT_RATIO), ROUNDED)
-        if found is None:
+        consensus = consensus_shape(markers, OUTLIER_SIGMAS / np.sqrt(MISFIT_RATIO), ROUNDED)
+        if consensus is None:
             continue
-        bodies.shape[b], markers, corrected = found
+        bodies.shape[b], markers, corrected = consensus
         counts.update(corrected)
         used, rows = ~np.isnan(markers), np.flatnonzero(seen)
-        came = history['markers'][rows, b]
-        history['markers'][rows, b] = np.where(used, markers, came)
+        original = history['markers'][rows, b]
+        history['markers'][rows, b] = np.where(used, markers, original)
         history['used'][rows, b] = used
         bodies.frames[b] = used.sum(axis=0)
-        anew[b] = True
-    return anew
+        restarted[b] = True
+    return restarted
 
 
-def _move_markers(bodies: Bodies, history: History) -> bool:
-    """Learn markers anew that did not fit for long; whether there were any."""
+def _relearn_moved_markers(bodies: Bodies, history: History) -> bool:
+    """Learn the places of markers again that did not fit for long; whether there were any."""
     rows = slice(-MOVED_FRAMES, None)
     if len(history) < MOVED_FRAMES:
         return False
     used = history['used'][rows]
-    came = ~np.isnan(history['markers'][rows]) & np.isfinite(history['angle'][rows])[..., None]
-    number = came.sum(axis=0)
-    astray = (number >= 0.5 * MOVED_FRAMES) & ~used.any(axis=0) & (bodies.frames > 0)
-    for b, k in zip(*astray.nonzero(), strict=True):
-        at = np.flatnonzero(came[:, b, k])
+    seen = ~np.isnan(history['markers'][rows]) & np.isfinite(history['angle'][rows])[..., None]
+    moved = (seen.sum(axis=0) >= 0.5 * MOVED_FRAMES) & ~used.any(axis=0) & (bodies.frames > 0)
+    for b, k in zip(*moved.nonzero(), strict=True):
+        at = np.flatnonzero(seen[:, b, k])
         turn = np.exp(-1j * history['angle'][rows][at, b])
-        places = (history['markers'][rows][at, b, k] - history['position'][rows][at, b]) * turn
-        middle = np.median(places.real) + 1j * np.median(places.imag)
-        near = np.abs(places - middle) < bodies.limit[b]
+        local = (history['markers'][rows][at, b, k] - history['position'][rows][at, b]) * turn
+        middle = np.median(local.real) + 1j * np.median(local.imag)
+        near = np.abs(local - middle) < bodies.limit[b]
         if near.sum() < MIN_FITS:
             continue
-        bodies.shape[b, k] = places[near].mean()
+        bodies.shape[b, k] = local[near].mean()
         bodies.frames[b, k] = near.sum()
         used[at[near], b, k] = True
-    return bool(astray.any())
+    return bool(moved.any())
 
 
 def _update_shapes(bodies: Bodies, history: History) -> bool:
-    """Move places that are not settled yet, or refuted, by their mean residual."""
-    known = np.isfinite(history['angle']) & (history['information'] > 0).all(axis=1)
-    residual = np.where(known[..., None], history['residual'], np.nan)
+    """Move places of markers by mean residuals; whether shapes, or the used markers, changed."""
+    has_pose = np.isfinite(history['angle']) & (history['information'] > 0).all(axis=1)
+    residual = np.where(has_pose[..., None], history['residual'], np.nan)
     used = ~np.isnan(residual)
-    number = used.sum(axis=0)
-    settled = bodies.frames >= SETTLED_FRAMES
-    new = history['used'].sum(axis=0)
-    late = slice(-NOISE_FRAMES, None)
-    seen = used[late].sum(axis=0)
-    mean = np.where(used[late], residual[late], 0).sum(axis=0) / np.maximum(seen, 1)
-    limit = CONTRADICTED * np.sqrt(np.maximum(bodies.misfit, ROUNDED**2 * bodies.spread))
-    creeps = settled & (np.abs(mean) > limit[:, None]) & (seen >= NOISE_FRAMES // 2)
-    every = np.where(used, residual, 0).sum(axis=0) / np.maximum(number, 1)
-    step = np.where(creeps, mean, np.where(settled, 0, every))
-    # A marker not seen before is at its place in the axes of its body.
-    unknown = (bodies.frames == 0) & (bodies.known >= 2)[:, None]
-    for b, k in zip(*unknown.nonzero(), strict=True):
-        came = known[:, b] & ~np.isnan(history['markers'][:, b, k])
-        if came.any():
-            turn = np.exp(-1j * history['angle'][came, b])
-            places = (history['markers'][came, b, k] - history['position'][came, b]) * turn
-            bodies.shape[b, k] = places.mean()
-            bodies.frames[b, k] = came.sum()
-            history['used'][came, b, k] = True
-            step[b, k] = 1e-300
+    count = used.sum(axis=0)
+    mean = np.where(used, residual, 0).sum(axis=0) / np.maximum(count, 1)
+    # A settled place moves only if recent residuals contradict it.
+    is_settled = bodies.frames >= SETTLED_FRAMES
+    recent = slice(-NOISE_FRAMES, None)
+    recent_count = used[recent].sum(axis=0)
+    recent_mean = np.where(used[recent], residual[recent], 0).sum(axis=0)
+    recent_mean = recent_mean / np.maximum(recent_count, 1)
+    limit = MAX_MEAN_RESIDUAL * np.sqrt(np.maximum(bodies.misfit, ROUNDED**2 * bodies.spread))
+    contradicted = np.abs(recent_mean) > limit[:, None]
+    contradicted &= is_settled & (recent_count >= NOISE_FRAMES // 2)
+    step = np.where(contradicted, recent_mean, np.where(is_settled, 0, mean))
+    # A new marker is at its mean place in the frame of its body.
+    is_new = (bodies.frames == 0) & (bodies.learned_count >= 2)[:, None]
+    has_new = False
+    for b, k in zip(*is_new.nonzero(), strict=True):
+        seen = has_pose[:, b] & ~np.isnan(history['markers'][:, b, k])
+        if seen.any():
+            turn = np.exp(-1j * history['angle'][seen, b])
+            local = (history['markers'][seen, b, k] - history['position'][seen, b]) * turn
+            bodies.shape[b, k] = local.mean()
+            bodies.frames[b, k] = seen.sum()
+            history['used'][seen, b, k] = True
+            step[b, k], has_new = 0.0, True
+    # Frames have gained or lost a pose since, so other markers count.
+    uses_changed = bool((history['used'].sum(axis=0) != count).any() and not is_settled.all())
     bodies.shape += step
-    bodies.frames = np.where(settled, SETTLED_FRAMES, np.maximum(bodies.frames, number))
-    bodies.frames = np.minimum(bodies.frames, SETTLED_FRAMES)
-    return bool(step.any()) or bool((new != number).any() and not settled.all())
+    bodies.frames = np.minimum(np.maximum(bodies.frames, count), SETTLED_FRAMES)
+    return has_new or bool(step.any()) or uses_changed
 
 
-def _louder_left_out(bodies: Bodies, residual: Complex) -> Complex:
-    """Residuals of the markers that are as noisy as the others of their body."""
+def _without_noisy(bodies: Bodies, residual: Complex) -> Complex:
+    """Residuals, NaN for those of noisy markers (`relative` > 1)."""
     return np.where(bodies.relative > 1, complex(np.nan, np.nan), residual)
 
 
 def freedom_of(bodies: Bodies, residual: Complex) -> Real:
-    """Expected squares (N, B, n) of residuals, as of `Fit`."""
+    """Return the expected square of each residual (N, B, n) for unit variance of a coordinate."""
     seen = ~np.isnan(residual)
     if seen.all():
-        return np.broadcast_to(bodies.grip.freedom, residual.shape)
+        return np.broadcast_to(bodies.factors.freedom, residual.shape)
     return procrustes_factors(bodies.shape, np.where(seen, bodies.weights, 0.0)).freedom
 
 
 def _update_misfit(bodies: Bodies, history: History) -> None:
-    """Estimate the variance of a coordinate of a marker about its place."""
+    """Estimate the misfit: the variance of a marker about its place, per axis."""
     rows = slice(-MISFIT_FRAMES - 1, None)
     residual, markers = history['residual'][rows], history['markers'][rows]
-    left = mean_square(_louder_left_out(bodies, residual), freedom_of(bodies, residual))[0]
-    # A body at rest in a tracker that rounds seems to fit to the last digit.
-    still = (np.isnan(markers[1:]) | (markers[1:] == markers[:-1])).all(axis=-1)
-    left[1:][still] = np.nan
-    number = np.count_nonzero(~np.isnan(left), axis=0)
-    bodies.fits = np.maximum(bodies.fits, number)
-    known = number > 0
-    if known.any():
-        bodies.misfit[known] = tame_part(left.T[known]) / MISFIT_RATIO
+    squares = mean_square(_without_noisy(bodies, residual), freedom_of(bodies, residual))[0]
+    # A body at rest has the same rounded coordinates in every frame, which show no misfit.
+    at_rest = (np.isnan(markers[1:]) | (markers[1:] == markers[:-1])).all(axis=-1)
+    squares[1:][at_rest] = np.nan
+    count = np.count_nonzero(~np.isnan(squares), axis=0)
+    bodies.fits = np.maximum(bodies.fits, count)
+    is_measured = count > 0
+    if is_measured.any():
+        bodies.misfit[is_measured] = bulk_maximum(squares.T[is_measured]) / MISFIT_RATIO
 
 
 def _update_noise(bodies: Bodies, history: History, window: int, given: float) -> None:
     """Estimate the noise of a coordinate of a marker."""
     rows = slice(-NOISE_FRAMES - 2, None)
-    residual = _louder_left_out(bodies, history['residual'][rows])
+    residual = _without_noisy(bodies, history['residual'][rows])
     freedom = freedom_of(bodies, history['residual'][rows])
     goes_on, time = history['goes_on'][rows], history['time'][rows]
     white, degrees = white_noise(residual, freedom, goes_on)
     bodies.white, bodies.degrees = white, degrees
-    level = white
+    noise = white
     bodies.lasting[:] = False
     if len(time) > 1:
         frames = window / max(float(np.median(np.diff(time))), 1.0)
-        level, bodies.lasting = correlated_noise(residual, freedom, goes_on, frames, white)
-    few = degrees < MIN_DEGREES
-    level = np.where(few, np.sqrt(np.where(bodies.mature, bodies.misfit, np.nan)), level)
+        noise, bodies.lasting = correlated_noise(residual, freedom, goes_on, frames, white)
+    misfit = np.sqrt(np.where(bodies.mature, bodies.misfit, np.nan))
+    noise = np.where(degrees < MIN_DOF, misfit, noise)
     if given > 0:
-        level = np.full(bodies.count, given)
+        noise = np.full(bodies.count, given)
     farthest = np.nan_to_num(np.abs(history['markers'][rows])).max(axis=(0, 2))
     bodies.least_noise = np.maximum(ROUNDING * farthest, given)
-    bodies.noise = np.maximum(level, ROUNDING * farthest)
-
-
-# Variances are compared if residuals of one marker exceed the median of its body by this factor.
-SUSPICIOUS = 1.4
-# Fewer degrees of freedom tell no order of magnitude of the noise.
-MIN_DEGREES = 6
+    bodies.noise = np.maximum(noise, ROUNDING * farthest)
 
 
 def _update_weights(bodies: Bodies, history: History) -> bool:
-    """Let markers count by their noise; whether weights have changed."""
-    if bodies.width > 32 or len(history) < 64:
+    """Weight markers by their noise; whether weights have changed."""
+    if bodies.width > MAX_MARKERS or len(history) < MIN_FRAMES:
         return False
     rows = slice(-NOISE_FRAMES, None)
     residual, goes_on = history['residual'][rows], history['goes_on'][rows]
-    changed = False
     squares = residual.real**2 + residual.imag**2
     seen = ~np.isnan(squares)
-    total = np.where(seen, freedom_of(bodies, residual), 0).sum(axis=0)
+    expected = np.where(seen, freedom_of(bodies, residual), 0).sum(axis=0)
     with np.errstate(divide='ignore', invalid='ignore'):
-        left = np.where(seen, squares, 0).sum(axis=0) / np.where(total > 0, total, np.nan)
-        number = (~np.isnan(left)).sum(axis=1)
-        loud = (number > 2) & (np.fmax.reduce(left, axis=1) > SUSPICIOUS * medians(left))
-    loud |= (bodies.relative > 1).any(axis=1)
-    for b in np.flatnonzero(loud).tolist():
+        mean = np.where(seen, squares, 0).sum(axis=0) / np.where(expected > 0, expected, np.nan)
+        count = (~np.isnan(mean)).sum(axis=1)
+        largest = np.fmax.reduce(mean, axis=1)
+        suspicious = (count > 2) & (largest > MIN_SUSPICIOUS_RATIO * medians(mean))
+    suspicious |= (bodies.relative > 1).any(axis=1)
+    changed = False
+    for b in np.flatnonzero(suspicious).tolist():
         relative, bodies.deviation[b] = marker_variances(
             residual[:, b], goes_on, bodies.shape[b], bodies.relative[b]
         )

@@ -3,7 +3,7 @@ Names of markers checked against the shapes of the bodies, frame by frame.
 
 Nothing is done while all markers fit where their names say. A frame in which they do not fit, or
 whose points have no meaningful names, is matched by shape (see `identity`). The result holds for
-all messages of that layout, until it does not fit either.
+all later messages with the same names in the same order, until its markers do not fit either.
 """
 
 from collections import Counter, deque
@@ -37,9 +37,10 @@ from kinpole_ros.tracking.thresholds import (
 # What is counted in `Tracker.counts`.
 OTHERS, RENAMED, REGROUPED = 'markers_of_others', 'markers_renamed', 'markers_regrouped'
 BY_SHAPE, UNCERTAIN = 'frames_by_shape', 'bodies_ambiguous'
-# Of the first clouds without names, one with just the named number of points counts for this many.
+# If the parameters name points 0 to n - 1, a cloud of exactly n points counts as so many clouds of
+# another size, while the usual size is learned.
 _EXACT_SIZE_WEIGHT = 4
-# Corrections that are remembered by name.
+# Corrections that are listed by name at most.
 _MOST_NOTES = 12
 
 
@@ -54,7 +55,7 @@ class Matcher:
     notes : Counter of str
         Corrected names, and how often each correction began.
     regrouped : list of (str, str, str)
-        Mistakes of the parameters: a marker, the body it is listed for, and its own body.
+        Mistakes of the parameters: a marker, the body it is listed for, the body it moves with.
     withheld : (B,) bool
         Bodies of which nothing is published, since their markers are not known.
     disordered : bool
@@ -99,23 +100,23 @@ class Matcher:
         # How many of the first clouds without names had which number of points.
         self._cloud_sizes: Counter[int] = Counter()
         self._disordered_frames = 0
-        # Frames that were arranged by shape, and in how many of them each body was found.
+        # Frames without names so far, up to MIN_SAMPLES, and in how many each body was found.
         self._arranged = 0
         self._times_found = np.zeros(count, int)
         self._next_regrouping, self._regroupings = MIN_SAMPLES, 0
-        # Variances (m^2) of the best fits of bodies that were searched for.
+        # Residual variances, m^2, of the recent best fits by `match`, right or wrong.
         self._variances: deque[float] = deque(maxlen=MEMORY_FRAMES)
         self._frame = 0
         self._arranged_this_frame = False
 
     @property
     def is_nameless(self) -> bool:
-        """Whether the names of the last frames may mean nothing."""
+        """Whether the names of the last frames are indices, which may change at any time."""
         return self._nameless
 
     @property
     def in_order(self) -> bool:
-        """Whether the markers of the last frames are taken to be as their names say."""
+        """Whether each marker of the last frames is taken to be where its name says."""
         is_full = len(self._assignment.identities) == self.full_count
         return not self._nameless or (
             is_full and not self._by_shape and self._arranged >= MIN_SAMPLES
@@ -128,7 +129,7 @@ class Matcher:
 
     def begin(self, stamps: np.ndarray, points: Complex, heights: Real) -> None:
         """
-        Take frames, assigned by names; `points` and `heights` are corrected in place.
+        Use these frames, whose markers are assigned by name; the arrays are corrected in place.
 
         Parameters
         ----------
@@ -142,6 +143,7 @@ class Matcher:
         """
         self._stamps, self._points, self._heights = stamps, points, heights
         if not self._layout.is_numbered and not self._by_shape:
+            # A driver that names markers once does so always.
             self._may_be_nameless = False
         self._nameless = self._may_be_nameless and self._layout.is_numbered
         self._count_corrected(0, 1)
@@ -150,9 +152,9 @@ class Matcher:
 
     def is_incomplete_cloud(self) -> bool:
         """
-        Return whether a frame of the last ones has points without names, more or fewer than usual.
+        Return whether the last frames are a cloud without names of an unusual size.
 
-        Such a frame cannot be matched by shape while the plane is not known. The usual number is
+        Such a frame cannot be matched by shape while the plane is not known. The usual size is
         learned from these calls.
         """
         if not (self._may_be_nameless and self._layout.is_numbered):
@@ -164,14 +166,15 @@ class Matcher:
         """
         Match frame `k` by shape if names mean nothing.
 
-        Returns whether all bodies have to begin again, since earlier frames were misunderstood.
+        Returns whether all bodies have to start again, since earlier frames were assigned wrongly.
         """
         self._arranged_this_frame = False
         if not self._nameless:
             return False
         restarts = False
         if self._arranged < MIN_SAMPLES:
-            restarts = self._update_full_count() and not self.has_shape.all()
+            has_changed = self._update_full_count()
+            restarts = has_changed and not self.has_shape.all()
             self._arranged += 1
         is_full = len(self._assignment.identities) == self.full_count
         if is_full and not self._by_shape:
@@ -184,11 +187,11 @@ class Matcher:
         return restarts or (was_in_order and self.disordered)
 
     def fits_next(self, k: int) -> None:
-        """Note that frame `k` of the last ones is fitted next."""
+        """Set the frame that `is_doubtful` and `correct_names` refer to."""
         self._frame = k
 
     def assign_again(self, first: int) -> None:
-        """Assign the frames from `first` on again, since names stand for other markers now."""
+        """Assign the frames from `first` on again, since the names of markers were corrected."""
         assigned = self._assignment.assign_again(first)
         self._points[first:], self._heights[first:] = self._assignment.project(assigned)
         if self.withheld.any():
@@ -217,11 +220,13 @@ class Matcher:
         predicted = np.where(hidden, predicted, np.nan)
         if (np.abs(predicted[..., None] - points) <= limit[:, None, None]).any():
             return True
-        lost = np.isnan(fit.angle) & (self._bodies.known >= 2) & ~self.withheld
+        # A body without a pose is doubtful if it and the unassigned points have enough markers.
+        lost = np.isnan(fit.angle) & (self._bodies.learned_count >= 2) & ~self.withheld
         return bool((lost & (len(points) + (~hidden).sum(axis=1) >= 2)).any())
 
     def correct_names(self) -> bool:
         """Correct the names in a frame, and in those that follow; return whether any was wrong."""
+        # One body that has all points, and poses, cannot be confused.
         is_alone = len(self._names) == 1 and not len(self._layout.unassigned)
         if self._by_shape or self._arranged_this_frame or is_alone or self._assignment.posed:
             return False
@@ -236,7 +241,7 @@ class Matcher:
         if rows is None:
             return False
         self._count_corrected(k, -1)
-        # A hidden marker keeps its name.
+        # A hidden marker that found no other point keeps its name.
         rows = np.where(hidden & (rows < 0), assigned, rows)
         self._assignment.correct_names(rows, not self._nameless)
         self._count_corrected(k, 1)
@@ -246,16 +251,16 @@ class Matcher:
 
     @property
     def _frames(self) -> int:
-        """Number of frames so far."""
+        """Number of frames so far, with those dropped from the history."""
         return self._history.dropped + len(self._history)
 
     def regrouping_is_due(self) -> bool:
-        """Return whether it is time to check which markers move together."""
+        """Return whether it is time to check which markers move as one body."""
         return self._frames >= self._next_regrouping
 
     def regroup(self, loose: np.ndarray) -> np.ndarray:
         """
-        Exchange markers of bodies for good where that makes them rigid.
+        Exchange markers of bodies permanently where that makes them rigid.
 
         Parameters
         ----------
@@ -325,17 +330,18 @@ class Matcher:
             return
         corrected = (layout.rows != layout.named_rows) & (layout.rows < len(names))
         for b, k in zip(*np.nonzero(corrected), strict=True):
-            text = f'{names[layout.rows[b, k]]!r} is {self._assignment.markers[b][k]!r}'
-            if text in self.notes or len(self.notes) < _MOST_NOTES:
-                self.notes[f'{text} of {self._names[b]}'] += 1
+            marker = f'{self._assignment.markers[b][k]!r} of {self._names[b]}'
+            note = f'{names[layout.rows[b, k]]!r} is {marker}'
+            if note in self.notes or len(self.notes) < _MOST_NOTES:
+                self.notes[note] += 1
 
     def _update_full_count(self) -> bool:
-        """Count the points of one of the first clouds; return whether the full count changed."""
+        """Count the points of a cloud; return whether the full count, known before, changed."""
         size = len(self._assignment.identities)
         self._cloud_sizes[size] += 1
         numbers = [int(n) for names in self._assignment.markers for n in names if n.isdecimal()]
         named = max(numbers, default=-1) + 1
-        # If just the named points are ever seen, there are no others.
+        # A cloud of exactly the named points is probably complete.
         score = {
             n: times * (_EXACT_SIZE_WEIGHT if n == named else 1)
             for n, times in self._cloud_sizes.items()
@@ -345,12 +351,13 @@ class Matcher:
         return before not in (0, self.full_count)
 
     def _arrange_by_shape(self, k: int, is_full: bool, restarts: bool) -> None:
-        """Assign the points of a frame by shape; to bodies without a shape by name, if full."""
+        """Assign the points of a frame by shape; to bodies without one by name, if it is full."""
         points, heights = self._assignment.project_all(k)
+        # Learned shapes are void after a restart.
         shapes = self.given if restarts else self._bodies.markers()
         has_shape = (~np.isnan(shapes)).sum(axis=1) >= 2
         named = np.where(self._layout.rows < len(points), self._layout.rows, -1)
-        # While the order is learned, names go before shapes.
+        # While it is not known whether the order is stable, the names are tried first.
         learns_order = is_full and self._arranged < MIN_SAMPLES and not self.disordered
         names = np.where(self.has_shape[:, None] | (not learns_order), -1, named)
         fits = np.zeros(len(has_shape), bool)
@@ -396,7 +403,7 @@ class Matcher:
         shapes = self._bodies.markers() if shapes is None else shapes
         if self.withheld.any():
             shapes = np.where(self.withheld[:, None], np.nan, shapes)
-        # Whether right or wrong, most of the best fits err by no more than the noise.
+        # Most best fits are right, so their median variance is that of the noise.
         variance = np.inf
         if len(self._variances) >= MIN_SAMPLES:
             variance = float(np.median(self._variances))

@@ -1,10 +1,10 @@
 """
-Noise of the markers, from the residuals of rigid fits, and of single markers over the others.
+Noise of all markers of a body, and of single markers that are noisier, from rigid fits.
 
-Residuals are noise and whatever else makes a body look not rigid: a lens, soft tissue, a shape not
-yet known well. That part changes slowly. So each residual is compared with the mean of those before
-and after it, which white noise survives. Noise that is correlated in time is seen in the means of
-blocks of frames (the Hadamard variance, Baugh 1971).
+Residuals are noise, plus whatever makes a body look not rigid: a lens, soft tissue, a shape that is
+not well known yet. That part changes slowly. So each residual is compared with the mean of its two
+neighbors. Noise that is correlated in time is seen in the means of blocks of frames (the Hadamard
+variance, Baugh 1971).
 """
 
 import numpy as np
@@ -13,31 +13,32 @@ from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.statistics import (
     OUTLIER_RATIO,
     OUTLIER_SHARE,
+    bulk_maximum,
     mean_square,
     share_of_lowest,
-    tame_part,
 )
 
-# A variance counts as larger beyond this many standard deviations of it.
+# Noise over blocks is larger if it exceeds the other by so many standard deviations of itself.
 SIGMAS = 4.0
-# Correlated noise is measured over blocks, this many per window, of up to twice so many frames.
+# Blocks per window for correlated noise, and the most frames of half a block.
 BLOCKS, LONGEST_HALF = 12, 8
-# Noise that grows by this factor from half a block to a block would grow beyond it.
+# Deviations that grow by this factor from half a block to a block are those of slow motion of the
+# markers, and grow further; those of a random walk grow by 2.
 GROWTH = 3.0
-# A marker whose variance exceeds that of the others by these factors counts for less: from frame to
-# frame, and over blocks of BLOCK frames. It counts for less until the factor is below the last.
-LOUDER, LOUDER_OVER_BLOCKS, NO_LOUDER = 2.0, 4.0, 1.5
+# A marker is down-weighted if its variance exceeds that of the others by this factor from frame to
+# frame, or by the second over blocks of so many frames, until the ratio is below the third.
+RATIO_ON, BLOCK_RATIO_ON, RATIO_OFF = 2.0, 4.0, 1.5
 BLOCK = 8
-# Of this many markers one may count for less: if more disagree, they are of several links.
-MARKERS_PER_LOUD = 4
-# Larger bodies are not spoiled by one marker.
-MOST_MARKERS = 32
+# One in so many markers may be down-weighted at most: if more disagree, they are on several links.
+MARKERS_PER_NOISY = 4
+# Bodies with more markers are not weighted: one of them hardly matters.
+MAX_MARKERS = 32
 # Weights are kept while the variance changes by less than this factor.
-SAME = 1.5
-# Another choice of loud markers must leave so many times as much, or either may be loud.
-CLEAR = 2.0
-# Variances below this share of the square of the size are rounding.
-TINY = 1e-12
+MAX_WEIGHT_CHANGE = 1.5
+# Exchanging a noisy marker for a good one must leave so many times the residual variance.
+MIN_CONTRAST = 2.0
+# Variances below this share of the squared size are rounding.
+ROUNDED_SQUARE = 1e-12
 # Fewest frames for the noise of a single marker.
 MIN_FRAMES = 64
 
@@ -67,20 +68,20 @@ def white_noise(residual: Complex, freedom: Real, goes_on: np.ndarray) -> tuple[
     if not len(middle):
         return np.full(bodies, np.nan), np.zeros(bodies)
     before, after = middle - 1, middle + 1
-    left = mean_square(residual, freedom)[0]
-    bend = residual[middle] - (residual[before] + residual[after]) / 2
+    own_squares = mean_square(residual, freedom)[0]
+    difference = residual[middle] - (residual[before] + residual[after]) / 2
     expected = freedom[middle] + (freedom[before] + freedom[after]) / 4
-    squares, degrees = mean_square(bend, expected)
-    known = ~np.isnan(squares)
-    number = known.sum(axis=0)
-    degrees = np.where(known, degrees, 0).sum(axis=0) / np.maximum(number, 1) / 1.5
-    # An outlier spoils three comparisons, so frames are told apart by their own residuals.
-    largest = np.maximum(left[middle], np.maximum(left[before], left[after]))
-    usual = tame_part(left[middle].T)
-    kept = np.sort(np.where(largest > OUTLIER_RATIO * usual, np.nan, squares), axis=0)
-    counts = (~np.isnan(kept)).sum(axis=0)
+    squares, degrees = mean_square(difference, expected)
+    usable = ~np.isnan(squares)
+    count = usable.sum(axis=0)
+    degrees = np.where(usable, degrees, 0).sum(axis=0) / np.maximum(count, 1) / 1.5
+    # An outlier spoils the three differences it is in, so it is found by its own residuals.
+    largest = np.maximum(own_squares[middle], np.maximum(own_squares[before], own_squares[after]))
+    limit = OUTLIER_RATIO * bulk_maximum(own_squares[middle].T)
+    ranked = np.sort(np.where(largest > limit, np.nan, squares), axis=0)
+    counts = (~np.isnan(ranked)).sum(axis=0)
     lowest = np.ceil(counts * (1 - OUTLIER_SHARE))
-    total = np.where(np.arange(len(kept))[:, None] < lowest, kept, 0.0).sum(axis=0)
+    total = np.where(np.arange(len(ranked))[:, None] < lowest, ranked, 0.0).sum(axis=0)
     share = np.array([share_of_lowest(float(f)) for f in np.round(np.maximum(degrees, 0.1), 1)])
     with np.errstate(divide='ignore', invalid='ignore'):
         level = np.sqrt(np.where(counts > 0, total / lowest / share, np.nan))
@@ -98,48 +99,66 @@ def noise_over_blocks(
     """
     bodies = residual.shape[1]
     length = 2 * half
-    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    stretches: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     ends = np.append(np.flatnonzero(~goes_on[1:]) + 1, len(residual))
     begin = 0
     for end in ends.tolist():
         count = (end - begin) // length * length
         if count:
-            part = slice(begin, begin + count)
-            runs = np.ones(count // half, bool)
-            runs[0] = False
-            parts.append((residual[part], freedom[part], runs))
+            rows = slice(begin, begin + count)
+            block_goes_on = np.ones(count // half, bool)
+            block_goes_on[0] = False
+            stretches.append((residual[rows], freedom[rows], block_goes_on))
         begin = end
-    if not parts:
+    if not stretches:
         return np.full(bodies, np.nan), np.full(bodies, np.nan), np.zeros(bodies)
-    values, freedoms, runs = (np.concatenate(part) for part in zip(*parts, strict=True))
-    found = []
+    values, freedoms, block_goes_on = (
+        np.concatenate(arrays) for arrays in zip(*stretches, strict=True)
+    )
+    noises = []
     for size in (half, 2):
         values, freedoms = (
             part.reshape(-1, size, *part.shape[1:]).mean(axis=1) for part in (values, freedoms)
         )
         values = np.sqrt(size) * values
-        found.append(white_noise(values, freedoms, runs))
-        runs = runs[::2]
-    return found[0][0], found[1][0], found[1][1]
+        noises.append(white_noise(values, freedoms, block_goes_on))
+        block_goes_on = block_goes_on[::2]
+    return noises[0][0], noises[1][0], noises[1][1]
 
 
 def correlated_noise(
     residual: Complex, freedom: Real, goes_on: np.ndarray, frames: float, white: Real
 ) -> tuple[Real, np.ndarray]:
     """
-    Estimate the noise as it counts in a window of so many `frames`, given the `white` noise (B,).
+    Estimate the noise that matters in a window of so many frames.
 
-    Returns the deviation (B,), m, and where (B,) noise grows with the length of blocks so that it
-    may be more.
+    Parameters
+    ----------
+    residual, freedom, goes_on
+        As for `white_noise`.
+    frames : float
+        Number of frames of a window.
+    white : (B,) float
+        The noise that is independent from frame to frame, m.
+
+    Returns
+    -------
+    (B,) float
+        Standard deviation of a coordinate of a marker, m.
+    (B,) bool
+        Whether the noise still grows with the length of the blocks, and may be larger.
+
     """
     half = min(round(frames / BLOCKS / 2), LONGEST_HALF)
     if half < 1:
         return white, np.zeros(len(white), bool)
     of_halves, of_blocks, degrees = noise_over_blocks(residual, freedom, goes_on, half)
-    sure = 1 - SIGMAS / np.sqrt(2 * np.maximum(degrees, 1.0))
+    # Negative with few degrees: then nothing is found to be correlated.
+    lower_bound = 1 - SIGMAS / np.sqrt(2 * np.maximum(degrees, 1.0))
     with np.errstate(invalid='ignore'):
-        lasts = of_blocks * sure > white
-        return np.where(lasts, of_blocks, white), lasts & (of_blocks > GROWTH * of_halves)
+        is_correlated = of_blocks * lower_bound > white
+        grows = is_correlated & (of_blocks > GROWTH * of_halves)
+    return np.where(is_correlated, of_blocks, white), grows
 
 
 def marker_variances(
@@ -160,48 +179,50 @@ def marker_variances(
     shape : array, shape (n,), complex, m
         Places of the markers.
     relative : array, shape (n,)
-        The ratios up to now.
+        The ratios so far.
 
     Returns
     -------
     array, shape (n,)
-        The ratios, 1 for markers that are not louder than the others.
+        The ratios, 1 for markers that are not noisier than the others.
     array, shape (n,), m
-        Standard deviations of the louder markers, 0 for the others.
+        Standard deviations of the noisier markers, 0 for the others.
 
     """
     seen = (~np.isnan(residual)).sum(axis=0) >= MIN_FRAMES // 2
-    found, deviation = np.ones(len(seen)), np.zeros(len(seen))
+    ratios, deviation = np.ones(len(seen)), np.zeros(len(seen))
     if seen.sum() < 3 or len(residual) < MIN_FRAMES:
         return relative, deviation
-    bend = residual[1:-1] - (residual[:-2] + residual[2:]) / 2
-    bend[~(goes_on[1:-1] & goes_on[2:])] = complex(np.nan, np.nan)
-    for kind, louder in ((bend, LOUDER), (_block_means(residual), LOUDER_OVER_BLOCKS)):
-        components = variance_components(kind[:, seen], shape[seen])
-        each = np.array([v / np.median(np.delete(components, k)) for k, v in enumerate(components)])
-        least = np.where(relative[seen] > 1, NO_LOUDER, louder)
-        bad = np.flatnonzero(seen)[each > least].tolist()
-        if bad and not _is_clear(kind, shape, seen, bad):
+    difference = residual[1:-1] - (residual[:-2] + residual[2:]) / 2
+    difference[~(goes_on[1:-1] & goes_on[2:])] = complex(np.nan, np.nan)
+    for values, limit in ((difference, RATIO_ON), (_block_means(residual), BLOCK_RATIO_ON)):
+        components = variance_components(values[:, seen], shape[seen])
+        new = np.array([v / np.median(np.delete(components, k)) for k, v in enumerate(components)])
+        is_noisy = new > np.where(relative[seen] > 1, RATIO_OFF, limit)
+        noisy = np.flatnonzero(seen)[is_noisy].tolist()
+        if noisy and not _is_unambiguous(values, shape, seen, noisy):
+            # Another marker may be the noisy one.
             continue
-        found[seen] = np.maximum(found[seen], np.where(each > least, each, 1.0))
-    loud = found > 1
-    if loud.sum() > max(1, seen.sum() // MARKERS_PER_LOUD):
-        # They are of several links.
+        ratios[seen] = np.maximum(ratios[seen], np.where(is_noisy, new, 1.0))
+    is_noisy = ratios > 1
+    if is_noisy.sum() > max(1, seen.sum() // MARKERS_PER_NOISY):
+        # The markers are on several links.
         return np.ones(len(seen)), deviation
-    same = (relative > 1) & loud & (np.abs(np.log(found / relative)) < np.log(SAME))
-    found = np.where(same, relative, found)
-    if loud.any():
+    change = np.abs(np.log(ratios / relative))
+    keeps = (relative > 1) & is_noisy & (change < np.log(MAX_WEIGHT_CHANGE))
+    ratios = np.where(keeps, relative, ratios)
+    if is_noisy.any():
         components = variance_components(residual[:, seen], shape[seen])
-        deviation[seen] = np.sqrt(np.where(loud[seen], components, 0.0))
-    return found, deviation
+        deviation[seen] = np.sqrt(np.where(is_noisy[seen], components, 0.0))
+    return ratios, deviation
 
 
 def variance_components(values: Complex, shape: Complex, rounds: int = 8) -> Real:
     """
-    Variances (n,) of markers, m^2 per axis, from small displacements `values` (N, n), m.
+    Estimate variances (n,) of markers, m^2 per axis, from small displacements `values` (N, n), m.
 
-    Each round fits shift and turn with the weights of the round before and divides the squares of
-    what is left by the redundancy of each marker (Foerstner 1979).
+    Each round fits a shift and a turn with the weights of the round before, and divides the squared
+    residuals by the redundancy of each marker (Foerstner 1979).
     """
     seen = ~np.isnan(values)
     values = np.where(seen, values, 0)
@@ -213,11 +234,10 @@ def variance_components(values: Complex, shape: Complex, rounds: int = 8) -> Rea
         off = values - (weight * values).sum(axis=1, keepdims=True) / total
         spread = np.maximum((weight * np.abs(arm) ** 2).sum(axis=1, keepdims=True), 1e-300)
         turn = (weight * (arm.conj() * off).imag).sum(axis=1, keepdims=True) / spread
-        left = np.where(seen, off - 1j * turn * arm, 0)
+        residual = np.where(seen, off - 1j * turn * arm, 0)
         redundancy = np.where(seen, 2 - weight * (2 / total + np.abs(arm) ** 2 / spread), 0)
-        new = (np.abs(left) ** 2).sum(axis=0) / np.maximum(redundancy.sum(axis=0), 1e-9)
-        # Differences below rounding tell nothing.
-        new += TINY * np.abs(shape - shape.mean()).max() ** 2
+        new = (np.abs(residual) ** 2).sum(axis=0) / np.maximum(redundancy.sum(axis=0), 1e-9)
+        new += ROUNDED_SQUARE * np.abs(shape - shape.mean()).max() ** 2
         variance = np.clip(new, 1e-3 * np.median(new), 1e8 * np.median(new))
     return variance
 
@@ -225,68 +245,42 @@ def variance_components(values: Complex, shape: Complex, rounds: int = 8) -> Rea
 def _block_means(residual: Complex) -> Complex:
     """Means (N / BLOCK, n) over blocks, scaled so that white noise has that of single frames."""
     count = len(residual) // BLOCK
-    parts = residual[len(residual) - count * BLOCK :].reshape(count, BLOCK, -1)
-    seen = (~np.isnan(parts)).sum(axis=1)
-    total = np.where(np.isnan(parts), 0, parts).sum(axis=1)
+    blocks = residual[len(residual) - count * BLOCK :].reshape(count, BLOCK, -1)
+    seen = (~np.isnan(blocks)).sum(axis=1)
+    total = np.where(np.isnan(blocks), 0, blocks).sum(axis=1)
     enough = seen > BLOCK // 2
     return np.where(enough, total / np.sqrt(np.maximum(seen, 1)), complex(np.nan, np.nan))
 
 
-def _is_clear(kind: Complex, shape: Complex, seen: np.ndarray, bad: list[int]) -> bool:
-    """Whether no other marker might be meant in place of one of these."""
+def _is_unambiguous(values: Complex, shape: Complex, seen: np.ndarray, noisy: list[int]) -> bool:
+    """Whether exchanging a noisy marker for a good one always fits much worse."""
     good = seen.copy()
-    good[bad] = False
-    left = _pooled(kind, shape, good)[0]
-    for k in bad:
-        for other in np.flatnonzero(good):
-            swapped = good.copy()
-            swapped[k], swapped[other] = True, False
-            if _pooled(kind, shape, swapped)[0] < CLEAR * left:
+    good[noisy] = False
+    limit = MIN_CONTRAST * _pooled_variance(values, shape, good)
+    for k in noisy:
+        for exchanged in np.flatnonzero(good):
+            choice = good.copy()
+            choice[k], choice[exchanged] = True, False
+            if _pooled_variance(values, shape, choice) < limit:
                 return False
     return True
 
 
-def _pooled(
-    kind: Complex, shape: Complex, rest: np.ndarray, k: int = 0
-) -> tuple[float, float, Complex, Real]:
-    """
-    Variance, per axis, of the markers `rest` (n,) about fits to them alone, and its degrees.
-
-    Also what marker `k` is off these fits (T,), and the variance of where they have it over that of
-    a coordinate, of both axes.
-    """
-    seen, mean, middle, arms, spread, turn, about = _fit(kind, shape, rest)
-    left = np.where(seen, about - 1j * turn[:, None] * arms, 0)
-    total = seen.sum(axis=1)
-    enough = total >= 2
-    degrees = float((2 * total[enough] - 3).sum())
-    squares = float((left.real**2 + left.imag**2)[enough].sum())
-    arm = shape[k] - middle
-    off = kind[:, k] - mean - 1j * turn * arm
-    lever = 2 / np.maximum(total, 1) + np.abs(arm) ** 2 / spread
-    variance = squares / degrees if degrees > 0 else np.inf
-    # Of several markers, wherever they are seen.
-    variance += TINY * float(spread[np.isfinite(spread)].max(initial=0.0))
-    return variance, degrees, np.where(enough, off, np.nan), lever
-
-
-def _fit(
-    values: Complex, shape: Complex, rest: np.ndarray
-) -> tuple[np.ndarray, Complex, Complex, Complex, Real, Real, Complex]:
-    """
-    Small shifts and turns (T,) of a body that fit what its markers `rest` are off (T, n) best.
-
-    Returns where they are seen (T, n), the shifts, the means (T,) of their places, their arms from
-    these (T, n), the sums of the squares of those, the turns, and what the shifts leave (T, n).
-    """
-    seen = ~np.isnan(values) & rest
-    total = np.maximum(seen.sum(axis=1), 1)
-    mean = np.where(seen, values, 0).sum(axis=1) / total
-    middle = np.where(seen, shape, 0).sum(axis=1) / total
+def _pooled_variance(values: Complex, shape: Complex, which: np.ndarray) -> float:
+    """Variance, m^2 per axis, of some markers (n,) about small shifts and turns of their own."""
+    seen = ~np.isnan(values) & which
+    count = seen.sum(axis=1)
+    divisor = np.maximum(count, 1)
+    mean = np.where(seen, values, 0).sum(axis=1) / divisor
+    middle = np.where(seen, shape, 0).sum(axis=1) / divisor
     arms = np.where(seen, shape - middle[:, None], 0)
-    about = np.where(seen, values - mean[:, None], 0)
+    shifted = np.where(seen, values - mean[:, None], 0)
     spread = (arms.real**2 + arms.imag**2).sum(axis=1)
     spread = np.where(spread > 0, spread, np.inf)
-    # They are small: a turn adds what is linear in it.
-    turn = (arms.conj() * about).imag.sum(axis=1) / spread
-    return seen, mean, middle, arms, spread, turn, about
+    turn = (arms.conj() * shifted).imag.sum(axis=1) / spread
+    residual = np.where(seen, shifted - 1j * turn[:, None] * arms, 0)
+    enough = count >= 2
+    degrees = float((2 * count[enough] - 3).sum())
+    squares = float((residual.real**2 + residual.imag**2)[enough].sum())
+    variance = squares / degrees if degrees > 0 else np.inf
+    return variance + ROUNDED_SQUARE * float(spread[np.isfinite(spread)].max(initial=0.0))

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 
 class Outage(NamedTuple):
-    """How often nothing came for a window or more; the latest and the longest, from when, ns."""
+    """Number of gaps of a window or more; begin and length, ns, of the latest and the longest."""
 
     times: int
     latest: tuple[int, int]
@@ -12,9 +12,9 @@ class Outage(NamedTuple):
 
 
 def one_more(outage: Outage | None, since: int, lasted: int) -> Outage:
-    """The outages so far, if any, and one that `lasted` so long since then, ns."""
+    """Add a gap, which began at `since` and `lasted` so long, ns."""
     new = since, lasted
     if outage is None:
         return Outage(1, new, new)
-    longest = max(outage.longest, new, key=lambda each: each[1])
+    longest = max(outage.longest, new, key=lambda gap: gap[1])
     return Outage(outage.times + 1, new, longest)

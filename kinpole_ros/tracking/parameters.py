@@ -27,7 +27,7 @@ POSE_POINTS = (0.1 + 0j, 0.1j, -0.1 - 0.1j)
 
 
 class ParameterError(ValueError):
-    """A parameter that is not known, or whose value cannot be used; says which and the fix."""
+    """A parameter that is unknown, or whose value cannot be used; the message has the fix."""
 
 
 @dataclass(frozen=True)
@@ -203,16 +203,16 @@ def _range(default: float, description: str, lowest: float, highest: float, unit
 PARAMETERS: Mapping[str, Parameter] = {
     'marker_topic': Parameter(
         'markers',
-        'Topic the markers come on.',
+        'Topic of the markers.',
         _topic,
         'the name of a topic, such as markers or /rig/markers',
         fixed=True,
     ),
     'marker_type': _choices(
         'auto',
-        'Type of the marker messages; auto looks at what is published. pose_stamped, body_poses (a '
-        'PoseArray of one pose a body) and tf bring poses of bodies in place of their markers: '
-        '<body>.markers then names one, for body_poses its place, for tf its child_frame_id.',
+        'Type of the marker messages; auto takes the type that is published. pose_stamped, '
+        'body_poses (a PoseArray with one pose per body) and tf carry poses of bodies instead of '
+        'markers: <body>.markers then names one pose, by its index or its child_frame_id.',
         'auto',
         'marker_array',
         'marker',
@@ -223,9 +223,9 @@ PARAMETERS: Mapping[str, Parameter] = {
     ),
     'marker_identity': _choices(
         'auto',
-        'What distinguishes markers: their place in the message, their id, their namespace, or '
-        'both; auto takes namespace and id where there are any, else the place. shape: nothing but '
-        'where they are on their bodies, as of points that come in any order.',
+        'How markers are identified: by their index in the message, id, namespace, or both; auto '
+        'takes namespace and id if there are any, and the index otherwise. shape: by their places '
+        'on the bodies, for points in random order.',
         'auto',
         'index',
         'id',
@@ -235,8 +235,8 @@ PARAMETERS: Mapping[str, Parameter] = {
     ),
     'plane': Parameter(
         'xy',
-        'Plane of the motion, in the frame of the markers: by name (xz is zx), as its normal '
-        '[x, y, z] of any length, or fit, to find it from the motion.',
+        'Plane of the motion in the frame of the markers: its name (xz is zx), its normal '
+        '[x, y, z] of any length, or fit to find it from the motion.',
         _plane,
         'one of xy, yz, zx, fit, or a normal [x, y, z] of three numbers, not all 0',
     ),
@@ -253,28 +253,26 @@ PARAMETERS: Mapping[str, Parameter] = {
         _body_names,
         'a list of different names of letters, digits and _',
     ),
-    'window': _range(0.3, 'The most past data used.', 1e-6, 3600.0, 's'),
+    'window': _range(0.3, 'Length of past data that results are computed from.', 1e-6, 3600.0, 's'),
     'lag': _range(
         0.1,
-        'How far the output may trail the newest sample; half a window of it buys the most '
-        'accurate derivatives.',
+        'Delay of the output behind the newest sample. Half a window gives the most accurate '
+        'derivatives.',
         0.0,
         3600.0,
         's',
     ),
     'derivative_order': Parameter(
         'auto',
-        'Highest derivative computed; auto: what the subscribed topics need.',
+        'Highest derivative computed; auto: as the subscribed topics need.',
         _order,
         'auto, 1, 2, 3 or 4',
     ),
-    'noise': _range(
-        0.0, 'Noise of the markers per axis, one standard deviation; 0: measure it.', 0.0, 1e6, 'm'
-    ),
+    'noise': _range(0.0, 'Standard deviation of the markers per axis; 0: measured.', 0.0, 1e6, 'm'),
     'stamps': _choices(
         'auto',
-        'What header stamps are: the times of capture, or of arrival, late by a random time, where '
-        'the even clock of the camera is found behind them; auto: what stamps and motion say.',
+        'Meaning of header stamps: the time of capture, or of arrival. Arrival is late by a random '
+        'time, and the even clock of the camera is estimated. auto: decided by stamps and motion.',
         'auto',
         'capture',
         'arrival',
@@ -294,11 +292,11 @@ PARAMETERS: Mapping[str, Parameter] = {
     ),
     'scene': Parameter(
         '',
-        'Scene of the mechanism, by name or path: diagnostics then tell how far the bodies are '
-        'from its theory, and ~/balance what effort its loads ask for. Empty: none.',
+        'Scene of the mechanism, by name or path. Diagnostics then report the deviation of the '
+        'bodies from it, and ~/balance the effort that balances its loads. Empty: none.',
         _text,
         'the name of a scene, such as four_bar, or the path of one',
-        # Whoever is on the network must not name files of this machine.
+        # Other machines on the network must not choose files of this one.
         fixed=True,
     ),
     'joints': Parameter(
@@ -309,53 +307,54 @@ PARAMETERS: Mapping[str, Parameter] = {
     ),
     'joint_state_rate': _range(
         0.0,
-        'How often ~/joint_states is published: at multiples of its period, by the derivatives at '
-        'the nearest instant; 0: at each instant.',
+        'Rate of ~/joint_states: at multiples of its period, extrapolated from the nearest '
+        'instant; 0: at each instant.',
         0.0,
         1000.0,
         'Hz',
     ),
     'publish_tf': Parameter(
         False,
-        'Whether /tf tells where the frames of the bodies are; needs tf2_msgs.',
+        'Whether the frames of the bodies are published on /tf; needs tf2_msgs.',
         _flag,
         'true or false',
     ),
     'frame_prefix': Parameter(
         '',
-        'What the name of a body is preceded by in the name of its frame, such as rig1/.',
+        'Prefix of the frame names of the bodies, such as rig1/.',
         _prefix,
         'letters, digits and any of _ / . -',
     ),
 }
 JOINT_BODIES = Parameter(
     [],
-    'The two bodies of this joint, or ground and a body: the second moves against the first.',
+    'The two bodies of this joint, or ground and a body: the motion is that of the second relative '
+    'to the first.',
     _pair,
     "two different names of bodies, or 'ground' and one, such as ['crank', 'coupler']",
 )
 MARKERS = Parameter(
     [],
-    'Markers on this body, as their identities; empty, where there is one body: all markers.',
+    'Identities of the markers on this body; empty, if it is the only one: all markers.',
     _names,
     "a list of different marker identities, as text, such as ['0', '1', '2']",
 )
 SHAPE = Parameter(
     [],
-    'Where the markers are on this body: x and y of each, in the order of <body>.markers where '
-    'that is given, in a frame of its own. Empty: learned.',
+    'Places of the markers on this body: x and y of each in a frame of the body, in the order of '
+    '<body>.markers if that is given. Empty: learned.',
     _shape,
     'a flat list of x, y of two or more markers at different places, m, such as '
     '[0.0, 0.0, 0.1, 0.0, 0.05, 0.08]',
 )
 PIN = Parameter(
     [],
-    'Where a pin joins this body to the ground: its x and y in the frame of <body>.shape, then in '
-    'the plane. It tells bodies of the same shape apart. Empty: not known.',
+    'Pin between this body and the ground: its x and y in the frame of <body>.shape, then in '
+    'the plane. It distinguishes bodies of the same shape. Empty: not known.',
     _pin,
     'a flat list of four numbers, m, such as [0.0, 0.0, 0.3, 0.1]',
 )
-# Parameters that the node alone has; they are no part of `Settings`.
+# Parameters of the node only, which are not in `Settings`.
 NODE_PARAMETERS = {
     'autostart': Parameter(
         True,
@@ -366,7 +365,7 @@ NODE_PARAMETERS = {
     ),
     'executor': _choices(
         'lean',
-        'What waits for messages and runs callbacks: lean takes less CPU time, rclpy is the '
+        'What waits for messages and runs callbacks: lean, which takes less CPU time, or the '
         'executor of rclpy.',
         'lean',
         'rclpy',
@@ -377,11 +376,11 @@ NODE_PARAMETERS = {
 DEPRECATED = {
     'method': 'it makes no difference',
 }
-# In a joint, what does not move.
+# The name of the ground in a joint.
 GROUND = 'ground'
-# Not YAML; the others are what PyYAML lets through.
+# Raised for malformed YAML; PyYAML lets some errors of Python through.
 _MALFORMED = (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError)
-# What ROS itself, or the node alone, understands in the same file.
+# Parameters of ROS and of the node in the same file.
 _NODE_ONLY = ('use_sim_time', 'start_type_description_service', *NODE_PARAMETERS)
 
 

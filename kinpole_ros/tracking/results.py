@@ -20,7 +20,7 @@ _COMMON = '', 'window not full'
 _OF_MARKERS = np.array(
     [
         *_COMMON,
-        'markers too close together for their noise',
+        'markers too close for their noise',
         'noise not known yet',
         'too few markers seen, or all at one place',
     ],
@@ -141,7 +141,7 @@ def add_deformation(
             interval,
             float(span[last, b]),
             float(freedom[last, b]) - 1,
-            float(bodies.white[b] * np.sqrt(bodies.held[b])),
+            float(bodies.white[b] * np.sqrt(bodies.hidden_factor[b])),
             float(bodies.freedom[b]),
             order,
         )

@@ -1,8 +1,9 @@
 """
-Whether frames are at their stamps or at the ticks of the clock behind these.
+The decision whether frames are at their stamps or at the ticks of the clock behind the stamps.
 
-Stamps alone cannot tell a camera with an even clock from frames that come unevenly: the motion can.
-Each pose is predicted from its neighbors on both sides, once by the stamps and once by the ticks.
+Stamps alone cannot distinguish an even camera with late stamps from frames that come unevenly, but
+the motion can. Each pose is predicted from its neighbors on both sides, once at the stamps and once
+at the ticks.
 """
 
 from typing import NamedTuple
@@ -26,17 +27,17 @@ from kinpole_ros.tracking.clock import (
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.thresholds import MIN_SAMPLES, N_SIGMA
 
-# Neighbors on each side that predict a pose.
+# Number of neighbors on each side from which a pose is predicted.
 _SIDE = 3
 
 
 class StampState(NamedTuple):
     """
-    How stamps lie on the clock found behind them.
+    How stamps lie on the estimated clock.
 
-    `interval`, `jitter` (rms) and `largest` are in s; `regularized` is whether frames are taken to
-    be at the ticks of the clock. `nats` is how much likelier motion makes that, negative where the
-    stamps are right; `costs` is whether jitter moves the markers by more than their noise.
+    `interval`, `jitter` (rms) and `largest` lateness are in s. `regularized` is whether frames are
+    taken to be at the ticks of the clock. `nats` is the evidence of the motion for that, negative
+    if it is for the stamps. `costs` is whether the jitter moves markers by more than their noise.
     """
 
     interval: float
@@ -49,36 +50,36 @@ class StampState(NamedTuple):
 
 class StampHistory:
     """
-    The stamps of late, their clock, and whether frames are at its ticks (`regular`).
+    The recent stamps, their clock, and whether frames are at its ticks (`regular`).
 
-    `window`, ns, is as long as the estimates'; `mode` is the parameter `stamps`. `lost` frames were
-    lost in all. `until_update` is how many frames may come before the clock is estimated anew.
+    `window`, ns, is that of the derivatives, and `mode` the parameter `stamps`. `lost` counts all
+    lost frames. The clock is estimated again after `until_update` more frames.
     """
 
     def __init__(self, mode: str, window: int, before: 'StampHistory | None') -> None:
         self.mode, self._window = mode, window
-        # Whether the motion said that frames are at ticks.
-        self._by_motion: bool = before is not None and before._by_motion
+        # Whether the motion has decided for ticks.
+        self._motion_says_ticks: bool = before is not None and before._motion_says_ticks
         self.regular: bool = mode == 'arrival' if before is None else before.regular
         self.clock: Clock | None = None
         self.lost = 0
         self.until_update = FEWEST_SAMPLES
         self._seen = 0
         self._nats = self._speed = 0.0
-        # Stamps of the frames, in parts, and which of them were taken and have poses.
+        # Stamps of the frames, in parts, and which of the frames are used.
         self._appended = [(np.zeros(0, np.int64), np.zeros(0, bool))]
         self._last = 0
-        # Whether the next frame shows that stamps are rounded.
-        self._slipped = False
-        # Frames since the last update, and those taken that were not compared with neighbors yet.
+        # Whether the next frame shows that the stamps are rounded.
+        self._has_slipped = False
+        # Frames since the last update, and used frames that were not compared with neighbors yet.
         self._new = self._unweighed = 0
 
     def until_slip(self, stamps: np.ndarray) -> int:
         """
-        How many of the next frames come before one that slips by a step of rounded stamps (T,), ns.
+        Return how many of the next stamps (T,), ns, come before one that slips by a rounding step.
 
-        Stamps that were even until then were rounded all the time. The clock is to be updated
-        before such a frame.
+        If even stamps slip, they were rounded all the time. The clock has to be updated before that
+        frame.
         """
         clock = self.clock
         if self.mode != 'auto' or self.regular or clock is None or not clock.is_even:
@@ -90,96 +91,111 @@ class StampHistory:
             return len(stamps)
         step = np.gcd(round(clock.resolution), since)
         slips = (step >= COARSE) & (off > COARSE / 2) & (off <= (1 + TOLERANCE) * step)
-        # Frames that come sooner than the clock ticks are of another rate.
+        # Two frames within a tick have another rate.
         before = np.rint((self._last - clock.origin - clock.phase) / clock.interval)
         slips &= np.diff(ticks, prepend=before) > 0
         first = int(slips.argmax()) if slips.any() else len(stamps)
         if not first:
-            self._slipped, self.until_update = True, 0
+            self._has_slipped, self.until_update = True, 0
         return first
 
-    def append(self, stamps: np.ndarray, taken: np.ndarray) -> None:
-        """Append frames that have come with `stamps` (T,), ns, of which some are `taken`."""
-        self._appended.append((stamps, taken))
+    def append(self, stamps: np.ndarray, is_used: np.ndarray) -> None:
+        """Append the stamps (T,), ns, of new frames, some of which are used."""
+        self._appended.append((stamps, is_used))
         self._last = int(stamps[-1]) if len(stamps) else self._last
         self.until_update -= len(stamps)
         self._seen += len(stamps)
         self._new += len(stamps)
-        self._unweighed += int(np.count_nonzero(taken))
+        self._unweighed += int(np.count_nonzero(is_used))
 
     def update(
         self, history: History, samples: int, uncounted: int, noise: Real, counted: bool
     ) -> np.ndarray:
         """
-        Estimate the clock, and decide by the motion of the last `samples` frames of the `history`.
+        Estimate the clock, and decide by the motion whether frames are at its ticks.
 
-        Returns the counts (n,) of the newest frames of the history: all but so many `uncounted` of
-        the newest that were taken. `noise` (B,), m, is that of a marker of each body, NaN while not
-        known. Where frames of the history are `counted` by the motion, the clock is that of these
-        counts.
+        Parameters
+        ----------
+        history : History
+            The frames.
+        samples : int
+            Number of the newest frames whose motion is used.
+        uncounted : int
+            Number of used frames that are not in the history yet.
+        noise : (B,) float
+            Noise of a marker of each body, m, NaN while not known.
+        counted : bool
+            Whether the frames of the history were counted by the motion. Then the clock is that of
+            these counts.
+
+        Returns
+        -------
+        (n,) int64
+            Counts of the newest frames of the history.
+
         """
-        stamps, taken = (np.concatenate(parts) for parts in zip(*self._appended, strict=True))
-        stamps, taken = stamps[-MEMORY:], taken[-MEMORY:]
+        stamps, is_used = (np.concatenate(arrays) for arrays in zip(*self._appended, strict=True))
+        stamps, is_used = stamps[-MEMORY:], is_used[-MEMORY:]
         clock, counts = estimate_clock(stamps, self.clock)
         if counted:
-            which = np.flatnonzero(taken)
+            which = np.flatnonzero(is_used)
             which = which[: len(which) - uncounted][-len(history) :]
             own = history['count'][len(history) - len(which) :]
             clock, counts = clock_of(clock, counts, stamps, which, own)
-        taken = taken[len(taken) - len(counts) :]
-        self._appended = [(stamps[len(stamps) - len(counts) :], taken)]
+        is_used = is_used[len(is_used) - len(counts) :]
+        self._appended = [(stamps[len(stamps) - len(counts) :], is_used)]
         self._count_lost(clock, counts)
         self.clock = clock
-        counts = counts[taken]
+        counts = counts[is_used]
         counts = counts[: len(counts) - uncounted]
         self._weigh(history, samples, counts, noise)
         self.regular = self._decide()
-        # After a quarter more frames each time, and in the end after a tenth of all that are kept.
+        # After a quarter more frames, and at the latest after a twentieth of those remembered.
         self.until_update = min(max(1, self._seen // 4), MEMORY // 20)
         return counts
 
     def _count_lost(self, clock: Clock, counts: np.ndarray) -> None:
-        """Add the frames that were lost between the new ones."""
+        """Count the frames that were lost between the new ones."""
         steps = np.diff(counts)[max(len(counts) - self._new - UNSETTLED - 1, 0) : -UNSETTLED]
         self._new = 0
-        # Stamps that are out of order, say, are of no clock that could miss any.
+        # Stamps far from all ticks do not show any loss.
         if self.regular or clock.largest < clock.interval / 2:
             self.lost += int((steps - 1).clip(0).sum())
 
     def _weigh(self, history: History, samples: int, counts: np.ndarray, noise: Real) -> None:
-        """Add what the motion of the frames that were not looked at yet says."""
+        """Add the evidence of the motion in the frames that were not compared yet."""
         assert self.clock is not None
-        held = min(samples, len(counts), self._unweighed + _SIDE)
-        centers = held - UNSETTLED - 2 * _SIDE
+        used = min(samples, len(counts), self._unweighed + _SIDE)
+        centers = used - UNSETTLED - 2 * _SIDE
         if self._seen < MIN_SAMPLES or centers < 1:
             return
         self._unweighed = UNSETTLED + _SIDE
-        rows = slice(len(history) - held, len(history) - UNSETTLED)
-        counts = counts[len(counts) - held : len(counts) - UNSETTLED]
+        rows = slice(len(history) - used, len(history) - UNSETTLED)
+        counts = counts[len(counts) - used : len(counts) - UNSETTLED]
         interval, stamps = self.clock.interval, history['stamp'][rows]
         times = np.stack(((stamps - stamps[0]) / interval, (counts - counts[0]) * 1.0))
         signals, variance = _signals(history, rows, noise)
         nats, speed = _evidence(times, signals, variance)
         fading = 0.5 ** (centers * interval / (HALF_LIFE * self._window))
-        # No more are kept: a driver may be changed.
+        # Bounded, since the driver may change.
         self._nats = float(np.clip(fading * self._nats + nats, -CHANGE_NATS, CHANGE_NATS))
         self._speed = max(speed, fading * self._speed)
 
     def _decide(self) -> bool:
-        """Whether frames are at ticks from now on."""
+        """Whether frames are taken to be at ticks from now on."""
         clock = self.clock
         if self.mode != 'auto' or clock is None:
             return self.regular
         if abs(self._nats) > DECISIVE_NATS:
-            self._by_motion = self._nats > 0
-        rounded = clock.is_rounded or self._slipped
+            self._motion_says_ticks = self._nats > 0
+        rounded = clock.is_rounded or self._has_slipped
         rounded = rounded and self._seen >= MIN_SAMPLES and self._nats > -DECISIVE_NATS
-        self._slipped = False
-        # Frames are not late by windows: then it is no clock.
-        return (self._by_motion or rounded) and clock.largest < self._window
+        self._has_slipped = False
+        # No clock explains lateness of a window or more.
+        return (self._motion_says_ticks or rounded) and clock.largest < self._window
 
     def state(self) -> StampState | None:
-        """How the stamps are; None while too few have come."""
+        """Return how the stamps lie on the clock; None while too few have come."""
         clock = self.clock
         if clock is None:
             return None
@@ -197,7 +213,7 @@ class StampHistory:
 
 
 def _signals(history: History, rows: slice, noise: Real) -> tuple[Real, Real]:
-    """Angles, and coordinates (T, 3 B), of some frames, with their variances."""
+    """Angles and coordinates (T, 3 B) of some frames, with their variances."""
     turns, position = history['turns'][rows], history['position'][rows]
     angle = history['angle'][rows] + 2 * np.pi * (turns - turns[0])
     signals = np.concatenate((angle, position.real, position.imag), axis=1)
@@ -205,7 +221,7 @@ def _signals(history: History, rows: slice, noise: Real) -> tuple[Real, Real]:
     level = np.where(np.isfinite(noise), noise, 0.0)
     with np.errstate(divide='ignore'):
         inverse = np.where(information > 0, 1 / information, np.nan)
-    # Where noise is not known yet it is what predictions leave.
+    # While the noise is not known, `_evidence` scales by the residuals.
     square = np.maximum(level, 1e-9) ** 2
     of_angle, even = inverse[:, 0] * square, inverse[:, 1] * square
     return signals, np.concatenate((of_angle, even, even), axis=1)
@@ -214,40 +230,53 @@ def _signals(history: History, rows: slice, noise: Real) -> tuple[Real, Real]:
 @np.errstate(divide='ignore', invalid='ignore')
 def _evidence(times: Real, signals: Real, variance: Real) -> tuple[float, float]:
     """
-    By how many nats signals make the second of two sequences of times likelier than the first.
+    Compute the evidence of signals for ticks over stamps.
 
-    `times` (2, N) are in intervals, `signals` (N, S) have the `variance` (N, S), NaN where not
-    known: `times` are stamps and ticks. Each signal is predicted by the polynomial through its
-    neighbors on both sides. Also the largest rms rate of a signal by interval, in its deviations.
+    Each signal is predicted by the polynomial through its neighbors on both sides.
+
+    Parameters
+    ----------
+    times : (2, N) float
+        Stamps and ticks, in intervals.
+    signals, variance : (N, S) float
+        Signals and their variances, NaN where not known.
+
+    Returns
+    -------
+    nats : float
+        Log likelihood of the ticks over that of the stamps.
+    speed : float
+        Largest rms change of a signal per interval, in its standard deviations.
+
     """
-    here = np.arange(_SIDE, len(signals) - _SIDE)
-    there = here[:, None] + np.array([k for k in range(-_SIDE, _SIDE + 1) if k])
+    centers = np.arange(_SIDE, len(signals) - _SIDE)
+    neighbors = centers[:, None] + np.array([k for k in range(-_SIDE, _SIDE + 1) if k])
     stamps, ticks = times
-    steps = ticks[there] - ticks[here, None]  # (M, 2 side)
-    others = steps[:, None, :] - steps[:, :, None]
-    ratios = np.where(others == 0, 1.0, steps[:, None, :] / others)
+    steps = ticks[neighbors] - ticks[centers, None]  # (M, 2 side)
+    differences = steps[:, None, :] - steps[:, :, None]
+    ratios = np.where(differences == 0, 1.0, steps[:, None, :] / differences)
     weights = ratios.prod(axis=2)
-    # What a stamp that is right moves a signal by, off where it is at its tick. By slopes, which
-    # hardly have noise: what does not move says nothing.
-    nearby = here[:, None] + np.arange(-_SIDE, _SIDE + 1)
+    # Shift of a signal from its tick to its stamp, by slopes, which have little noise. Signals that
+    # do not change give no evidence.
+    nearby = centers[:, None] + np.arange(-_SIDE, _SIDE + 1)
     around = ticks[nearby] - ticks[nearby].mean(axis=1, keepdims=True)
     slopes = np.einsum('mk,mks->ms', around, signals[nearby])
     slopes /= (around**2).sum(axis=1, keepdims=True)
     early = ticks - stamps
     early = early - np.median(early)
-    moved = -slopes * (early[here] - (weights * early[there]).sum(axis=1))[:, None]
-    off = signals[here] - np.einsum('mk,mks->ms', weights, signals[there])
-    off = np.stack((off - moved, off))
-    spread = variance[here] + np.einsum('mk,mks->ms', weights**2, variance[there])
-    squares = off**2 / spread
-    known = np.isfinite(squares).all(axis=0)
-    number = np.maximum(known.sum(axis=0), 1)
-    squares = np.where(known, squares, 0.0)
-    # By the better of the two, for no polynomial follows every motion.
-    scale = np.maximum((squares.sum(axis=1) / number).min(axis=0), 1.0)
-    # None counts for more than an outlier would.
+    shift = -slopes * (early[centers] - (weights * early[neighbors]).sum(axis=1))[:, None]
+    residual = signals[centers] - np.einsum('mk,mks->ms', weights, signals[neighbors])
+    residual = np.stack((residual - shift, residual))
+    spread = variance[centers] + np.einsum('mk,mks->ms', weights**2, variance[neighbors])
+    squares = residual**2 / spread
+    usable = np.isfinite(squares).all(axis=0)
+    count = np.maximum(usable.sum(axis=0), 1)
+    squares = np.where(usable, squares, 0.0)
+    # Scale by the smaller residuals: no polynomial follows every motion.
+    scale = np.maximum((squares.sum(axis=1) / count).min(axis=0), 1.0)
+    # Bound the effect of outliers.
     cost = np.minimum(squares / scale, N_SIGMA**2)
-    # What neighbors predict is correlated: there is half as much evidence as predictions.
+    # Neighboring predictions are correlated, so there are half as many independent ones.
     nats = float((cost[0] - cost[1]).sum() / 2) / 2
     rate = np.diff(signals, axis=0) ** 2 / np.where(variance[1:] > 0, variance[1:], np.nan)
     rate = rate[np.isfinite(rate).all(axis=1)]

@@ -10,27 +10,26 @@ from kinpole_ros.planar._plane import Complex, Real
 
 # Share of the largest squares that may be outliers.
 OUTLIER_SHARE = 0.1
-# A square is an outlier if it exceeds those of all but the worst 30% this many times. However far
-# off they are, no more than 30% are called so.
-OUTLIER_RATIO, TAME_SHARE = 9.0, 0.7
+# A square is an outlier if it is this many times the maximum of the bulk, the lowest 70%.
+OUTLIER_RATIO, BULK_SHARE = 9.0, 0.7
 
 
-def tame_part(values: Real) -> Real:
-    """What (B,) all but the worst three tenths of the values (B, m) stay below, NaN left out."""
+def bulk_maximum(values: Real) -> Real:
+    """Return the largest (B,) of the lowest 70% of values (B, m), NaN left out."""
     ranked = np.sort(values)  # NaN come last
-    place = np.ceil(TAME_SHARE * np.maximum((~np.isnan(ranked)).sum(axis=-1) - 1, 0)).astype(int)
-    return np.asarray(ranked[np.arange(len(ranked)), place])
+    last = np.ceil(BULK_SHARE * np.maximum((~np.isnan(ranked)).sum(axis=-1) - 1, 0)).astype(int)
+    return np.asarray(ranked[np.arange(len(ranked)), last])
 
 
 def medians(values: Real) -> Real:
-    """Medians (B,) of values (B, m), NaN left out; nanmedian takes ten times as long."""
+    """Return medians (B,) of values (B, m), NaN left out; nanmedian takes ten times as long."""
     ranked, number = np.sort(values, axis=1), (~np.isnan(values)).sum(axis=1)
-    each, last = np.arange(len(values)), np.maximum(number - 1, 0)
-    return np.asarray((ranked[each, last // 2] + ranked[each, (last + 1) // 2]) / 2)
+    rows, last = np.arange(len(values)), np.maximum(number - 1, 0)
+    return np.asarray((ranked[rows, last // 2] + ranked[rows, (last + 1) // 2]) / 2)
 
 
 def mean_square(residual: Complex, expected: Real) -> tuple[Real, Real]:
-    """Squares (...) of residuals (..., n) per degree of freedom, NaN for none, and the degrees."""
+    """Return mean squares (...) of residuals (..., n) per degree of freedom, and the degrees."""
     seen = ~np.isnan(residual)
     squares = np.where(seen, residual.real**2 + residual.imag**2, 0).sum(axis=-1)
     freedom = np.where(seen, expected, 0).sum(axis=-1)
@@ -39,15 +38,16 @@ def mean_square(residual: Complex, expected: Real) -> tuple[Real, Real]:
 
 
 def trimmed_mean(squares: Real, freedom: int) -> float:
-    """Mean of squares (m,) of `freedom` degrees each, of which some may be of outliers."""
-    tame = np.sort(squares[squares <= OUTLIER_RATIO * tame_part(squares[None])[0]])
-    lowest = tame[: max(1, math.ceil(len(tame) * (1 - OUTLIER_SHARE)))]
+    """Return the mean of squares (m,) of `freedom` degrees each, robust against outliers."""
+    limit = OUTLIER_RATIO * bulk_maximum(squares[None])[0]
+    ranked = np.sort(squares[squares <= limit])
+    lowest = ranked[: max(1, math.ceil(len(ranked) * (1 - OUTLIER_SHARE)))]
     return float(lowest.mean()) / share_of_lowest(float(freedom))
 
 
 @lru_cache(maxsize=1024)
 def share_of_lowest(freedom: float) -> float:
-    """Mean of the tame part of a chi-square over its mean (Wilson and Hilferty 1931)."""
+    """Return the mean of the lowest 90% of a chi-square over its mean (Wilson, Hilferty 1931)."""
     levels = (np.arange(200) + 0.5) / 200 * (1 - OUTLIER_SHARE)
     normal = np.array([NormalDist().inv_cdf(level) for level in levels])
     cube = np.maximum(1 - 2 / (9 * freedom) + normal * np.sqrt(2 / (9 * freedom)), 0)
@@ -56,10 +56,10 @@ def share_of_lowest(freedom: float) -> float:
 
 def student(freedom: Real) -> Real:
     """
-    Square of the 95% limit of Student's t of `freedom` (...) over that of a normal distribution.
+    Return the square of the 95% limit of Student's t (...) over that of a normal distribution.
 
-    A variance that is measured has errors of its own: figures are to be within 1.96 deviations as
-    often. By the expansion of Cornish and Fisher (Hill 1970, ACM algorithm 396), second order.
+    A measured variance of `freedom` (...) degrees is multiplied by it, so that 95% intervals cover.
+    By the expansion of Cornish and Fisher (Hill 1970, ACM algorithm 396), second order.
     """
     z = NormalDist().inv_cdf(0.975)
     first, second = (z**2 + 1) / 4, (5 * z**4 + 16 * z**2 + 3) / 96
@@ -68,9 +68,9 @@ def student(freedom: Real) -> Real:
 
 def chi_square(freedom: Real, deviations: float) -> Real:
     """
-    What a chi-square of `freedom` (...) over that is at so many deviations (Wilson and Hilferty).
+    Return a chi-square over its `freedom` (...) at so many standard deviations.
 
-    For less than 1 degree as for 1.
+    By the cube root of Wilson and Hilferty (1931); less than 1 degree counts as 1.
     """
     part = 2 / (9 * np.maximum(freedom, 1.0))
     return np.asarray(np.maximum(1 - part + deviations * np.sqrt(part), 0.0) ** 3)

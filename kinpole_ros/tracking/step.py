@@ -1,4 +1,4 @@
-"""The usual frame, compiled: _follow.c works on the arrays of the history and the bodies."""
+"""Usual frames, taken by compiled code on the arrays of the history and the bodies."""
 
 from ctypes import POINTER, Structure, byref, c_double, c_longlong, c_void_p
 from typing import Any, ClassVar
@@ -7,31 +7,31 @@ import numpy as np
 
 from kinpole_ros.compiled import address_of, library
 from kinpole_ros.derivatives import Call, go_on, new_call, pass_tables
-from kinpole_ros.tracking.bodies import UNSTEADY, Bodies
+from kinpole_ros.tracking.bodies import MAX_ANGLE_NOISE, Bodies
 from kinpole_ros.tracking.center import Pins
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.results import NOISE_UNKNOWN, TOO_NOISY, Results
 from kinpole_ros.tracking.thresholds import N_SIGMA
 
-# A pose is wrong beyond this many standard deviations of what poses are off the cubic through their
-# neighbors; the newest, which no pose follows yet, beyond three times as many off every polynomial
-# through those before.
-FAR, NEWEST_FAR = 7.0, 3.0
-# A pose is not wrong within this share of the diameter, or this angle, rad.
+# A pose is wrong if it is off the cubic through its neighbors by so many standard deviations. The
+# newest has no later neighbors: it is wrong if it is off every polynomial through those before, by
+# the second factor times as many.
+FAR, NEWEST_FACTOR = 7.0, 3.0
+# A pose within this share of the body size, or this angle, rad, of the curve is never wrong.
 NEAR = 0.01
-# Intervals after which a frame does not go on from the one before.
+# A frame later than so many intervals follows a gap.
 GAP = 2.5
-# What is unusual of a body in a frame, and why the loop over the frames ends: see _frames.h and
-# _follow.c.
+# What is unusual of a body in a frame: see _frames.h.
 ODD, NAME_DOUBTFUL = 1, 2
-DONE, UNUSUAL, SEEN_AGAIN, DEFORMED, FULL = 0, 2, 3, 4, 5
+# Why the compiled loop ends: see _follow.c.
+DONE, TABLE_LACKING, UNUSUAL, SEEN_AGAIN, DEFORMED, FULL = 0, 1, 2, 3, 4, 5
 
 _SCALARS = (
     *('bodies', 'markers', 'first', 'end', 'due', 'frame', 'frames', 'until_update'),
     *('hidden_is_unusual', 'window', 'samples', 'posed'),
 )
-_REALS = 'lag', 'interval', 'far', 'newest_far', 'near', 'gap', 'sure'
+_REALS = 'lag', 'interval', 'far', 'newest_factor', 'near', 'gap', 'n_sigma'
 _COLUMNS = (
     *('stamp', 'time', 'count', 'goes_on', 'used', 'angle', 'turns', 'information'),
     *('height', 'heights', 'extra_turn', 'position', 'residual', 'markers'),
@@ -39,20 +39,20 @@ _COLUMNS = (
 _LEARNED = (
     *('shape', 'hub', 'middle', 'pin', 'pin_arm', 'known_shape', 'weights', 'largest', 'doubtful'),
     *('spread', 'loosest', 'last_angle', 'jump_scale', 'size', 'error', 'scale', 'noise'),
-    *('freedom', 'pin_variance', 'turned', 'pin_since', 'unusable'),
+    *('freedom', 'pin_variance', 'tilt_turn', 'pin_since', 'reason'),
 )
-_COUNTED = 'unusual', 'wrong', 'newest', 'seen_last'
-_CAME = 'new_stamp', 'new_time', 'new_count', 'points', 'point_heights'
+_STATES = 'unusual', 'wrong', 'newest', 'seen_last'
+_NEW_FRAMES = 'new_stamp', 'new_time', 'new_count', 'points', 'point_heights'
 
 
 class _Frames(Structure):
-    """`Frames` of _frames.h; columns that have the names of other fields are apart there."""
+    """`Frames` of _frames.h, where the column `markers` is `marker`."""
 
     _fields_: ClassVar[Any] = [
         *((name, c_longlong) for name in _SCALARS),
         *((name, c_double) for name in _REALS),
         *(('marker' if name == 'markers' else name, c_void_p) for name in _COLUMNS),
-        *((name, c_void_p) for name in (*_LEARNED, *_COUNTED, *_CAME)),
+        *((name, c_void_p) for name in (*_LEARNED, *_STATES, *_NEW_FRAMES)),
     ]
 
 
@@ -66,11 +66,21 @@ _follow.argtypes = [POINTER(_Frames), POINTER(Call), c_void_p]
 
 class Step:
     """
-    Takes frames into a history as long as they are usual, and computes what falls due.
+    Takes usual frames into a history, and computes the results that are due.
 
-    `fields` are those of `Frames` of _frames.h. `unusual` (B,) says what is unusual of each body in
-    the last frame, `wrong` (B,) counts poses that left the path of their body, `newest` (B,) the
-    newest that may have, and `seen_last` (B,) is the stamp each was last seen at, -1 for none.
+    Attributes
+    ----------
+    fields : Structure
+        `Frames` of _frames.h.
+    unusual : (B,) uint8
+        What is unusual of each body in the last frame.
+    wrong : (B,) int64
+        Number of poses that left the path of their body.
+    newest : (B,) int64
+        How many of the newest poses may be wrong, and are not used yet.
+    seen_last : (B,) int64
+        Stamp of the last frame with a pose of each body, ns, -1 for none.
+
     """
 
     def __init__(
@@ -85,28 +95,28 @@ class Step:
             lag=settings.lag * 1e9,
             posed=posed,
             far=FAR,
-            newest_far=NEWEST_FAR,
+            newest_factor=NEWEST_FACTOR,
             near=NEAR,
             gap=GAP,
-            sure=N_SIGMA,
+            n_sigma=N_SIGMA,
         )
         self._frames = byref(self.fields)
-        for name in _COUNTED:
+        for name in _STATES:
             setattr(self.fields, name, address_of(getattr(self, name)))
         self._call = new_call(settings.window, 0)
         self._arrays: dict[str, np.ndarray] = {}
-        self._came: tuple[np.ndarray, ...] = ()
+        self._new_frames: tuple[np.ndarray, ...] = ()
         self.bind(bodies, history)
 
     def bind(self, bodies: Bodies, history: History) -> None:
         """Use these arrays, after an update of the bodies or growth of the history."""
         fields, self._history = self.fields, history
         fields.bodies, fields.markers = bodies.shape.shape
-        hub, observable = bodies.hub, bodies.noise**2 < UNSTEADY**2 * bodies.spread
+        hub, observable = bodies.hub, bodies.noise**2 < MAX_ANGLE_NOISE**2 * bodies.spread
         if self._posed:
-            # The errors of its position and of the angle are independent, as they are taken to be.
+            # The derivatives assume independent errors of position and angle: so at the middle.
             hub = np.where(hub == 0, bodies.middle, hub)
-            observable = bodies.angle_noise < UNSTEADY
+            observable = bodies.angle_noise < MAX_ANGLE_NOISE
         measured = np.isfinite(bodies.noise)
         learned = {
             'hub': hub,
@@ -116,14 +126,15 @@ class Step:
             'pin_since': self._pins.since,
             'known_shape': bodies.markers(),
             'noise': np.where(bodies.noise > 0, bodies.noise, 1.0),
-            'turned': bodies.extra_turn,
-            'unusable': np.where(measured, np.where(observable, 0, TOO_NOISY), NOISE_UNKNOWN),
+            'tilt_turn': bodies.extra_turn,
+            'reason': np.where(measured, np.where(observable, 0, TOO_NOISY), NOISE_UNKNOWN),
         }
-        learned['unusable'] = learned['unusable'].astype(np.uint8)
+        learned['reason'] = learned['reason'].astype(np.uint8)
         for name in _LEARNED:
             value = learned[name] if name in learned else getattr(bodies, name)
             array = np.ascontiguousarray(value)
             if name == 'last_angle':
+                # The compiled code updates the last angles.
                 bodies.last_angle = array
             self._arrays[name] = array
             setattr(fields, name, address_of(array))
@@ -135,41 +146,50 @@ class Step:
             column = self._history.columns[name]
             setattr(self.fields, 'marker' if name == 'markers' else name, address_of(column))
 
-    def hand_over(self, came: tuple[np.ndarray, ...], hidden_is_unusual: bool) -> None:
+    def pass_frames(self, new_frames: tuple[np.ndarray, ...], hidden_is_unusual: bool) -> None:
         """
-        Take frames next.
+        Pass the next frames to the compiled code.
 
-        `came` are their stamps, times and counts (T,), int64, points in the plane (T, B, n), and
-        heights of these. With `hidden_is_unusual` so is a marker not seen.
+        Parameters
+        ----------
+        new_frames : tuple of ndarray
+            Stamps, times and counts (T,), int64, points in the plane (T, B, n), complex, and their
+            heights.
+        hidden_is_unusual : bool
+            Whether a frame with a hidden marker is unusual.
+
         """
-        self._came = tuple(map(np.ascontiguousarray, came))
-        for name, array in zip(_CAME, self._came, strict=True):
+        self._new_frames = tuple(map(np.ascontiguousarray, new_frames))
+        for name, array in zip(_NEW_FRAMES, self._new_frames, strict=True):
             setattr(self.fields, name, address_of(array))
-        self.fields.frame, self.fields.frames = 0, len(came[0])
+        self.fields.frame, self.fields.frames = 0, len(new_frames[0])
         self.fields.hidden_is_unusual = hidden_is_unusual
 
     def follow(self, until_update: int, results: Results) -> int:
-        """Take frames, up to so many, and compute results; returns why it does not go on."""
+        """Take at most so many frames, and compute results; return why the loop ended."""
         fields, history, call = self.fields, self._history, self._call
         fields.until_update = min(until_update, fields.frames - fields.frame)
         if history.reserve(fields.until_update):
             self.bind_history()
         fields.first, fields.end = history.first, history.end
         call.orders, call.instants = results.orders, 1
-        tables, fields_of_results = pass_tables(call), address_of(results.fields)
-        while (code := _follow(self._frames, call, fields_of_results)) < DONE or code == 1:
+        # Keeps the tables alive while the library uses them.
+        tables, result_fields = pass_tables(call), address_of(results.fields)
+        while (
+            code := _follow(self._frames, call, result_fields)
+        ) <= TABLE_LACKING and code != DONE:
             tables = go_on(call, code)
         del tables
         history.end = fields.end
         return int(code)
 
     def fit(self, markers: np.ndarray, goes_on: bool) -> int:
-        """Fit markers (B, n), complex, into the newest row; returns what is unusual."""
+        """Fit markers (B, n), complex, into the row appended last; return what is unusual."""
         history = self._history
         self.fields.first, self.fields.end = history.first, history.end
         unusual = address_of(self.unusual)
         return int(_fit_frame(self._frames, address_of(markers), goes_on, unusual))
 
     def follow_paths(self) -> None:
-        """Complete the newest row: whole turns, and poses that it shows to be wrong."""
+        """Complete the row appended last: count whole turns, and leave out poses seen as wrong."""
         _follow_paths(self._frames, address_of(self.wrong), address_of(self.newest))

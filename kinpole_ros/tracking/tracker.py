@@ -14,10 +14,9 @@ import numpy as np
 from kinpole_ros.tracking.assignment import MarkerAssignment
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins, find_hubs
-from kinpole_ros.tracking.corrections import EXCHANGED
+from kinpole_ros.tracking.corrections import EXCHANGED, correct_frame
 from kinpole_ros.tracking.deformation import TISSUE, deformed_freedom
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.fit import correct_frame, fit_markers
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.learn import MOVED_FRAMES, NOISE_FRAMES, freedom_of, learn
@@ -242,9 +241,11 @@ class Tracker:
                     # The clock depends on the noise, which is to be the same live and in replay.
                     self._names_changed = self._update_if_due()
                     self._timeline.update_clock(self.samples, self.noise())
-                some = slice(first, None)
-                steps, end, restarts = self._timeline.accept(stamps[some], frames.points[some])
-                new = first + (steps > 0).nonzero()[0]
+                remaining = slice(first, None)
+                is_used, end, restarts = self._timeline.accept(
+                    stamps[remaining], frames.points[remaining]
+                )
+                new = first + is_used.nonzero()[0]
                 if len(new):
                     taken = frames if len(new) == len(stamps) else part_of(frames, new)
                     for part, numbers in self._timeline.count(taken, number + new):
@@ -307,8 +308,8 @@ class Tracker:
 
     def _pass_frames(self, stamps: np.ndarray, times: tuple[np.ndarray, ...]) -> None:
         """Pass the last frames to the compiled step."""
-        came = stamps, *times, self._points, self._heights
-        self._step.hand_over(came, self.matcher.has_unassigned)
+        new_frames = stamps, *times, self._points, self._heights
+        self._step.pass_frames(new_frames, self.matcher.has_unassigned)
 
     def _follow(self, until_update: int, results: Results) -> int:
         """Take usual frames and compute the results that are due; return why the loop ended."""
@@ -417,10 +418,10 @@ class Tracker:
             return
         if matcher.is_nameless and matcher.arrange(k):
             self._restart_bodies(np.ones(bodies.count, bool))
-        if len(bodies.unmet):
+        if len(bodies.unseen):
             bodies.begin(markers)
             self._step.bind(bodies, history)
-        if bodies.incomplete and (bodies.incomplete_places & ~np.isnan(markers)).any():
+        if bodies.incomplete and (bodies.unknown_slots & ~np.isnan(markers)).any():
             # New markers are learned as soon as they are seen.
             self._next_update = min(self._next_update, self._frame_count + 1)
         if bodies.exchanged:
@@ -473,9 +474,7 @@ class Tracker:
             unseen = np.isnan(self._points[k])
             if not unseen.any():
                 return False
-            if not self.matcher.is_doubtful(
-                fit_markers(self._calibration, self._points[k]), unseen
-            ):
+            if not self.matcher.is_doubtful(self._calibration.fit(self._points[k]), unseen):
                 return False
         # Bodies that are not rigid are doubtful in every frame, and a search takes long.
         if self._frame_count < self._next_search:
@@ -565,7 +564,9 @@ class Tracker:
         free = freedom_of(bodies, residual).sum(axis=-1)
         noise = np.fmax(bodies.noise, bodies.white)
         half = round(self._window / 2 / max(interval, 1.0))
-        bodies.freedom, bodies.held = deformed_freedom(residual, free, noise, bodies.degrees, half)
+        bodies.freedom, bodies.hidden_factor = deformed_freedom(
+            residual, free, noise, bodies.degrees, half
+        )
 
     def _count_new_frames(self) -> None:
         """Count hidden markers since the last update, and measure how the motion lies in space."""

@@ -1,26 +1,27 @@
 """
-The results of one bag: made by one run at a time, and named only when they are whole.
+The results of one bag: made by one run at a time, and named only when they are complete.
 
 A small file next to them says what they are made of, so that they are not made twice.
 """
 
-import csv
 import glob
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from io import StringIO
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from kinpole_ros import __version__
-from kinpole_ros.bags import BagError, bag_files, warnings_of
-from kinpole_ros.bags._files import unwritable
-from kinpole_ros.bags._replay import replay
-from kinpole_ros.bags._replayed import Replayed
+from kinpole_ros.bags import BagError, Replayed, bag_files, warnings_of
+from kinpole_ros.bags._replay import equal_stretches, replay_stretch
+from kinpole_ros.bags._replayed import concatenate_outcomes
+from kinpole_ros.bags._tables import join_parquet
+from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.files import lock, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML
@@ -29,253 +30,287 @@ from kinpole_ros.tracking.parameters import ParameterError, Settings
 
 KINDS = ('mcap', 'csv', 'parquet')
 EXPECTED = (BagError, LinkageError, ParameterError, SceneError, OSError)
-_LONGEST_NAME = 200  # bytes
-_MOST = 16 << 20  # bytes of what is known of a bag
-_FIRST = ('bag', 'error', 'truncated', 'results', 'frames', 'estimates', 'start', 'end', 'seconds')
+_LONGEST_NAME = 200  # bytes of a name, which may have 255 with its endings
+_MOST_RECORD_BYTES = 16 << 20
+_LONG_BYTES = 4 << 20  # of a bag worth dividing, at some 200 a frame: five seconds of work or more
+# What JSON of another form raises.
+_MALFORMED = (ValueError, LookupError, TypeError, RecursionError)
 
 # What the summary says of one bag: text and numbers by the name of their column.
 Row = dict[str, Any]
 
 
-def replay_bag(
-    bag: str,
-    folder: Path | str,
-    settings: Settings,
-    topic: str | None,
-    kinds: list[str],
-    progress: Callable[[float], None] | None = None,
-) -> Row:
-    """
-    Replay one bag, in whatever process this is; what is wrong with it is in the row.
+def result_name(bag: str) -> str:
+    """Return the name of the results of a bag: its own, and a number that only its path has."""
+    name = Path(bag).name.removesuffix('.zstd').removesuffix('.mcap')
+    name = os.fsdecode(os.fsencode(name)[:_LONGEST_NAME])
+    return f'{name}-{hashlib.sha256(os.fsencode(bag)).hexdigest()[:10]}'
 
-    `folder` is a URL where it is text. Where another run is at this bag, its end is awaited, but
-    in a store, where both do it. `progress` is called with the share done.
+
+@dataclass(frozen=True)
+class Job:
+    """A bag to be replayed, and its results to be made."""
+
+    bag: str
+    root: Path | str  # of all results: a folder, or a URL where it is text
+    settings: Settings
+    topic: str | None
+    kinds: Sequence[str]
+    shard: str = ''  # folder in the root; '' for none
+
+    @property
+    def name(self) -> str:
+        """Return the name of the results, without ending."""
+        return result_name(self.bag)
+
+    @property
+    def folder(self) -> Path:
+        """Return the folder of the results, which is not in a store."""
+        return Path(self.root) / self.shard
+
+    @property
+    def url(self) -> str:
+        """Return the address of the folder of the results, in a store."""
+        return f'{self.root}/{self.shard}'.rstrip('/')
+
+    def files(self, folder: Path, number: int | None = None) -> dict[str, Path]:
+        """Return the files by kind to write results to, or those of the stretch of this number."""
+        stem = self.name if number is None else f'{self.name}.{number}'
+        return {kind: folder / f'{stem}.{kind}.part' for kind in self.kinds}
+
+    def fingerprint(self) -> list[Any]:
+        """Return what is equal as long as all that results depend on is unchanged."""
+        if _store.is_url(self.bag):
+            files: list[Any] = list(_store.identity(self.bag))
+        else:
+            stats = ((file.name, file.stat()) for file in bag_files(self.bag))
+            files = [(name, stat.st_size, stat.st_mtime_ns) for name, stat in stats]
+        content = repr((__version__, self.topic, self.settings, files)).encode()
+        scene = Path(self.settings.scene)
+        if self.settings.scene and scene.is_file():
+            content += read_limited(scene, MOST_YAML)
+        return [__version__, hashlib.sha256(content).hexdigest()]
+
+
+def replay_bag(job: Job, progress: Callable[[float], None] | None = None) -> Row:
+    """
+    Replay one bag, in any process, and return its row; what is wrong with the bag is in the row.
+
+    It waits for the end of another run that is at this bag, except in a store, where both do it.
+    `progress` is called with the share done.
     """
     try:
-        if isinstance(folder, str):
-            name = name_of(bag)
+        if isinstance(job.root, str):
             with TemporaryDirectory(prefix='kinpole') as scratch:
-                row = _make(bag, Path(scratch), settings, topic, kinds, progress)
-                results = [f'{name}.{kind}' for kind in kinds]
-                _store.send(Path(scratch), results, f'{name}.json', folder)
+                row = _make(job, Path(scratch), progress)
+                names = [f'{job.name}.{kind}' for kind in job.kinds]
+                _store.send(Path(scratch), names, f'{job.name}.json', job.url)
             return row
-        with alone(bag, folder):
-            before = finished(bag, folder, settings, topic, kinds)
-            return before or _make(bag, folder, settings, topic, kinds, progress)
+        with alone(job):
+            return finished(job) or _make(job, job.folder, progress)
     except EXPECTED as error:
-        return {'bag': bag, 'error': ' '.join(str(error).split())}
+        return {'bag': job.bag, 'error': ' '.join(str(error).split())}
 
 
-def _make(
-    bag: str,
-    folder: Path,
-    settings: Settings,
-    topic: str | None,
-    kinds: list[str],
-    progress: Callable[[float], None] | None,
-) -> Row:
-    """Replay one bag and give its results their names; raises what replay does, and OSError."""
-    name = name_of(bag)
-    parts = {kind: folder / f'{name}.{kind}.part' for kind in kinds}
-    of_what = made_of(bag, settings, topic)
-    with _store.fetched(bag) if _store.is_url(bag) else nullcontext(bag) as source:
-        result = replay(
-            source,
-            settings,
-            output=parts.get('mcap'),
-            csv=parts.get('csv'),
-            topic=topic,
-            progress=progress,
-            parquet=parts.get('parquet'),
-            place=nullcontext,
-        )
-    return name_results(bag, folder, settings, of_what, parts, result)
+def _make(job: Job, folder: Path, progress: Callable[[float], None] | None) -> Row:
+    """Replay one bag into a folder; raises what replay does, and OSError."""
+    fingerprint = job.fingerprint()
+    is_url = _store.is_url(job.bag)
+    with _store.fetched(job.bag) if is_url else nullcontext(job.bag) as source:
+        outcome = replay_stretch(source, job.settings, job.files(folder), job.topic, progress)
+    return _name_results(job, folder, fingerprint, outcome)
 
 
-def name_results(
-    bag: str,
-    folder: Path,
-    settings: Settings,
-    of_what: list[Any],
-    parts: dict[str, Path],
-    result: Replayed,
-) -> Row:
-    """Give the results of a bag, which are whole in `parts` by kind, their names; their row."""
-    name = name_of(bag)
-    before = _recorded_row(bag, folder, of_what)
-    there = [kind for kind in KINDS if kind in parts or _has(before, bag, folder, kind)]
+def stretch_counts(jobs: Sequence[Job], workers: int) -> list[int]:
+    """
+    Return the number of stretches of each bag, more than one where bags are fewer than workers.
+
+    A comparison with a scene runs on from frame to frame, and is not divided.
+    """
+    most = workers // len(jobs)
+    counts = []
+    for job in jobs:
+        is_divisible = most > 1 and not job.settings.scene and isinstance(job.root, Path)
+        is_long = is_divisible and not _store.is_url(job.bag) and bag_size(job.bag) > _LONG_BYTES
+        counts.append(most if is_long else 1)
+    return counts
+
+
+def bag_size(bag: str) -> int:
+    """Return the bytes of a bag, 1 at least."""
+    try:
+        if _store.is_url(bag):
+            return max(1, sum(size for _, size, _ in _store.identity(bag)))
+        return max(1, sum(file.stat().st_size for file in bag_files(bag)))
+    except EXPECTED:
+        return 1
+
+
+def replay_part(
+    job: Job, number: int, count: int, progress: Callable[[float], None] | None = None
+) -> Replayed:
+    """Replay the stretch of this number, of so many, into files of its own next to the results."""
+    files, stretch = job.files(job.folder, number), equal_stretches(count)[number]
+    return replay_stretch(job.bag, job.settings, files, job.topic, progress, stretch)
+
+
+def join_parts(job: Job, outcomes: list[Replayed]) -> Row:
+    """Join the results of the stretches of a bag, and return its row."""
+    stretches = [job.files(job.folder, number) for number in range(len(outcomes))]
+    for kind, target in job.files(job.folder).items():
+        _join_files([files[kind] for files in stretches], target, kind)
+    return _name_results(job, job.folder, job.fingerprint(), concatenate_outcomes(outcomes))
+
+
+def _join_files(sources: Sequence[Path], target: Path, kind: str) -> None:
+    """Join the results of stretches, 'mcap', 'parquet' or 'csv', as one replay writes them."""
+    if kind == 'mcap':
+        with BagWriter(target) as writer:
+            for source in sources:
+                writer.append(source)
+    elif kind == 'parquet':
+        join_parquet(sources, target)
+    else:
+        with target.open('wb') as table:
+            for number, source in enumerate(sources):
+                with source.open('rb') as file:
+                    if number:
+                        file.readline()
+                    shutil.copyfileobj(file, table, 1 << 20)
+
+
+def _name_results(job: Job, folder: Path, fingerprint: list[Any], outcome: Replayed) -> Row:
+    """Give the results of a bag, which are complete, their names, and return its row."""
+    name = job.name
+    earlier = _row_of(_read_record(folder / f'{name}.json'), job, fingerprint)
+    kinds = [
+        kind
+        for kind in KINDS
+        if kind in job.kinds
+        or (f'.{kind}' in earlier.get('results', '') and (folder / f'{name}.{kind}').is_file())
+    ]
     row: Row = {
-        'bag': bag,
+        'bag': job.bag,
         'error': '',
-        'truncated': str(result.truncated or ''),
-        'results': ' '.join(f'{name}.{kind}' for kind in there),
-        'frames': result.frames,
-        'estimates': result.estimates,
-        'markers': len(result.identities),
-        'start': result.first / 1e9,
-        'end': result.last / 1e9,
-        'seconds': (result.last - result.first) / 1e9,
-        'repeated': result.repeated,
-        'late': result.late,
-        'lost': result.lost,
-        'resets': result.resets,
-        'frame_changes': result.frame_changes,
-        'unreadable': result.unreadable,
-        'problem': result.problem,
-        'unknown': ' '.join(result.unknown),
-        'warnings': '; '.join(warnings_of(result, settings)),
+        'truncated': str(outcome.truncated or ''),
+        'results': ' '.join(f'{name}.{kind}' for kind in kinds),
+        'frames': outcome.frames,
+        'estimates': outcome.estimates,
+        'markers': len(outcome.identities),
+        'start': outcome.first / 1e9,
+        'end': outcome.last / 1e9,
+        'seconds': (outcome.last - outcome.first) / 1e9,
+        'repeated': outcome.repeated,
+        'late': outcome.late,
+        'lost': outcome.lost,
+        'resets': outcome.resets,
+        'frame_changes': outcome.frame_changes,
+        'unreadable': outcome.unreadable,
+        'problem': outcome.problem,
+        'unknown': ' '.join(outcome.unknown),
+        'warnings': '; '.join(warnings_of(outcome, job.settings)),
     }
-    for body, poles in result.determined.items():
-        row[f'{body}_noise'] = result.noise[body] if result.noise[body] >= 0 else None
+    for body, poles in outcome.determined.items():
+        row[f'{body}_noise'] = outcome.noise[body] if outcome.noise[body] >= 0 else None
         row |= {f'{body}_{pole}_determined': share for pole, share in poles.items()}
-    # Stopped from here on, nothing tells what the results are made of, and they are made anew.
-    about = folder / f'{name}.json'
-    about.unlink(missing_ok=True)
-    for kind, part in parts.items():
+    # Without a record, results are made again if we are stopped from here on.
+    record = folder / f'{name}.json'
+    record.unlink(missing_ok=True)
+    for kind, part in job.files(folder).items():
         part.replace(folder / f'{name}.{kind}')
-    _write_whole(about, json.dumps({'made_of': of_what, 'row': row}))
+    write_text(record, json.dumps({'made_of': fingerprint, 'row': row}))
     return row
 
 
 @contextmanager
-def alone(bag: str, folder: Path, wait: bool = True) -> Iterator[None]:
+def alone(job: Job, wait: bool = True) -> Iterator[None]:
     """
-    Keep other runs, of any process, off the results of a bag; in the end no parts are left of them.
+    Keep other runs, of any process, off the results of a bag; remove unfinished parts at the end.
 
     Raises BlockingIOError when another run is at them and this one is not to `wait`.
     """
-    place = folder / f'{name_of(bag)}.part'
+    job.folder.mkdir(exist_ok=True)
+    path = job.folder / f'{job.name}.part'
     while True:
-        with open(place, 'ab') as held:
-            lock(held, wait)
-            # Who was here before removed the file, and somebody else may be at a new one.
-            try:
-                mine = os.path.samestat(os.fstat(held.fileno()), os.stat(place))
-            except FileNotFoundError:
-                mine = False
-            if mine:
+        with open(path, 'ab') as file:
+            lock(file, wait)
+            # The last run removed the file, and another one may have locked a new one.
+            is_same = False
+            with suppress(FileNotFoundError):
+                is_same = os.path.samestat(os.fstat(file.fileno()), os.stat(path))
+            if is_same:
                 try:
                     yield
                 finally:
-                    _remove_parts(bag, folder)
+                    for part in job.folder.glob(f'{glob.escape(job.name)}.*.part'):
+                        with suppress(OSError):
+                            part.unlink()
                     # Windows removes no open file, nor one that others have opened meanwhile.
                     with suppress(PermissionError):
-                        place.unlink(missing_ok=True)
+                        path.unlink(missing_ok=True)
                 break
     if os.name == 'nt':
         with suppress(PermissionError):
-            place.unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
 
 
-def _remove_parts(bag: str, folder: Path) -> None:
-    """Remove what is left of results that were not finished, of this run or of one before."""
-    for part in folder.glob(f'{glob.escape(name_of(bag))}.*.part'):
-        with suppress(OSError):
-            part.unlink()
+def finished(job: Job, stored: _store.Content | None = None) -> Row | None:
+    """
+    Return the row of a bag whose results exist, made of the same bag with the same settings.
 
-
-def finished(
-    bag: str, folder: Path, settings: Settings, topic: str | None, kinds: list[str]
-) -> Row | None:
-    """The row of a bag whose results are there, made of the same bag with the same settings."""
+    Those in a store are looked up in its content.
+    """
     try:
-        row = _recorded_row(bag, folder, made_of(bag, settings, topic))
+        fingerprint = job.fingerprint()
     except EXPECTED:
         return None
-    return row if all(_has(row, bag, folder, kind) for kind in kinds) else None
-
-
-def finished_in_store(
-    bag: str,
-    home: str,
-    known: tuple[dict[str, Any], set[str]],
-    settings: Settings,
-    topic: str | None,
-    kinds: list[str],
-) -> Row | None:
-    """The same in a store, of which `known` is what it holds; `home` is the folder of the bag."""
-    records, names = known
-    place = f'{home}/{name_of(bag)}'.lstrip('/')
-    try:
-        record = records[place]
-        row = record['row']
-        if row['bag'] != bag or record['made_of'] != made_of(bag, settings, topic):
+    if stored is None:
+        record = _read_record(job.folder / f'{job.name}.json')
+    else:
+        path = f'{job.shard}/{job.name}'.lstrip('/')
+        record = stored.records.get(path)
+    row = _row_of(record, job, fingerprint)
+    for kind in job.kinds:
+        if f'.{kind}' not in str(row.get('results')):
             return None
-    except (LookupError, TypeError, *EXPECTED):
-        return None
-    there = all(f'{place}.{kind}' in names and f'.{kind}' in row['results'] for kind in kinds)
-    return row if there else None
+        if stored is None:
+            exists = (job.folder / f'{job.name}.{kind}').is_file()
+        else:
+            exists = f'{path}.{kind}' in stored.names
+        if not exists:
+            return None
+    return row or None
 
 
-def _recorded_row(bag: str, folder: Path, of_what: list[Any]) -> Row | None:
-    """The row of the results of a bag that are there, if they were made of this."""
+def _read_record(path: Path) -> Any:
+    """Return what is recorded of results; None where that cannot be read."""
     try:
-        record = json.loads(read_limited(folder / f'{name_of(bag)}.json', _MOST))
-        row = record['row'] if record['made_of'] == of_what else None
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return json.loads(read_limited(path, _MOST_RECORD_BYTES))
+    except (OSError, *_MALFORMED):
         return None
-    return row if isinstance(row, dict) and row.get('bag') == bag else None
 
 
-def _has(row: Row | None, bag: str, folder: Path, kind: str) -> bool:
-    """Whether results of this kind are there and the row, if there is one, tells of them."""
-    name = f'{name_of(bag)}.{kind}'
-    return row is not None and name in str(row.get('results')) and (folder / name).is_file()
+def _row_of(record: Any, job: Job, fingerprint: list[Any]) -> Row:
+    """Return the row in a record of the same bag with this fingerprint; empty where it is not."""
+    with suppress(*_MALFORMED):
+        row = record['row']
+        if record['made_of'] == fingerprint and isinstance(row, Mapping) and row['bag'] == job.bag:
+            return dict(row)
+    return {}
 
 
 def is_result(path: str, folder: Path) -> bool:
-    """Whether it is a result of an earlier run into the folder of its bags, and no bag of these."""
+    """Return whether a file is a result of an earlier run into the folder, and no bag of these."""
     result = Path(path)
     if folder not in (result.parent, result.parent.parent):
         return False
-    try:
-        record = json.loads(read_limited(result.with_suffix('.json'), _MOST))
-        return name_of(record['row']['bag']) == result.stem
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return False
+    with suppress(*_MALFORMED):
+        return result_name(_read_record(result.with_suffix('.json'))['row']['bag']) == result.stem
+    return False
 
 
-def shard_of(bag: str) -> str:
-    """The folder of the results of a bag among very many: one of 256."""
-    return name_of(bag)[-10:-8]
-
-
-def name_of(bag: str) -> str:
-    """What the results of a bag are called: its own name, and a number that only its path has."""
-    short = Path(bag).name.removesuffix('.zstd').removesuffix('.mcap')
-    # A name of a file has 255 bytes, and there are endings to come.
-    short = os.fsdecode(os.fsencode(short)[:_LONGEST_NAME])
-    return f'{short}-{hashlib.sha256(os.fsencode(bag)).hexdigest()[:10]}'
-
-
-def made_of(bag: str, settings: Settings, topic: str | None) -> list[Any]:
-    """All that the results depend on, such that equal is unchanged."""
-    if _store.is_url(bag):
-        files: list[Any] = list(_store.identity(bag))
-    else:
-        stats = ((file.name, file.stat()) for file in bag_files(bag))
-        files = [(name, stat.st_size, stat.st_mtime_ns) for name, stat in stats]
-    scene = Path(settings.scene)
-    described = repr((__version__, topic, settings, files)).encode()
-    if settings.scene and scene.is_file():
-        described += read_limited(scene, MOST_YAML)
-    return [__version__, hashlib.sha256(described).hexdigest()]
-
-
-def write_summary(path: Path, rows: list[Row]) -> None:
-    """One line a bag; a column for all that any of them has."""
-    columns = dict.fromkeys(_FIRST) | dict.fromkeys(name for row in rows for name in row)
-    text = StringIO(newline='')
-    table = csv.DictWriter(text, list(columns))
-    table.writeheader()
-    table.writerows(rows)
-    try:
-        _write_whole(path, text.getvalue())
-    except OSError as error:
-        raise unwritable(path, error) from None
-
-
-def _write_whole(path: Path, text: str) -> None:
+def write_text(path: Path, text: str) -> None:
+    """Write a file, which replaces the one before when it is complete."""
     part = path.with_name(f'{path.name}.part')
     try:
         # A file name need not be text.

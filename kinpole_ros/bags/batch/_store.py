@@ -1,44 +1,44 @@
 """
 Bags and results in the stores that fsspec knows: s3://, gs://, memory:// and the like.
 
-A bag is fetched to the disk of its worker, and results are sent when they are whole. What they are
-made of is sent last, so a run that was stopped leaves nothing that passes for finished.
+A bag is fetched to the disk of its worker, and results are sent when they are complete. Their
+record is sent last, so a run that was stopped leaves nothing that seems finished.
 """
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from kinpole_ros.bags import BagError
 from kinpole_ros.packages import install_command
 
-# What stores call that which changes with the content of a file.
+# Names in stores of properties that change with the content of a file.
 _VERSIONS = ('ETag', 'etag', 'md5Hash', 'content_md5', 'mtime', 'LastModified', 'created')
 
 
 def is_url(path: str | Path) -> bool:
-    """Whether it is in a store, and not on a disk."""
+    """Return whether it is in a store, and not on a disk."""
     return isinstance(path, str) and '://' in path and not path.startswith('file://')
 
 
 def on_disk(path: str | Path) -> str | Path:
-    """The path of a file:// URL; others as they are."""
+    """Return the path of a file:// URL; other paths unchanged."""
     if isinstance(path, str) and path.startswith('file://'):
         return unquote(urlsplit(path).path)
     return path
 
 
-def lives_in_this_process(path: str | Path) -> bool:
-    """Whether no other process can see it."""
+def is_in_memory(path: str | Path) -> bool:
+    """Return whether no other process has access to it."""
     return isinstance(path, str) and path.startswith('memory://')
 
 
 def identity(bag: str) -> list[tuple[str, int, str]]:
-    """Name, size and version of each file of a bag. Raises BagError when there is none."""
+    """Return name, size and version of the files of a bag; raises BagError when there is none."""
     with _errors(bag):
         store, path = _open(bag)
         files = store.find(path, detail=True)
@@ -54,14 +54,9 @@ def _version(about: dict[str, Any]) -> str:
     return ' '.join(str(about[key]) for key in _VERSIONS if about.get(key) is not None)
 
 
-def size(bag: str) -> int:
-    """Bytes of a bag."""
-    return sum(file[1] for file in identity(bag))
-
-
 @contextmanager
 def fetched(bag: str) -> Iterator[str]:
-    """The path of a copy of a bag, a file or a folder, on the disk of this machine."""
+    """Give the path of a copy of a bag, a file or a folder, on the disk of this machine."""
     with TemporaryDirectory(prefix='kinpole') as folder:
         with _errors(bag):
             store, path = _open(bag)
@@ -79,7 +74,7 @@ def fetched(bag: str) -> Iterator[str]:
 
 
 def send(folder: Path, names: list[str], last: str, url: str) -> None:
-    """Send files of a folder to a store; `last` goes when all others are there."""
+    """Send files of a folder to a store, `last` when all others are there."""
     with _errors(url, 'written'):
         store, path = _open(url)
         store.makedirs(path, exist_ok=True)
@@ -89,23 +84,28 @@ def send(folder: Path, names: list[str], last: str, url: str) -> None:
             store.put_file(str(folder / name), f'{path}/{name}')
 
 
-def recorded(url: str) -> tuple[dict[str, Any], set[str]]:
-    """What is said of the results in a store, by path, and the paths of all files there."""
+class Content(NamedTuple):
+    """The records of the results in a store, by path without ending, and the paths of all files."""
+
+    records: dict[str, Any]
+    names: set[str]
+
+
+def content(url: str) -> Content:
+    """Read the records of the results in a store."""
     with _errors(url):
         store, path = _open(url)
-        # Another run may have written since it was last looked at.
+        # Another run may have written since it was last read.
         store.invalidate_cache()
         names = store.find(path) if store.exists(path) else []
         entries = [name for name in names if name.endswith('.json')]
-        # All at once: a store far away takes as long for one as for many.
-        contents = store.cat(entries, on_error='omit') if entries else {}
+        # All at once: a remote store takes as long for one as for many.
+        texts = store.cat(entries, on_error='omit') if entries else {}
         records = {}
-        for name, content in contents.items():
-            try:
-                records[_within(name, path).removesuffix('.json')] = json.loads(content)
-            except ValueError:
-                continue
-        return records, {_within(name, path) for name in names}
+        for name, text in texts.items():
+            with suppress(ValueError):
+                records[_within(name, path).removesuffix('.json')] = json.loads(text)
+        return Content(records, {_within(name, path) for name in names})
 
 
 def _within(name: str, path: str) -> str:
@@ -113,7 +113,7 @@ def _within(name: str, path: str) -> str:
 
 
 def _open(url: str) -> tuple[Any, str]:
-    """A store and the path in it."""
+    """Return a store and the path in it."""
     try:
         from fsspec.core import url_to_fs
     except ImportError:
@@ -123,8 +123,8 @@ def _open(url: str) -> tuple[Any, str]:
 
 
 @contextmanager
-def _errors(url: str, done: str = 'read') -> Iterator[None]:
-    """What a store raises as a BagError: each has errors of its own."""
+def _errors(url: str, action: str = 'read') -> Iterator[None]:
+    """Turn what a store raises into BagError: each has errors of its own."""
     try:
         yield
     except BagError:
@@ -134,6 +134,6 @@ def _errors(url: str, done: str = 'read') -> Iterator[None]:
     except Exception as error:
         text = ' '.join((getattr(error, 'strerror', None) or str(error)).split())
         raise BagError(
-            f'{url} cannot be {done}: {text or type(error).__name__}; fix: check the address, the '
-            'rights and the settings of the store'
+            f'{url} cannot be {action}: {text or type(error).__name__}; fix: check the address, '
+            'the rights and the settings of the store'
         ) from error

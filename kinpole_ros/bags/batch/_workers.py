@@ -1,24 +1,30 @@
 """
-Workers of a batch: processes of this machine, reached through pipes, or a Dask cluster.
+Workers of a batch: processes of this machine, or a Dask cluster.
 
-All of them take jobs the same way, as `Workers` says, and give back `concurrent.futures.Future`.
+Dask's local cluster would listen on a port at which any user of the machine could run code. A
+`ProcessPoolExecutor` fails all of its jobs when one process dies, has no messages of progress, and
+leaves its processes running when it is killed. So processes here are reached through pipes.
 """
 
+import asyncio
+import logging
 import multiprocessing
 import signal
 import threading
+import uuid
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol
 
 from kinpole_ros.bags import BagError
+from kinpole_ros.packages import install_command
 
-# What a job does: it takes the arguments of the job, and a function that it calls with the share
-# of the job that is done, from 0 to 1.
+# The function of a job takes its arguments, and a function to call with the share done, 0 to 1.
 Job = Callable[..., Any]
 Arguments = tuple[Any, ...]
 Progress = Callable[[float], None]
@@ -26,10 +32,13 @@ Progress = Callable[[float], None]
 # Not 'forkserver', the default on Linux from Python 3.14 on: that one listens on a socket.
 _CONTEXT = multiprocessing.get_context('spawn')
 _SHARE, _RESULT, _ERROR = range(3)  # the kinds of message that a worker process sends
+_CONNECT_TIMEOUT = 30  # s, for a scheduler to answer and for its first worker to connect
+_TOPIC = 'kinpole'  # of the events by which Dask workers report their progress
+_TLS = ('tls', 'wss')  # Dask's protocols in which both ends show certificates
 
 
 class Workers(Protocol):
-    """What does the jobs of a batch."""
+    """Runs the jobs of a batch."""
 
     count: int  # jobs that run at a time
 
@@ -37,66 +46,34 @@ class Workers(Protocol):
         """Begin a job; `progress` is called, in any thread, with the share that is done."""
 
 
-class _SameThreads:
-    """One thread of this process, which sees the stores that live in its memory."""
+class _LocalWorkers:
+    """Worker processes, with a thread here for each; or one thread of this process."""
 
-    count = 1
-
-    def __init__(self, threads: ThreadPoolExecutor) -> None:
-        self._threads = threads
+    def __init__(
+        self, threads: ThreadPoolExecutor, processes: '_Processes | None', count: int
+    ) -> None:
+        self.count = count
+        self._threads, self._processes = threads, processes
 
     def submit(self, job: Job, arguments: Arguments, progress: Progress | None) -> Future[Any]:
-        return self._threads.submit(job, *arguments, progress or _ignore)
-
-
-class _EndedError(Exception):
-    """A worker process ended before its job did."""
-
-
-class _Process:
-    """A worker process and this end of its pipe."""
-
-    def __init__(self) -> None:
-        self.pipe, other_end = _CONTEXT.Pipe()
-        # Not a daemon, which may start no processes of its own: the end of the pipe ends it.
-        self.process = _CONTEXT.Process(target=_serve, args=(other_end,))
-        with other_end, _interrupts_blocked():
-            self.process.start()
-
-    def run(self, job: Job, arguments: Arguments, progress: Progress | None) -> Any:
-        """The result of a job. Raises what the job raises, and _EndedError if the process ends."""
-        try:
-            self.pipe.send((job, arguments))
-            while (message := self.pipe.recv())[0] == _SHARE:
-                if progress is not None:
-                    progress(message[1])
-        except (EOFError, OSError) as error:
-            raise _EndedError from error
-        if message[0] == _ERROR:
-            raise message[1]
-        return message[1]
-
-    def end(self) -> None:
-        # The pipe is left to the thread that may be reading it.
-        self.process.kill()
-        self.process.join()
+        if self._processes is None:
+            return self._threads.submit(job, *arguments, progress or _ignore)
+        return self._threads.submit(self._processes.run, job, arguments, progress)
 
 
 class _Processes:
     """
-    Worker processes. Each has a thread here, which waits for it at a pipe that nobody else can use.
+    Worker processes at pipes that nobody else can use.
 
     A process that dies costs the job it was at; the next job gets a new process.
     """
 
-    def __init__(self, count: int, threads: ThreadPoolExecutor) -> None:
-        self.count = count
-        self._threads = threads
+    def __init__(self, count: int) -> None:
         self._lock = threading.Lock()
-        self._closed = False
-        self._all: set[_Process] = set()
-        self._idle: SimpleQueue[_Process] = SimpleQueue()
-        # It unblocks the signals that a process to be started should have blocked.
+        self._is_closed = False
+        self._started: set[Any] = set()
+        self._idle: SimpleQueue[tuple[Any, Connection]] = SimpleQueue()
+        # Its start unblocks the signals that a process to be started should have blocked.
         with suppress(AttributeError):  # Windows has none
             resource_tracker.ensure_running()
         try:
@@ -106,77 +83,80 @@ class _Processes:
             self.close()
             raise
 
-    def submit(self, job: Job, arguments: Arguments, progress: Progress | None) -> Future[Any]:
-        return self._threads.submit(self._run, job, arguments, progress)
-
     def close(self) -> None:
-        """End all processes, and with them the jobs that they are at."""
+        """End all processes, and with them their jobs."""
         with self._lock:
-            self._closed = True
-            processes, self._all = self._all, set()
-        self._threads.shutdown(wait=False, cancel_futures=True)
+            self._is_closed = True
+            processes, self._started = self._started, set()
         for process in processes:
-            process.end()
+            # Its pipe is closed by the thread that may be reading it.
+            process.kill()
+            process.join()
 
-    def _start(self) -> _Process:
+    def _start(self) -> tuple[Any, Connection]:
         with self._lock:
-            if self._closed:
+            if self._is_closed:
                 raise BagError('the batch is stopped')
             try:
-                process = _Process()
+                pipe, other_end = _CONTEXT.Pipe()
+                # The end of the pipe ends it. A daemon could start no processes of its own.
+                process = _CONTEXT.Process(target=_serve, args=(other_end,))
+                with other_end, _interrupts_blocked():
+                    process.start()
             except (OSError, RuntimeError) as error:
                 raise BagError(
                     f'no worker processes can be started ({error}); fix: see to the memory and '
                     'the processes this machine has to spare, or give fewer --workers'
                 ) from None
-            self._all.add(process)
-        return process
+            self._started.add(process)
+        return process, pipe
 
-    def _run(self, job: Job, arguments: Arguments, progress: Progress | None) -> Any:
+    def run(self, job: Job, arguments: Arguments, progress: Progress | None) -> Any:
+        """Return the result of a job, run by an idle process; raises what the job raises."""
         try:
-            process = self._idle.get_nowait()
+            process, pipe = self._idle.get_nowait()
         except Empty:
-            process = self._start()
+            process, pipe = self._start()
         try:
-            result = process.run(job, arguments, progress)
-        except _EndedError:
+            pipe.send((job, arguments))
+            while (message := pipe.recv())[0] == _SHARE:
+                if progress is not None:
+                    progress(message[1])
+        except (EOFError, OSError):
             with self._lock:
-                self._all.discard(process)
-            process.process.join()
+                self._started.discard(process)
+            process.join()
             raise BagError(
-                f'its worker process ended ({_reason(process.process.exitcode)}); fix: run the '
+                f'its worker process ended ({_reason(process.exitcode)}); fix: run the '
                 'same command again, with fewer --workers if memory is short'
             ) from None
-        except BaseException:
-            self._idle.put(process)
-            raise
-        self._idle.put(process)
-        return result
+        self._idle.put((process, pipe))
+        kind, value = message
+        if kind == _ERROR:
+            raise value
+        return value
 
 
 @contextmanager
 def local_workers(count: int, here: bool = False) -> Iterator[Workers]:
     """
-    So many worker processes of this machine, or with `here` one thread of this process.
+    Start so many worker processes of this machine, which are killed at the end.
 
-    Raises BagError when no process can be started. Processes are killed at the end.
+    With `here` it is one thread of this process, which has access to its memory. Raises BagError
+    when no process can be started.
     """
     with ThreadPoolExecutor(1 if here else count) as threads:
-        if here:
-            try:
-                yield _SameThreads(threads)
-            finally:
-                threads.shutdown(wait=False, cancel_futures=True)
-            return
-        processes = _Processes(count, threads)
+        processes = None if here else _Processes(count)
         try:
-            yield processes
+            yield _LocalWorkers(threads, processes, 1 if here else count)
         finally:
-            processes.close()
+            threads.shutdown(wait=False, cancel_futures=True)
+            if processes is not None:
+                processes.close()
 
 
 def _serve(pipe: Connection) -> None:
-    """Do the jobs that come through a pipe, until it is closed; runs in a worker process."""
+    """Run the jobs that come through a pipe, until it is closed; runs in a worker process."""
     with suppress(EOFError, OSError):
         while True:
             job, arguments = pipe.recv()
@@ -194,15 +174,15 @@ def _serve(pipe: Connection) -> None:
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Start processes that never see Ctrl-C, which a terminal sends to all; this one ends them."""
+    """Start processes that ignore Ctrl-C, which a terminal sends to all; this one ends them."""
     if not hasattr(signal, 'pthread_sigmask'):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _reason(exit_code: int | None) -> str:
@@ -215,3 +195,114 @@ def _reason(exit_code: int | None) -> str:
 
 def _ignore(share: float) -> None:
     pass
+
+
+@dataclass(frozen=True)
+class TlsFiles:
+    """
+    PEM files by which this machine and a Dask cluster identify each other.
+
+    Attributes
+    ----------
+    ca, certificate, key : str or None
+        Paths; None for those in Dask's own configuration (distributed.comm.tls).
+
+    """
+
+    ca: str | None = None
+    certificate: str | None = None
+    key: str | None = None
+
+
+def is_open_to_all(scheduler: str) -> bool:
+    """
+    Return whether anyone who reaches a scheduler can run code on its workers.
+
+    Parameters
+    ----------
+    scheduler : str
+        The address of a Dask scheduler.
+
+    Returns
+    -------
+    bool
+        Whether it is not one of TLS.
+
+    """
+    protocol, separator, _ = scheduler.partition('://')
+    return not separator or protocol not in _TLS
+
+
+class _ClusterWorkers:
+    """The workers of a Dask client."""
+
+    def __init__(self, client: Any) -> None:
+        self.count = max(1, len(client.nthreads()))
+        self._executor = client.get_executor(pure=False)
+        # Other batches may use the same cluster.
+        self._batch = uuid.uuid4().hex
+        self._progress: list[Progress | None] = []
+        client.subscribe_topic(_TOPIC, self._on_progress)
+
+    def submit(self, job: Job, arguments: Arguments, progress: Progress | None) -> Future[Any]:
+        number = len(self._progress)
+        self._progress.append(progress)
+        future: Future[Any] = self._executor.submit(_run, job, arguments, (self._batch, number))
+        return future
+
+    def _on_progress(self, event: tuple[Any, tuple[str, int, float]]) -> None:
+        batch, number, share = event[1]
+        progress = self._progress[number] if batch == self._batch else None
+        if progress is not None:
+            progress(share)
+
+
+def _run(job: Job, arguments: Arguments, job_id: tuple[str, int]) -> Any:
+    """Run a job in a Dask worker, which reports its progress as an event."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    return job(*arguments, lambda share: worker.log_event(_TOPIC, (*job_id, share)))
+
+
+@contextmanager
+def cluster_workers(scheduler: str, tls: TlsFiles | None = None) -> Iterator[Workers]:
+    """
+    Connect to a Dask cluster by the address of its scheduler.
+
+    Raises BagError when there is no Dask, no scheduler that answers, or no worker. Jobs that have
+    begun go on when the connection ends, those that wait are given up.
+    """
+    try:
+        from distributed import Client, Security
+    except ImportError:
+        fix = install_command('cluster')
+        raise BagError(f'--scheduler needs Dask; fix: {fix}') from None
+    security = None  # all is in Dask's configuration
+    if tls is not None and tls != TlsFiles():
+        files = {
+            'tls_ca_file': tls.ca,
+            'tls_client_cert': tls.certificate,
+            'tls_client_key': tls.key,
+        }
+        given = {name: path for name, path in files.items() if path is not None}
+        security = Security(require_encryption=True, **given)
+    logging.getLogger('distributed').setLevel(logging.CRITICAL)
+    try:
+        client = Client(scheduler, timeout=_CONNECT_TIMEOUT, security=security)
+    except (OSError, ValueError, RuntimeError, TypeError, asyncio.TimeoutError) as error:
+        raise BagError(
+            f'no Dask scheduler answers at {scheduler} ({error}); fix: give the address that '
+            '`dask scheduler` prints, such as tls://10.0.0.5:8786, and for tls:// the files that '
+            'its machines use: --tls-ca, --tls-cert and --tls-key'
+        ) from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_CONNECT_TIMEOUT)
+        # That of asyncio is another one before Python 3.11.
+        except (TimeoutError, asyncio.TimeoutError):
+            raise BagError(
+                f'the Dask scheduler at {scheduler} has no workers; fix: start some, with '
+                f'`dask worker {scheduler}`'
+            ) from None
+        yield _ClusterWorkers(client)

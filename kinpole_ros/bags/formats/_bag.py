@@ -2,7 +2,7 @@
 Bags: of ROS 1, of rosbag2, and of message types that the tracker does not read itself.
 
 Markers and poses are found in messages by the definitions in the bag, so that the packages of the
-types need not be installed. Frames are put together from several topics by their stamps.
+types need not be installed. Frames are assembled from several topics by their stamps.
 """
 
 from array import array
@@ -17,7 +17,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from kinpole_ros.bags._channels import BagMessage
 from kinpole_ros.bags._files import ROS1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
-from kinpole_ros.bags._frames import read_frames
+from kinpole_ros.bags._marker_frames import read_frames
 from kinpole_ros.bags._reader import read_messages, types_and_definitions
 from kinpole_ros.bags._storages import Ros1Message, ros1_messages
 from kinpole_ros.bags.formats._file import File, Format, Options, Points
@@ -35,7 +35,7 @@ from kinpole_ros.messages import (
 _SECOND = 1_000_000_000  # ns
 _LARGEST_MESSAGE = 1 << 22  # bytes; as objects these take 20 times as much
 _SAME_FRAME = 0.25  # share of the interval of a topic within which stamps are of one frame
-# Names of types by what they hold: a list of markers or bodies, a body, frames that bodies may be.
+# Kinds of types by name: a list of markers or bodies, one body, or frames of bodies.
 _KINDS = {
     **dict.fromkeys(('Markers', 'RigidBodies', 'NamedPoseArray'), 'tracker'),
     **dict.fromkeys(('PoseStamped', 'PoseWithCovarianceStamped', 'TransformStamped'), 'pose'),

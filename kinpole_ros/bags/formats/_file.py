@@ -1,4 +1,4 @@
-"""What every format is read from, a file as bytes or as a sheet of cells, and what it becomes."""
+"""Files of unknown format as bytes, cells or XML, and the record that every format is read into."""
 
 import errno
 import math
@@ -37,7 +37,7 @@ _MOST_DECIMALS = 17  # no float64 needs more digits
 
 
 class Options(NamedTuple):
-    """What the user gave for the file; None for what was not given."""
+    """Options of the user; None for those that were not given."""
 
     rate: float | None = None  # Hz; times in the file do not count then
     likelihood: float | None = None  # the least at which a point counts as seen
@@ -64,7 +64,7 @@ class Points:
 
     @property
     def scale(self) -> float | None:
-        """Meters a unit; None where only the user can say."""
+        """Return the length of a unit, m; None where only the user can say."""
         return UNITS.get(self.unit.lower())
 
 
@@ -96,7 +96,7 @@ class File:
 
     @cached_property
     def data(self) -> bytes:
-        """All its bytes."""
+        """Return all its bytes."""
         try:
             return read_limited(self.path, MOST_BYTES)
         except OSError as error:
@@ -104,7 +104,7 @@ class File:
 
     @cached_property
     def sheet(self) -> Sheet:
-        """Its cells, where it is text; text that is not UTF-8 is taken for Windows-1252."""
+        """Return its cells, where it is text; text that is not UTF-8 is taken for Windows-1252."""
         line = _not_utf8_line(self.data)
         if b'\0' in self.data:  # UTF-16, or no text at all
             raise not_utf8(self.path, line or 1)
@@ -112,12 +112,12 @@ class File:
 
     @property
     def is_text(self) -> bool:
-        """Whether it can be text."""
+        """Return whether it can be text."""
         return not self.is_folder and b'\0' not in self.data[:_HEAD_BYTES]
 
     @property
     def is_sheet(self) -> bool:
-        """Whether it can be rows of cells, which XML and JSON are not."""
+        """Return whether it can be rows of cells, which XML and JSON are not."""
         return self.is_text and not _MARKUP.match(self.head)
 
     def xml(self, fix: str) -> ElementTree.Element:

@@ -6,7 +6,7 @@ comes at once.
 """
 
 # The order of these imports is the order of the list in `kinpole --help`.
-from kinpole_ros.tools.commands import bags, mechanisms, results, live  # noqa: F401, I001
+from kinpole_ros.tools.commands import replay, markers, mechanisms, results, live  # noqa: F401, I001
 from kinpole_ros.tools.commands._command import COMMANDS
 
 __all__ = ['COMMANDS']

@@ -1,7 +1,7 @@
 """How a subcommand of `kinpole` is declared: its options, and a docstring that is its --help."""
 
 import argparse
-import inspect
+import textwrap
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
@@ -40,7 +40,7 @@ class Command:
         The first paragraph of the docstring of `run` is the summary in `kinpole --help`, and the
         paragraphs from 'Examples:' on stand below the options.
         """
-        text = inspect.getdoc(self.run) or ''
+        text = textwrap.dedent(self.run.__doc__ or '').strip()
         summary, _, details = text.partition('\n\n')
         description, _, examples = details.partition('Examples:')
         summary = ' '.join(summary.split())
@@ -73,11 +73,20 @@ def command(name: str, *options: Option | list[Option]) -> Callable[[Run], Run]:
     return declare
 
 
-def option(
-    name: str, metavar: Any, text: str, kind: Any = str, default: Any = None, **settings: Any
-) -> Option:
-    """Return an option or positional argument that takes a value of the type `kind`."""
-    settings |= {'metavar': metavar, 'help': text, 'type': kind, 'default': default}
+def option(usage: str, text: str, kind: Any = str, default: Any = None, **settings: Any) -> Option:
+    """
+    Return an option or positional argument with values of the type `kind`.
+
+    `usage` is its name and a word for each value: '--rate HZ', '--free NAME...' for one or more.
+    """
+    name, *words = usage.split()
+    settings |= {'help': text, 'type': kind, 'default': default}
+    if words and words[-1].endswith('...'):
+        settings |= {'nargs': '+', 'metavar': words[-1].removesuffix('...')}
+    elif len(words) > 1:
+        settings |= {'nargs': len(words), 'metavar': tuple(words)}
+    elif words:
+        settings['metavar'] = words[0]
     return Option(name, settings.get('nargs', 1), settings)
 
 
@@ -86,22 +95,21 @@ def flag(name: str, text: str, action: Any = 'store_true') -> Option:
     return Option(name, 0, {'action': action, 'help': text})
 
 
-BAG = option('bag', 'BAG', 'an .mcap or .db3 file, or a rosbag2 folder')
-SCENE = option('scene', 'SCENE', 'a scene file, or a name that `kinpole simulate --list` prints')
-CONFIG = option('--config', 'FILE', 'ROS 2 parameter file, as for the node')
+BAG = option('bag BAG', 'an .mcap or .db3 file, or a rosbag2 folder')
+SCENE = option('scene SCENE', 'a scene file, or a name that `kinpole simulate --list` prints')
+CONFIG = option('--config FILE', 'ROS 2 parameter file, as for the node')
 SET = option(
-    '--set',
-    'NAME:=VALUE',
+    '--set NAME:=VALUE',
     'override a parameter of the file, as `ros2 run` does after -p; repeatable',
     default=[],
     action='append',
 )
-TOPIC = option('--topic', 'T', "topic of the markers (the parameter file's, or /markers)")
-BAG_OUTPUT = option('--output', 'BAG', '.mcap file to write', required=True)
-# What a file of points may not say.
+TOPIC = option('--topic T', "topic of the markers (the parameter file's, or /markers)")
+BAG_OUTPUT = option('--output BAG', '.mcap file to write', required=True)
+# Options for data that a file of points may lack.
 POINT_OPTIONS = (
-    option('--rate', 'HZ', 'frames per second, if the file of points has no times', float),
-    option('--scale', 'M_PER_UNIT', 'meters per unit of a file of points', float),
+    option('--rate HZ', 'frames per second of a file of points, instead of its times', float),
+    option('--scale M_PER_UNIT', 'meters per unit of a file of points (as it says)', float),
     flag(
         '--y-down',
         'y points down in a file of points, as in pictures (as its format has it)',

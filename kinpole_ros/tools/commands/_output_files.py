@@ -38,7 +38,7 @@ def check_outputs(inputs: Iterable[str | None], outputs: Sequence[Output]) -> No
     uses: dict[object, tuple[str, str]] = {}
     for path in filter(None, inputs):
         for file in _files_of(path):
-            uses[_identity(file)] = file, 'is to be read'
+            uses[_identity(file)] = file, 'is an input'
     for _, output, _ in outputs:
         if not output or (os.path.exists(output) and not os.path.isfile(output)):
             continue  # a folder is refused where it is opened; a device is no file to protect
@@ -47,7 +47,7 @@ def check_outputs(inputs: Iterable[str | None], outputs: Sequence[Output]) -> No
             file, use = uses[identity]
             same = '' if file == output else f'is the same file as {file}, which '
             raise FileExistsError(f'{output} {same}{use}; name another file to write')
-        uses[identity] = output, 'is to be written too'
+        uses[identity] = output, 'is another output'
         if os.path.isfile(output) and (recorder := _recorder_of(output)):
             raise FileExistsError(
                 f'{output} is a recording, made by {recorder!r}; name another file to write, or '

@@ -1,4 +1,4 @@
-"""What commands print beside their results: a progress bar, and errors in one line."""
+"""Output of commands on the terminal: a progress bar, and errors in one line."""
 
 import shutil
 import sys

@@ -11,8 +11,8 @@ from kinpole_ros.tools.commands._terminal import progress_bar
 
 @command(
     'view',
-    option('--topic', 'NAME', 'a node, its namespace, or one of its topics (the first node found)'),
-    option('--port', 'N', 'port on 127.0.0.1 (a free one)', int, 0),
+    option('--topic NAME', 'a node, its namespace, or one of its topics (the first node found)'),
+    option('--port N', 'port on 127.0.0.1 (a free one)', int, 0),
 )
 def view(options: argparse.Namespace) -> int:
     """
@@ -38,12 +38,11 @@ def view(options: argparse.Namespace) -> int:
 @command(
     'play',
     BAG,
-    option('--topic', 'T', 'publish only this topic; repeatable', action='append'),
-    option('--speed', 'X', 'play X times as fast as it was recorded (1)', float, 1.0),
+    option('--topic T', 'publish only this topic; repeatable', action='append'),
+    option('--speed X', 'play X times as fast as it was recorded (1)', float, 1.0),
     flag('--loop', 'repeat until Ctrl-C; the stamps increase from loop to loop'),
     option(
-        '--clock',
-        'HZ',
+        '--clock HZ',
         'publish the time of the bag on /clock too, for nodes with use_sim_time (40 Hz)',
         float,
         nargs='?',
@@ -75,8 +74,7 @@ def play(options: argparse.Namespace) -> int:
     'record',
     BAG_OUTPUT,
     option(
-        '--topic',
-        'PREFIX',
+        '--topic PREFIX',
         'beginning of the topics to record; repeatable (/kinpole/ and /diagnostics)',
         action='append',
     ),
@@ -95,10 +93,10 @@ def record(options: argparse.Namespace) -> int:
     return 0
 
 
-@command('demo', option('--output', 'FOLDER', 'where to write (out)', default='out'))
+@command('demo', option('--output FOLDER', 'where to write (out)', default='out'))
 def demo(options: argparse.Namespace) -> int:
     """
-    Run node, bag, recording and picture together, to see that all works.
+    Run a node on a bag, and show a table and a picture of its results.
 
     Starts the node, plays a bag of a four-bar into it, records what it publishes, prints a table
     and draws a picture.
@@ -110,15 +108,13 @@ def demo(options: argparse.Namespace) -> int:
 
 @command(
     'bench',
-    option('--output', 'FOLDER', 'where to write (docs)', default='docs'),
+    option('--output FOLDER', 'where to write (docs)', default='docs'),
     flag('--quick', 'use little data, only to see that it works'),
     [
         option(
-            '--only',
-            'PART',
+            '--only PART...',
             'measure only these parts, and copy the others from the pages as they are: costs, '
             'speed, live, hindsight, peers, lag, model, pynumdiff, atlas, pendulum, rigs',
-            nargs='+',
         ),
         flag('--pages', 'measure nothing: make pages and charts from charts/*.csv'),
         flag('--long', 'only the run of 1e7 frames: some minutes'),
@@ -126,8 +122,7 @@ def demo(options: argparse.Namespace) -> int:
             '--rigs', 'only the faults of real rigs, from late stamps to soft tissue: two minutes'
         ),
         option(
-            '--soak',
-            'MINUTES',
+            '--soak MINUTES',
             'only the live node, for this time at 500 Hz with dropouts, outliers and clock jumps',
             float,
         ),

@@ -12,13 +12,12 @@ from kinpole_ros.tools.commands._terminal import UsageError, print_error, print_
     SCENE,
     [
         option(
-            '--at',
-            'VALUE',
+            '--at VALUE',
             'value of the driver: "-45 deg", "0.5 rad", "12 cm"; a number without a unit is in rad '
             'or m, and the output says so',
         ),
         flag('--sweep', 'all positions over the whole range of the driver'),
-        option('--time', 'S', 'the motion that the drivers prescribe, for S seconds'),
+        option('--time S', 'the motion that the drivers prescribe, for S seconds'),
     ],
     flag('--centers', 'instant centers, with the deduction by hand'),
     flag('--statics', 'efforts of the drivers and forces in the joints'),
@@ -27,39 +26,31 @@ from kinpole_ros.tools.commands._terminal import UsageError, print_error, print_
         'the statics step by step: virtual work line by line, the share of each load, each bearing '
         'force by releasing the bearing, mechanical advantages',
     ),
-    option('--csv', 'FILE', 'all quantities as a table, in SI units'),
-    option('--plot', 'FILE.png', 'picture of the linkage, and of the rates over the range'),
+    option('--csv FILE', 'all quantities as a table, in SI units'),
+    option('--plot FILE.png', 'picture of the linkage, and of the rates over the range'),
     option(
-        '--centrodes',
-        'BODY',
+        '--centrodes BODY...',
         'draw the centrodes of these bodies in the picture of --plot',
-        nargs='+',
         default=(),
     ),
     option(
-        '--polygon',
-        'FILE.svg',
-        'velocity and acceleration polygons to scale beside the linkage, .svg or .png: at --at, at '
+        '--polygon FILE.svg',
+        'velocity and acceleration polygons to scale, and the linkage, .svg or .png: at --at, at '
         'time 0, or at the end of --time',
     ),
     option(
-        '--decompose',
-        ('BODY:A,B', 'FILE.svg'),
+        '--decompose BODY:A,B FILE.svg',
         "Poisson's decomposition: translation with the point A and rotation about it, and the same "
         'for B, from time 0 to --at or the end of --time, and of the velocities there',
-        nargs=2,
         default=(),
     ),
     option(
-        '--html',
-        'FILE.html',
+        '--html FILE.html',
         'the linkage in motion, as in a report; you can drag its points and save the scene',
     ),
     option(
-        '--pitch',
-        ('BODY', 'BODY', 'FILE'),
+        '--pitch BODY BODY FILE',
         'centrodes of two bodies as pitch curves: .csv, or .svg and .dxf true to scale',
-        nargs=3,
         default=(),
     ),
 )
@@ -98,25 +89,19 @@ def solve(options: argparse.Namespace) -> int:
     'tolerance',
     SCENE,
     option(
-        '--tolerances',
-        'NAME=DEVIATION',
+        '--tolerances NAME=DEVIATION...',
         'standard deviations of a point, a length or an angle (coupler.B=0.1mm), of all of a body, '
         'vector or joint, or of every length or angle; play (play:B=0.05mm): radial of pins, to '
         'either side of a slot, half the backlash of gears; or a file with the output of '
         '`kinpole fit` (length=0.1mm angle=0.1deg)',
-        nargs='+',
         default=(),
     ),
     option(
-        '--samples',
-        'N',
-        'linkages with random errors (1000); 0 for the first order alone',
-        int,
-        1000,
+        '--samples N', 'linkages with random errors (1000); 0 for the first order alone', int, 1000
     ),
-    option('--csv', 'FILE', 'all results over the range as a table, in SI units'),
-    option('--plot', 'FILE.png', 'picture of the standard deviations over the range'),
-    option('--html', 'FILE.html', 'the linkage in motion, with its bands'),
+    option('--csv FILE', 'all results over the range as a table, in SI units'),
+    option('--plot FILE.png', 'picture of the standard deviations over the range'),
+    option('--html FILE.html', 'the linkage in motion, with its bands'),
 )
 def tolerance(options: argparse.Namespace) -> int:
     """
@@ -157,26 +142,23 @@ def tolerance(options: argparse.Namespace) -> int:
 @command(
     'discover',
     option(
-        'source',
-        'BAG_OR_TOPIC',
+        'source BAG_OR_TOPIC',
         'an .mcap or .db3 file or a rosbag2 folder, or a topic that is being published',
     ),
-    option('--topic', 'T', 'topic of the markers in the bag (/markers, or the only one)'),
+    option('--topic T', 'topic of the markers in the bag (/markers, or the only one)'),
     option(
-        '--seconds',
-        'S',
+        '--seconds S',
         'use the first S seconds of a bag (60), or S seconds of a live topic (20)',
         float,
     ),
     option(
-        '--plane',
-        'P',
+        '--plane P',
         'plane of motion: xy, yz, zx or its normal nx,ny,nz (auto: found from the motion)',
         default='auto',
     ),
-    option('--output', 'RIG.yaml', 'parameter file to write'),
-    option('--scene', 'SCENE.yaml', 'draft scene to write'),
-    option('--plot', 'FILE.png', 'picture of bodies and joints to write'),
+    option('--output RIG.yaml', 'parameter file to write'),
+    option('--scene SCENE.yaml', 'draft scene to write'),
+    option('--plot FILE.png', 'picture of bodies and joints to write'),
 )
 def discover(options: argparse.Namespace) -> int:
     """
@@ -203,7 +185,7 @@ def discover(options: argparse.Namespace) -> int:
     not move cannot be found. "left over" is the residual of a joint over the noise: 1 is perfect;
     more is play, a distorting lens, or a body that bends.
     """
-    from kinpole_ros.tools.discover import discover_rig
+    from kinpole_ros.tools.discover import DiscoverOptions, discover_rig
 
     outputs = [
         ('--output', options.output, 'a YAML file'),
@@ -213,17 +195,9 @@ def discover(options: argparse.Namespace) -> int:
     check_outputs([options.source], outputs)
     troubles: list[object] = []
     with progress_bar('discover') as progress:
-        lines = discover_rig(
-            options.source,
-            options.topic,
-            options.seconds,
-            options.output,
-            options.scene,
-            options.plot,
-            progress,
-            troubles.append,
-            options.plane,
-        )
+        fields = {name: getattr(options, name) for name in DiscoverOptions._fields}
+        request = DiscoverOptions(**fields)
+        lines = discover_rig(options.source, request, progress, troubles.append)
     print_lines(lines)
     return _print_troubles('discover', troubles)
 
@@ -233,19 +207,16 @@ def discover(options: argparse.Namespace) -> int:
     SCENE,
     BAG,
     option(
-        '--config',
-        'FILE',
+        '--config FILE',
         "ROS 2 parameter file, as for the node; without it, the scene's bodies and markers",
     ),
     option(
-        '--free',
-        'NAME',
+        '--free NAME...',
         'what to fit: a point (rocker.B), a length (r2.length), or all of a body, vector or joint; '
         'repeatable, or separated by commas (the list "free" of the scene, or all)',
         action='append',
-        nargs='+',
     ),
-    option('--output', 'SCENE.yaml', 'fitted scene to write'),
+    option('--output SCENE.yaml', 'fitted scene to write'),
     TOPIC,
 )
 def fit(options: argparse.Namespace) -> int:

@@ -6,13 +6,13 @@ from pathlib import Path
 from kinpole_ros.tools.commands._command import POINT_OPTIONS, SET, TOPIC, command, option
 from kinpole_ros.tools.commands._output_files import check_outputs
 from kinpole_ros.tools.commands._terminal import print_error, print_lines, progress_bar
-from kinpole_ros.tools.commands.bags import settings_of
+from kinpole_ros.tools.commands.replay import settings_of
 
 
 @command(
     'plot',
-    option('bag', 'BAG', 'bag of results, from replay or recorded live'),
-    option('--output', 'FILE.png', 'picture to write', required=True),
+    option('bag BAG', 'bag of results, from replay or recorded live'),
+    option('--output FILE.png', 'picture to write', required=True),
 )
 def plot(options: argparse.Namespace) -> int:
     """
@@ -34,15 +34,13 @@ def plot(options: argparse.Namespace) -> int:
 
 @command(
     'report',
-    option('bag', 'FILE', 'bag of markers or of results, or a file of points'),
-    option('--output', 'FILE.html', 'report to write (named as FILE, in this folder)'),
-    option('--config', 'FILE', 'parameter file, as for replay'),
+    option('bag FILE', 'bag of markers or of results, or a file of points'),
+    option('--output FILE.html', 'report to write (named as FILE, in this folder)'),
+    option('--config FILE', 'parameter file, as for replay'),
     SET,
     TOPIC,
     option(
-        '--scene',
-        'SCENE',
-        'show the theory of a scene too; without --config, its bodies are tracked',
+        '--scene SCENE', 'show the theory of a scene too; without --config, its bodies are tracked'
     ),
     *POINT_OPTIONS,
 )
@@ -98,14 +96,13 @@ def report(options: argparse.Namespace) -> int:
     'layout',
     option(
         'viewer',
-        None,
         'foxglove (also for Lichtblick) or plotjuggler',
         choices=('foxglove', 'plotjuggler'),
     ),
     option(
-        '--config', 'FILE', 'parameter file, or bag of results; without it, the default parameters'
+        '--config FILE', 'parameter file, or bag of results; without it, the default parameters'
     ),
-    option('--output', 'FILE', 'layout to write', required=True),
+    option('--output FILE', 'layout to write', required=True),
 )
 def layout(options: argparse.Namespace) -> int:
     """

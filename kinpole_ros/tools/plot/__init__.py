@@ -5,8 +5,6 @@ from kinpole_ros.tools.plot._picture import plot
 from kinpole_ros.tools.plot._results import (
     Body,
     Centrodes,
-    Results,
-    Series,
     bodies_of,
     centrodes,
     decode,
@@ -19,8 +17,6 @@ from kinpole_ros.tools.plot._style import picture_format
 __all__ = [
     'Body',
     'Centrodes',
-    'Results',
-    'Series',
     'bodies_of',
     'centrodes',
     'decode',

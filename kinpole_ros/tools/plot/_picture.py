@@ -44,28 +44,11 @@ def plot(
     truth: str | Path | None = None,
 ) -> str:
     """
-    Draw the results in a bag.
+    Draw the results in a bag to `output`, in the format of its ending: png, pdf, svg or others.
 
-    Parameters
-    ----------
-    bag : str or path
-        An .mcap or .db3 file, or a rosbag2 folder.
-    output : str or path
-        The picture; its ending is the format: png, pdf, svg or another one of matplotlib.
-    progress : callable, optional
-        Called with the fraction done.
-    truth : str or path, optional
-        The bag of `kinpole simulate` whose exact motion is drawn too.
-
-    Returns
-    -------
-    str
-        Where a truncated bag ends, '' for a complete bag.
-
-    Raises
-    ------
-    BagError
-        If the bag has no results, `output` cannot be written or matplotlib is missing.
+    `progress` is called with the fraction done; `truth` is the bag of `kinpole simulate` whose
+    exact motion is drawn too. Returns where a truncated bag ends, '' for a complete bag. Raises
+    BagError if there are no results, `output` cannot be written or matplotlib is missing.
     """
     reading = None if progress is None else lambda share: progress(_READING * share)
     with saved_figure(output, (_WIDTH, 1), _DPI) as figure:

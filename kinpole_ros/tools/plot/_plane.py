@@ -60,7 +60,7 @@ class View(NamedTuple):
 
 
 class Scope(NamedTuple):
-    """What is drawn of a body: its centrodes without blurred parts, and the view of them."""
+    """A body to draw, its centrodes without blurred parts, and the view of them."""
 
     body: Body
     centrodes: Centrodes
@@ -225,10 +225,10 @@ def _draw_relative_center(
 ) -> None:
     sharp = ~_is_blurred(series, radius)
     locus = Series(*(values[sharp] for values in series))
-    stamp, own, other = np.intersect1d(body.stamp, reference.stamp, return_indices=True)
+    stamp, own, its = np.intersect1d(body.stamp, reference.stamp, return_indices=True)
     breaks = breaks_of(body, locus.stamp)
     if len(stamp):
-        rate = np.interp(locus.stamp, stamp, body.rate[own] - reference.rate[other])
+        rate = np.interp(locus.stamp, stamp, body.rate[own] - reference.rate[its])
         breaks = np.union1d(breaks, reversals(rate))
     line(axis, locus.value, breaks, RELATIVE)
     for z in series.value[series.stamp == instant]:

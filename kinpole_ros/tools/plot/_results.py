@@ -108,12 +108,12 @@ class Centrodes(NamedTuple):
 
 
 def read_results(
-    bag: str | Path, progress: Callable[[float], None] | None = None, every: bool = False
+    bag: str | Path, progress: Callable[[float], None] | None = None, with_snap: bool = False
 ) -> Results:
     """
     Read the results of a bag, without the exact motion of `kinpole simulate`.
 
-    With `every`, all topics of a body up to the snap are read, not only those up to the jerk.
+    With `with_snap`, all topics of a body up to the snap are read, not only those up to the jerk.
     `progress` is called with the fraction of bytes read. Raises BagError if there are no results.
     """
     kinds = topics(bag)
@@ -129,7 +129,7 @@ def read_results(
         for topic in kinds
         if topic.startswith(f'{prefix}/wrt/') and topic.endswith('/icr')
     }
-    names = _USUAL_TOPICS + _SNAP_TOPICS if every else _USUAL_TOPICS
+    names = _USUAL_TOPICS + _SNAP_TOPICS if with_snap else _USUAL_TOPICS
     to_read = {f'{prefix}/{name}' for prefix in prefixes for name in ('odom', *names)}
     with_covariance = {t for t in to_read & set(kinds) if t.endswith('/with_covariance')}
     to_read -= {topic.removesuffix('/with_covariance') for topic in with_covariance}
@@ -270,8 +270,8 @@ def _with_deviation(series: Series, rows: Rows | None, plane: Plane) -> Series:
     """Return a series of points with the variances of the coordinates from another topic."""
     if rows is None:
         return series
-    _, own, other = np.intersect1d(series.stamp, rows[0], return_indices=True)
-    deviation = plane.project(rows[1][other])[0]
+    _, own, its = np.intersect1d(series.stamp, rows[0], return_indices=True)
+    deviation = plane.project(rows[1][its])[0]
     covariance = series.covariance.copy()
     covariance[own] = 0.0
     covariance[own, 0, 0], covariance[own, 1, 1] = deviation.real**2, deviation.imag**2

@@ -81,8 +81,8 @@ def _sigma(body: Body, name: str, vectors: np.ndarray | None = None) -> np.ndarr
     if series is None or deviation is None:
         return None
     sigma = np.full(len(series.stamp), np.nan)
-    _, own, other = np.intersect1d(series.stamp, deviation.stamp, return_indices=True)
-    values = deviation.value[other]
+    _, own, its = np.intersect1d(series.stamp, deviation.stamp, return_indices=True)
+    values = deviation.value[its]
     if vectors is not None:
         length = np.abs(vectors[own])
         unit = vectors[own] / np.where(length > 0, length, 1)
@@ -149,8 +149,8 @@ def _draw_strip(
     strip.fill_between(time, -band, band, **BAND)
     if panel.truth is not None:
         error = np.full(len(series.stamp), np.nan)
-        _, own, other = np.intersect1d(series.stamp, panel.truth.stamp, return_indices=True)
-        error[own] = series.value[own] - panel.truth.value[other]
+        _, own, its = np.intersect1d(series.stamp, panel.truth.stamp, return_indices=True)
+        error[own] = series.value[own] - panel.truth.value[its]
         full_error = np.full(len(time), np.nan)
         full_error[np.isfinite(time)] = error
         strip.plot(time, full_error, **THIN)

@@ -12,8 +12,7 @@ from kinpole_ros.files import printable
 from kinpole_ros.linkage.theory import DeviationSummary
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import theory_of
-from kinpole_ros.tools.report._page import page
-from kinpole_ros.tools.report._page_data import pack
+from kinpole_ros.tools.report._page import pack, page
 from kinpole_ros.tools.report._prepare import Points, prepared
 from kinpole_ros.tools.report._record import Collector, Record, joints_of
 from kinpole_ros.tools.report._result_bag import has_results, parse_status, read_record
@@ -61,41 +60,19 @@ def report(
     source: str | Path | None = None,
 ) -> Record:
     """
-    Write the report of a bag.
+    Write the report of a bag to `output`, an .html file; return what the page shows.
 
-    Parameters
-    ----------
-    bag : str or path
-        A bag of results, or of markers, which is replayed first.
-    output : str or path
-        The .html file.
-    settings : Settings
-        The parameters of the replay.
-    topic : str, optional
-        The topic of markers; with it, results in the bag are ignored.
-    progress : callable, optional
-        Called with the fraction done.
-    on_assumption : callable, optional
-        Called with what the replay assumed.
-    source : str or path, optional
-        The file that the bag was made of, which the page names.
-
-    Returns
-    -------
-    Record
-        What the page shows.
-
-    Raises
-    ------
-    BagError
-        If there is nothing to show, or `output` cannot be written.
+    A bag of results is shown as it is, unless `topic` names markers; markers are replayed with the
+    settings first, and `on_assumption` is called with what the replay assumed. `source` is the file
+    that the bag was made of, which the page names. Raises BagError if there is nothing to show, or
+    `output` cannot be written.
     """
     theory: list[DeviationSummary] = []
     if topic is None and has_results(bag):
         if settings.scene:
             raise BagError(
-                f'{bag} holds results; theory is held against markers: give the bag of these, or '
-                'leave the scene out'
+                f'{bag} holds results, and a scene is compared with markers; give the bag of '
+                'markers, or leave out the scene'
             )
         record, notes = read_record(bag, _most_instants, progress)
     else:

@@ -17,7 +17,7 @@ _MOST_NAMES = 4  # bodies that are named in a line
 
 
 class Points(NamedTuple):
-    """What a file of points may lack: frames per second, m per unit, and whether y points down."""
+    """Data that a file of points may lack: frames per second, m per unit, whether y is down."""
 
     rate: float | None
     scale: float | None
@@ -86,28 +86,24 @@ def _import_text(imported: Imported) -> str:
 
 
 def _discover(
-    file: str,
-    bag: str,
-    topic: str | None,
-    rig: Path,
-    progress: Callable[[float], None] | None,
+    file: str, bag: str, topic: str | None, rig: Path, progress: Callable[[float], None] | None
 ) -> tuple[Path | None, list[str]]:
     """Write the parameter file of discover; return it, None if it finds nothing, and lines."""
-    from kinpole_ros.tools.discover import discover_rig
+    from kinpole_ros.tools.discover import DiscoverOptions, discover_rig
 
     try:
-        lines = discover_rig(bag, topic, output=rig, progress=progress)
+        lines = discover_rig(bag, DiscoverOptions(topic, output=rig), progress)
     except BagError as error:
         return None, [f'bodies: not found: {str(error).removeprefix(f"{bag}: ")}']
     values = {name: text.strip() for name, text in (line.split(':', 1) for line in lines[:4])}
     bodies = load_settings(rig).bodies
     names = [f'{name} of {len(markers)} markers' for name, markers in bodies.items()]
-    rest = f' and {len(names) - _MOST_NAMES} more' if len(names) > _MOST_NAMES else ''
+    suffix = f' and {len(names) - _MOST_NAMES} more' if len(names) > _MOST_NAMES else ''
     command = f'kinpole discover {shlex.quote(file if file == bag else "BAG")} --output rig.yaml'
     first = '' if file == bag else 'kinpole import FILE --output BAG, then '
     return rig, [
         f'plane: {values["plane"]}; to change: --set plane:=xy',
         f'unit: {values["unit"]}; names: {values["names"]}; to change: --set scale:=1',
-        f'bodies: {", ".join(names[:_MOST_NAMES])}{rest}, found from the motion; to change: {first}'
-        f'{command}, edit it, and give --config rig.yaml',
+        f'bodies: {", ".join(names[:_MOST_NAMES])}{suffix}, found from the motion; to change: '
+        f'{first}{command}, edit it, and give --config rig.yaml',
     ]

@@ -12,14 +12,7 @@ import numpy as np
 
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import LinkageError
-from kinpole_ros.planar import fit_pose
-from kinpole_ros.tracking.estimate import (
-    POLE_NAMES,
-    RATE_NAMES,
-    Estimate,
-    Vectors,
-    measured_pairs,
-)
+from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate, Vectors, measured_pairs
 
 # By subject, a body or a pair (j, i), and by quantity: arrays (T, ...), NaN where undetermined.
 Columns: TypeAlias = dict[tuple[str | tuple[str, str], str], np.ndarray]
@@ -168,16 +161,15 @@ def theory_rates(theory: Theory, estimate: Estimate) -> dict[str, np.ndarray]:
     """
     if not theory.driver:
         return {}
-    own, _, markers, points = theory.places[theory.driver]
-    shape = estimate.shape[:, own, markers]
-    turn = fit_pose(shape, points, np.isfinite(shape).astype(float)).angle
+    driver = theory.matches[theory.driver]
+    _, turn = driver.fit_frame(estimate.shape[:, driver.tracked])
     mechanism = theory.scene.mechanism
     start = float(mechanism.drivers[0].motion(np.zeros(1))[0, 0])
     inputs = np.zeros((5, len(estimate)))
-    inputs[: estimate.order + 1] = estimate.angle[:, :, own]
+    inputs[: estimate.order + 1] = estimate.angle[:, :, driver.tracked]
     inputs[0] = start + (inputs[0] + turn - start + np.pi) % (2 * np.pi) - np.pi
     measured = np.isfinite(inputs).all(axis=0)
-    numbers = {body: row[1] for body, row in theory.places.items() if body != theory.driver}
+    numbers = {body: row.in_scene for body, row in theory.matches.items() if body != theory.driver}
     rates = {body: np.full((estimate.order, len(estimate)), np.nan) for body in numbers}
     if not measured.any():
         return rates

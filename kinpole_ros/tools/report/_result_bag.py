@@ -29,9 +29,7 @@ def has_results(bag: str | Path) -> bool:
 
 
 def read_record(
-    bag: str | Path,
-    most: Callable[[int], int],
-    progress: Callable[[float], None] | None = None,
+    bag: str | Path, most: Callable[[int], int], progress: Callable[[float], None] | None = None
 ) -> tuple[Record, list[str]]:
     """
     Return the results of a bag, and the warnings in its diagnostics.
@@ -39,7 +37,7 @@ def read_record(
     `most` returns, for a number of bodies, the largest number of instants. Raises BagError if there
     are no results.
     """
-    results = read_results(bag, progress, every=True)
+    results = read_results(bag, progress, with_snap=True)
     stamp = np.unique(np.concatenate([body.stamp for body in results.bodies]))
     total, step = len(stamp), 1
     while len(stamp[::step]) > most(len(results.bodies)):
@@ -59,7 +57,7 @@ def read_record(
         body.name: [(0, body.outline)] if len(body.outline) and not diagnostics.restarted else []
         for body in results.bodies
     }
-    notes = ['the bag is cut off: what lies after the cut is not shown'] if results.cut else []
+    notes = ['the bag is cut off; what follows is not shown'] if results.cut else []
     record = Record(stamp, total, names, columns, sizes, outlines, results.along)
     return record, notes + diagnostics.notes
 
@@ -106,8 +104,8 @@ def _add_body(columns: Columns, stamp: np.ndarray, body: Body, diagnostics: 'Dia
 def _at(stamp: np.ndarray, stamps: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the values (K, ...) of `stamps` (K,) at `stamp` (T,), NaN where there is none."""
     result = np.full((len(stamp), *values.shape[1:]), np.nan, np.result_type(values, float))
-    _, own, other = np.intersect1d(stamp, stamps, return_indices=True)
-    result[own] = values[other]
+    _, own, its = np.intersect1d(stamp, stamps, return_indices=True)
+    result[own] = values[its]
     return result
 
 

@@ -1,19 +1,14 @@
 """`kinpole solve` and `kinpole tolerance`: a scene as text, tables, pictures and a page."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism import (
-    Scene,
-    SceneError,
-    centrodes,
-    load_scene,
-    scene_text,
-    write_pitch_curves,
-)
+from kinpole_ros.mechanism import SceneError, centrodes, load_scene, scene_text, write_pitch_curves
 from kinpole_ros.tools.solve._solution import (
     Solution,
     at_rate,
@@ -46,25 +41,11 @@ class SolveOptions(NamedTuple):
     """
     What `solve_scene` computes and writes; the names are those of the options of `kinpole solve`.
 
-    Attributes
-    ----------
-    at : str or None
-        The value of the one driver, with a unit or in rad or m.
-    sweep : bool
-        Solve the whole range of the driver.
-    time : str or None
-        Solve the motion of all drivers from 0 to this time, with a unit or in s. Without `at`,
-        `sweep` and `time`, the position at time 0 is solution.
-    centers, statics, work : bool
-        Print instant centers, forces, and the statics step by step.
-    csv, plot, html, polygon : path or None
-        The table, picture, page, and drawing of the velocity and acceleration polygons to write.
-    centrodes : sequence of str
-        Bodies whose centrodes the picture shows.
-    decompose : sequence of str
-        'BODY:A,B' and the file of the drawing of Poisson's decomposition.
-    pitch : sequence of str
-        Two bodies and the .csv, .svg or .dxf file for their centrodes as pitch curves.
+    `at` is a value of the one driver, with a unit or in SI units; `sweep` is for its whole range,
+    and `time` for the motion of all drivers up to a time, with a unit or in s. Without these three
+    the position at time 0 is solved. `decompose` is 'BODY:A,B' and a file, `pitch` two bodies and a
+    file. The polygons, the decomposition and `work` are for the position `at`, or the end of
+    `time`.
     """
 
     at: str | None = None
@@ -84,37 +65,21 @@ class SolveOptions(NamedTuple):
 
 def solve_scene(scene: str | Path, options: SolveOptions | None = None) -> list[str]:
     """
-    Analyze a scene, and write the files that the options name.
+    Analyze a scene: return lines to print, and write the files that the options name.
 
-    Parameters
-    ----------
-    scene : str or path
-        The file, the name of a scene that comes with kinpole, or the text of a scene.
-    options : SolveOptions, optional
-        What to compute and write. The polygons, the decomposition and the statics step by step are
-        those of the position `at`, or at the end of `time`.
-
-    Returns
-    -------
-    list of str
-        Lines to print.
-
-    Raises
-    ------
-    SceneError
-        If the scene or an option cannot be used, or a file cannot be written.
-    LinkageError
-        If the linkage does not reach the position.
+    `scene` is a file, the name of a scene that comes with kinpole, or the text of a scene. Raises
+    SceneError if it, an option or a file cannot be used, and LinkageError if the linkage does not
+    reach the position.
     """
     options = options or SolveOptions()
-    decompose_file = options.decompose[1] if options.decompose else None
-    drawings = options.plot, options.polygon, decompose_file
-    formats = {path: _picture_format(Path(path)) for path in drawings if path}
+    for path in (options.plot, options.polygon, *options.decompose[1:]):
+        if path:
+            _picture_format(path)
     loaded = load_scene(scene)
     for body in options.centrodes:
         if body not in loaded.mechanism.bodies:
             names = ', '.join(loaded.mechanism.bodies)
-            raise SceneError(f'--centrodes: there is no moving body {body}: give some of {names}')
+            raise SceneError(f'--centrodes: there is no moving body {body}; give some of {names}')
     single = over_time(loaded, np.zeros(1)) if options.at is None else at_value(loaded, options.at)
     solution = single
     if options.time is not None:
@@ -122,99 +87,116 @@ def solve_scene(scene: str | Path, options: SolveOptions | None = None) -> list[
     elif options.sweep:
         solution = over_range(loaded, _SAMPLES)
     here = single if options.time is None else solution.at(-1)
-    lines = _text(options, solution, single, here)
-
-    def write(path: str | Path, write_file: Callable[[Path], None]) -> None:
-        with open_output(path) as part:
-            write_file(part)
-        lines.append(f'written to {path}')
-
-    curves = None
-    if options.pitch:  # before any file is written, since there may be no such bodies
-        one, other, pitch_file = map(str, options.pitch)
-        inputs = _full_motion(solution).inputs[0]
-        curves = centrodes(loaded.mechanism, one, other, float(inputs.min()), float(inputs.max()))
-    if options.csv:
-        write(
-            options.csv, lambda part: write_table(part, solution, options.centers, options.statics)
-        )
-    if curves is not None:
-        write_pitch_curves(pitch_file, curves)
-        lines.append(
-            f'the curves of {one} and {other} roll on each other, arc lengths equal to '
-            f'{curves.slip:.1e}; written to {pitch_file}'
-        )
-    if options.html:
-        from kinpole_ros.tools.solve._page import write_page
-
-        text, motion = scene_text(scene), _full_motion(solution)
-        write(options.html, lambda part: write_page(part, motion, here, text=text))
-    if options.plot:
-        from kinpole_ros.tools.solve._picture import draw_solution
-
-        motion, kind, position = _full_motion(solution), formats[options.plot], single
-        if motion.times is None:
-            position = at_rate(loaded, single.inputs[0], float(motion.rates[0, 0]))
-        centers, bodies = options.centers, options.centrodes
-        write(
-            options.plot, lambda part: draw_solution(part, kind, motion, position, centers, bodies)
-        )
-    if options.polygon:
-        from kinpole_ros.tools.solve._polygons import draw_polygons, polygon_lines
-
-        polygon_format = formats[options.polygon]
-        lines += polygon_lines(here)
-        write(options.polygon, lambda part: draw_polygons(part, polygon_format, here))
-    if decompose_file:
-        from kinpole_ros.tools.solve import _decomposition
-
-        motion = _full_motion(solution)
-        start = _former_position(loaded, here, motion)
-        parts = _decomposition.decompose(str(options.decompose[0]), start, here, motion)
-        lines += _decomposition.decomposition_lines(parts)
-        kind = formats[decompose_file]
-        write(decompose_file, lambda part: _decomposition.draw_decomposition(part, kind, parts))
-    return lines
+    analysis = _Analysis(options, solution, single, here, scene_text(scene))
+    return [*analysis.text(), *analysis.write_tables(), *analysis.write_pictures()]
 
 
-def _text(options: SolveOptions, solution: Solution, single: Solution, here: Solution) -> list[str]:
-    """Return the analysis as lines to print."""
-    scene = solution.scene
-    lines = head_lines(scene)
-    if options.at is not None and (note := unit_note(scene, options.at)):
-        lines.append(note)
-    if options.time is not None:
-        lines += time_lines(solution)
-    elif options.sweep:
-        lines += range_lines(solution)
-    else:
-        lines += motion_lines(single)
-    if options.centers:
-        lines += center_lines(solution)
-    if options.statics:
-        lines += static_lines(solution)
-    if options.work:
-        lines += work_lines(here if options.time is not None else solution)
-    return lines
+@dataclass
+class _Analysis:
+    """A scene, solved; `single` is the one position asked for, `here` that of the drawings."""
+
+    options: SolveOptions
+    solution: Solution
+    single: Solution
+    here: Solution
+    scene_text: str
+
+    @cached_property
+    def motion(self) -> Solution:
+        """The positions that were asked for; for a single one, the whole motion."""
+        if self.solution.inputs.shape[1] > 1:
+            return self.solution
+        return over_full_motion(self.solution.scene, _SAMPLES)
+
+    def text(self) -> Iterator[str]:
+        """Yield the analysis as lines to print."""
+        options, solution = self.options, self.solution
+        yield from head_lines(solution.scene)
+        if options.at is not None and (note := unit_note(solution.scene, options.at)):
+            yield note
+        if options.time is not None:
+            yield from time_lines(solution)
+        elif options.sweep:
+            yield from range_lines(solution)
+        else:
+            yield from motion_lines(self.single)
+        if options.centers:
+            yield from center_lines(solution)
+        if options.statics:
+            yield from static_lines(solution)
+        if options.work:
+            yield from work_lines(self.here if options.time is not None else solution)
+
+    def write_tables(self) -> Iterator[str]:
+        """Write the table, the pitch curves and the page; yield a line for each."""
+        options = self.options
+        if options.pitch:  # before any file is written, since there may be no such bodies
+            first, second, pitch_file = map(str, options.pitch)
+            inputs = self.motion.inputs[0]
+            ends = float(inputs.min()), float(inputs.max())
+            curves = centrodes(self.solution.scene.mechanism, first, second, *ends)
+        if options.csv:
+            with open_output(options.csv) as part:
+                write_table(part, self.solution, options.centers, options.statics)
+            yield f'written to {options.csv}'
+        if options.pitch:
+            write_pitch_curves(pitch_file, curves)
+            yield (
+                f'the curves of {first} and {second} roll on each other, arc lengths equal to '
+                f'{curves.slip:.1e}; written to {pitch_file}'
+            )
+        if options.html:
+            from kinpole_ros.tools.solve._page import write_page
+
+            with open_output(options.html) as part:
+                write_page(part, self.motion, self.here, text=self.scene_text)
+            yield f'written to {options.html}'
+
+    def write_pictures(self) -> Iterator[str]:
+        """Write the picture and the drawings; yield a line for each, and those of the drawings."""
+        options = self.options
+        if options.plot:
+            from kinpole_ros.tools.solve._picture import draw_solution
+
+            position = self.single
+            if self.motion.times is None:
+                rate = float(self.motion.rates[0, 0])
+                position = at_rate(position.scene, position.inputs[0], rate)
+            kind, extras = _picture_format(options.plot), (options.centers, options.centrodes)
+            with open_output(options.plot) as part:
+                draw_solution(part, kind, self.motion, position, *extras)
+            yield f'written to {options.plot}'
+        if options.polygon:
+            from kinpole_ros.tools.solve._polygons import draw_polygons, polygon_lines
+
+            yield from polygon_lines(self.here)
+            with open_output(options.polygon) as part:
+                draw_polygons(part, _picture_format(options.polygon), self.here)
+            yield f'written to {options.polygon}'
+        if options.decompose:
+            from kinpole_ros.tools.solve import _decomposition
+
+            text, file = options.decompose
+            start = self._former_position()
+            body = _decomposition.decompose(str(text), start, self.here, self.motion)
+            yield from _decomposition.decomposition_lines(body)
+            with open_output(file) as part:
+                _decomposition.draw_decomposition(part, _picture_format(file), body)
+            yield f'written to {file}'
+
+    def _former_position(self) -> Solution:
+        """Return the position at time 0; if that is `here`, one an eighth of the range away."""
+        start = over_time(self.here.scene, np.zeros(1))
+        if np.abs(start.values - self.here.values).max() > 1e-9:
+            return start
+        inputs = self.motion.inputs[0]
+        distance = np.abs(inputs - self.here.inputs[0, 0])
+        return self.motion.at(int(np.abs(distance - np.ptp(inputs) / 8).argmin()))
 
 
-def _full_motion(solution: Solution) -> Solution:
-    """Return the positions that were solution; for a single position, the whole motion."""
-    return solution if solution.inputs.shape[1] > 1 else over_full_motion(solution.scene, _SAMPLES)
-
-
-def _former_position(scene: Scene, here: Solution, motion: Solution) -> Solution:
-    """Return the position at time 0; if that is `here`, one an eighth of the range away."""
-    start = over_time(scene, np.zeros(1))
-    if np.abs(start.values - here.values).max() > 1e-9:
-        return start
-    distance = np.abs(motion.inputs[0] - here.inputs[0, 0])
-    return motion.at(int(np.abs(distance - np.ptp(motion.inputs[0]) / 8).argmin()))
-
-
-def _picture_format(path: Path) -> str:
+def _picture_format(path: str | Path) -> str:
     """Return the format that the ending of a picture names."""
-    kind = path.suffix.lower().lstrip('.')
+    kind = Path(path).suffix.lower().lstrip('.')
     if kind == 'svg':  # some drawings are written as SVG without matplotlib
         return kind
     from matplotlib.backend_bases import FigureCanvasBase

@@ -113,7 +113,7 @@ class Panel:
         self._unplaced.append((name, self.pixels(z), 'point'))
 
     def scale_bar(self, note: str = '') -> None:
-        """Draw a bar of a round number of units, and a note beside it."""
+        """Draw a bar of a round number of units, with a note."""
         size = round_down((self.high - self.low).real / 4 / self.scale)
         start = complex(self.low.real + _MARGIN, self.high.imag - 14)
         end = start + size * self.scale

@@ -12,20 +12,9 @@ def editor_data(solution: Solution, text: str, order: np.ndarray) -> dict[str, A
     """
     Return the scene for solver.js; None for a scene of vectors, which has no points to drag.
 
-    Parameters
-    ----------
-    solution : Solution
-        The motion in the page.
-    text : str
-        The file of the scene.
-    order : ndarray, shape (T,)
-        The indices of the positions in the order of the page.
-
-    Returns
-    -------
-    dict or None
-        Bodies are indices of their angles among the variables; the ground is the index after the
-        last variable. Points are [body, name, x, y, start, end] with the span in the text.
+    `text` is the file of the scene, and `order` (T,) are the indices of the positions in the order
+    of the page. Bodies are indices of their angles among the variables; the ground is the index
+    after the last variable. Points are [body, name, x, y, start, end] with the span in the text.
     """
     mechanism = solution.scene.mechanism
     linkage, loops = mechanism.linkage, mechanism.linkage.loops

@@ -6,15 +6,15 @@ Quantities have no uncertainty there, or that of the tolerances of the dimension
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from kinpole_ros import __version__
 from kinpole_ros.files import printable
-from kinpole_ros.mechanism import Belt, Rolling, Scene, poles
+from kinpole_ros.mechanism import poles
 from kinpole_ros.tools.report import Record, pack, page
 from kinpole_ros.tools.solve._editor import editor_data
+from kinpole_ros.tools.solve._shapes import belts_of, outline_of, rims_of
 from kinpole_ros.tools.solve._solution import Solution, acting_loads, angle_rates, centers_of
 from kinpole_ros.tools.solve._statics import work_lines
 from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES
@@ -47,9 +47,9 @@ def write_page(
             if owner == body['name']
         ]
         if not scene.mechanism.assembly.joints:
-            body['points'] += [['', z.real, z.imag] for z in _outline(scene, body['name'])]
-        rims = _rims(scene, body['name'])
-        body['rims'] = [[hub.real, hub.imag, radius] for hub, radius in rims]
+            body['points'] += [['', z.real, z.imag] for z in outline_of(scene, body['name'])]
+        rims = rims_of(scene, body['name'])
+        body['rims'] = [[rim.hub.real, rim.hub.imag, rim.radius] for rim in rims]
     seconds = (record.stamp[-1] - record.stamp[0]) * 1e-9
     drivers = ', '.join(driver.name for driver in scene.mechanism.drivers)
     bands = '' if deviations is None else '; bands are of the errors of its dimensions'
@@ -61,7 +61,7 @@ def write_page(
         'notes': [],
         'scene': printable(scene.name),
         'deviations': [],
-        'belts': _belts(scene),
+        'belts': belts_of(scene),
         'work': work_lines(here) if acting_loads(here).all else [],
         'solved': True,
         'exact': deviations is None,
@@ -86,7 +86,7 @@ def _record(solution: Solution, deviations: Mapping[tuple[str, str], np.ndarray]
     count = len(stamp)
     no_sigma, no_covariance = np.full(count, np.nan), np.full((count, 2, 2), np.nan)
     columns: dict[tuple[str | tuple[str, str], str], np.ndarray] = {}
-    found, angles = poles(mechanism, motion), angle_rates(motion)
+    body_poles, angles = poles(mechanism, motion), angle_rates(motion)
     dead = ~motion.regular[order]
     outlines, sizes = {}, {}
     for b, body in enumerate(mechanism.bodies):
@@ -97,11 +97,11 @@ def _record(solution: Solution, deviations: Mapping[tuple[str, str], np.ndarray]
         columns[body, 'angle'] = angle[0]
         columns[body, 'missing'] = np.full(count, '', object)
         numbers = dict(zip(RATE_NAMES, angle[1:], strict=True))
-        numbers['centrode_curvature'] = found.curvature[b, order]
+        numbers['centrode_curvature'] = body_poles.curvature[b, order]
         for name, values in numbers.items():
             columns[body, name], columns[body, f'{name}_sigma'] = values, no_sigma
-        velocity = found.velocity[b, order]
-        points = {name: getattr(found, name)[b, order] for name in POLE_NAMES}
+        velocity = body_poles.velocity[b, order]
+        points = {name: getattr(body_poles, name)[b, order] for name in POLE_NAMES}
         for name, values in (points | {'icr_velocity': velocity}).items():
             columns[body, name], columns[body, f'{name}_covariance'] = values, no_covariance
         for name in (*POLE_NAMES, 'centrode_curvature'):
@@ -110,9 +110,9 @@ def _record(solution: Solution, deviations: Mapping[tuple[str, str], np.ndarray]
                 reason[(reason != '') & (velocity == 0)] = 'the ICR stands still'
             reason[dead & (reason != '')] = 'dead point'
             columns[body, f'{name}_withheld'] = reason
-        outline = _outline(solution.scene, body)
+        outline = outline_of(solution.scene, body)
         outlines[body] = [(0, outline)]
-        diameters = [2 * radius for _, radius in _rims(solution.scene, body)]
+        diameters = [2 * rim.radius for rim in rims_of(solution.scene, body)]
         size = max([float(np.abs(outline[:, None] - outline).max()), *diameters])
         sizes[body] = size or float('nan')
     centers = centers_of(solution)
@@ -127,54 +127,3 @@ def _record(solution: Solution, deviations: Mapping[tuple[str, str], np.ndarray]
             for part in (values.real, values.imag):
                 part[np.abs(part) < rounding] = 0.0
     return Record(stamp, count, mechanism.bodies, columns, sizes, outlines, ('x', 'y'))
-
-
-def _belts(scene: Scene) -> list[dict[str, Any]]:
-    """Return the belts by their wheels: the body, the hub in its frame, and the radius."""
-
-    def end(body: str, hub: complex, radius: float) -> dict[str, Any]:
-        moving = body in scene.mechanism.bodies
-        return {'body': body if moving else '', 'at': [hub.real, hub.imag], 'radius': radius}
-
-    return [
-        {
-            'ends': [end(belt.one, belt.a, belt.radii[0]), end(belt.other, belt.b, belt.radii[1])],
-            'closed': belt.carrier is not None,
-        }
-        for belt in scene.mechanism.assembly.joints
-        if isinstance(belt, Belt)
-    ]
-
-
-def _rims(scene: Scene, body: str) -> list[tuple[complex, float]]:
-    """Return circles of a body that roll or carry belts: centers in its frame, and radii, m."""
-    rims = []
-    for joint in scene.mechanism.assembly.joints:
-        if isinstance(joint, Rolling) and joint.other == body:
-            rims.append((joint.b, joint.radius))
-        if isinstance(joint, Rolling) and joint.one == body and joint.circle:
-            rims.append((joint.a, abs(joint.circle)))
-        if isinstance(joint, Belt):
-            ends = (joint.one, joint.a), (joint.other, joint.b)
-            for (owner, hub), radius in zip(ends, joint.radii, strict=True):
-                if owner == body and radius:
-                    rims.append((hub, abs(radius)))
-    return list(dict.fromkeys(rims))
-
-
-def _outline(scene: Scene, body: str) -> np.ndarray:
-    """Return points of a body (n,), complex, m, in its frame: named, on spokes, of its vector."""
-    points = [point for owner, point in scene.points.values() if owner == body]
-    for hub, radius in _rims(scene, body):
-        points += [hub, hub + radius]  # a spoke shows that a wheel turns
-    if not scene.mechanism.assembly.joints:
-        points += [0j, body_vector(scene, body)]
-    return np.array(list(dict.fromkeys(points)) or [0j])
-
-
-def body_vector(scene: Scene, body: str) -> complex:
-    """Return the vector that is the body, m, in a scene of vector loops without joints."""
-    # Each vector that turns is a body, in the same order.
-    loops = scene.mechanism.assembly.loops
-    term = np.flatnonzero(loops.angles.any(axis=1))[scene.mechanism.bodies.index(body)]
-    return complex(loops.length0[term] * np.exp(1j * loops.angle0[term]))

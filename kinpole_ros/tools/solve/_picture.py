@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.mechanism import Belt, Rolling, center_name, poles, polygon
+from kinpole_ros.mechanism import center_name, poles, polygon
+from kinpole_ros.tools.solve._shapes import wheel_lines
 from kinpole_ros.tools.solve._solution import (
     Solution,
     angle_rates,
@@ -140,7 +141,7 @@ def draw_linkage(
     """Draw the linkage at the one position `here`, and the paths of its points."""
     scene, bodies = solution.scene, solution.scene.mechanism.bodies
     ground = np.array([z for body, z in scene.points.values() if body not in bodies])
-    body_points, wheels = _body_points(here), wheel_rims(here)
+    body_points, wheels = _body_points(here), [*wheel_lines(here)]
     paths = [motion[0] for motions in _body_points(solution).values() for motion in motions]
     motions = [motion for motions in body_points.values() for motion in motions]
     box = _Box(
@@ -213,59 +214,23 @@ def _draw_vectors(axis: Any, here: Solution) -> dict[int, complex]:
     return middles
 
 
-def wheel_rims(here: Solution) -> list[tuple[int, np.ndarray]]:
-    """
-    Return lines of wheels and belts, complex, by number of the body; -1 is the ground.
-
-    They are wheels with a spoke, the circles that wheels roll on, and the strands of belts.
-    """
-    mechanism, lines = here.scene.mechanism, []
-    circle = np.exp(1j * np.linspace(0, 2 * np.pi, 73))
-    wheel = np.append(0, circle)
-
-    def on_body(body: str, z: np.ndarray) -> tuple[int, np.ndarray]:
-        if body not in mechanism.bodies:
-            return -1, z
-        b = mechanism.bodies.index(body)
-        turn = np.exp(1j * here.motion.angle[0, b, 0])
-        return b, here.motion.position[0, b, 0] + z * turn
-
-    for joint in mechanism.assembly.joints:
-        if isinstance(joint, Rolling):
-            lines.append(on_body(joint.other, joint.b + joint.radius * wheel))
-            if joint.circle:
-                lines.append(on_body(joint.one, joint.a + abs(joint.circle) * circle))
-        elif isinstance(joint, Belt):
-            for body, hub, radius in zip(
-                (joint.other, joint.one), (joint.b, joint.a), joint.radii[::-1], strict=True
-            ):
-                if radius:
-                    lines.append(on_body(body, hub + abs(radius) * wheel))
-            values = dict(zip(mechanism.assembly.loops.variables, here.values[:, 0], strict=True))
-            ends = np.array([0.0, values[joint.name]]) + 1j * joint.radii[0]
-            strand = ends * np.exp(1j * values[f'{joint.name}.angle'])
-            _, hub = on_body(joint.one, np.array(joint.a))
-            lines.append((-1, hub + strand))
-    return lines
-
-
 def _draw_centrodes(
     axis: Any, solution: Solution, here: Solution, names: Sequence[str], box: _Box
 ) -> None:
     """Draw the fixed and the moving centrodes of some bodies, near the linkage."""
     motion = solution.motion
-    found = poles(solution.scene.mechanism, motion)
+    body_poles = poles(solution.scene.mechanism, motion)
     for b, body in enumerate(solution.scene.mechanism.bodies):
         if body not in names:
             continue
-        in_body = (found.icr[b] - motion.position[0, b]) * np.exp(-1j * motion.angle[0, b])
+        in_body = (body_poles.icr[b] - motion.position[0, b]) * np.exp(-1j * motion.angle[0, b])
         turn = np.exp(1j * here.motion.angle[0, b, 0])
         moving = here.motion.position[0, b, 0] + in_body * turn
-        for curve, style, width in ((found.icr[b], '-', 4), (moving, '--', 1.2)):
+        for curve, dashes, width in ((body_poles.icr[b], '-', 4), (moving, '--', 1.2)):
             is_near = np.abs(curve - box.middle) < (0.5 + _CENTER_DISTANCE) * box.diagonal
             z = np.where(is_near, curve, complex(np.nan, np.nan))
-            look = {'color': _style(b)['color'], 'alpha': 0.35, 'linewidth': width, 'zorder': 0}
-            axis.plot(z.real, z.imag, style, **look)
+            style = {'color': _style(b)['color'], 'alpha': 0.35, 'linewidth': width, 'zorder': 0}
+            axis.plot(z.real, z.imag, dashes, **style)
 
 
 def _draw_centers(axis: Any, here: Solution, box: _Box, size: float) -> None:
@@ -275,7 +240,7 @@ def _draw_centers(axis: Any, here: Solution, box: _Box, size: float) -> None:
     drawn: dict[tuple[int, ...], complex] = {}
     for pair, z in zip(centers.pairs, centers.points[:, 0].tolist(), strict=True):
         if np.isfinite(z) and abs(z - middle) < (0.5 + _CENTER_DISTANCE) * size:
-            key = next((other for other in names if abs(other - z) < 1e-3 * size), z)
+            key = next((point for point in names if abs(point - z) < 1e-3 * size), z)
             names.setdefault(key, []).append(center_name(len(centers.bodies), *pair))
             drawn[pair] = z
     for step in centers.steps:

@@ -1,4 +1,4 @@
-"""The velocity and acceleration polygons of `kinpole solve --polygon`, beside the linkage."""
+"""The velocity and acceleration polygons of `kinpole solve --polygon`, and the linkage."""
 
 import re
 from pathlib import Path
@@ -81,16 +81,16 @@ def draw_polygons(path: Path, kind: str, solution: Solution) -> None:
 
 def polygon_panels(solution: Solution) -> list[Panel]:
     """Return the panels of the linkage, the velocities and the accelerations."""
-    left, panels = 0.0, []
+    edge, panels = 0.0, []
     for figure, width in zip(_polygons(solution), _WIDTHS, strict=True):
-        low, high = complex(left, 0), complex(left + width, _HEIGHT)
+        low, high = complex(edge, 0), complex(edge + width, _HEIGHT)
         panel = Panel(_TITLES[figure.order], _UNITS[figure.order], low, high, figure.order)
         if figure.order:
             _draw_polygon(panel, figure)
         else:
             _draw_linkage(panel, figure, not solution.scene.mechanism.assembly.joints)
         panels.append(panel)
-        left += width
+        edge += width
     return panels
 
 
@@ -98,8 +98,8 @@ def _polygons(solution: Solution) -> list[Polygon]:
     polygons = [polygon(solution.scene, solution.motion, order) for order in range(3)]
     if not all(np.isfinite(side.head) for figure in polygons for side in figure.sides):
         raise SceneError(
-            'there is no polygon in a dead point, where the drivers do not tell how it moves: give '
-            'a value next to it'
+            'there is no polygon in a dead point, where the drivers do not determine the motion; '
+            'give a value next to it'
         )
     return polygons
 

@@ -84,11 +84,11 @@ def over_duration(scene: Scene, duration: str | None, count: int) -> Solution:
     if duration is None:
         end = scene.course
         if end <= 0:
-            raise SceneError(f'the drivers of {scene.name} go on for ever: give --time 2, in s')
+            raise SceneError(f'the drivers of {scene.name} have no end; give --time 2, in s')
     else:
         end = quantity('--time', duration, 'time')
         if end <= 0:
-            raise SceneError(f'--time is {duration!r}: give one greater than 0, as 2 or 500 ms')
+            raise SceneError(f'--time is {duration!r}; it must be greater than 0, as 2 or 500 ms')
     return over_time(scene, np.linspace(0.0, end, count))
 
 
@@ -154,8 +154,8 @@ def _check_one_driver(scene: Scene, option: str) -> None:
     count = len(scene.mechanism.drivers)
     if count != 1:
         raise SceneError(
-            f'{scene.name} has {count} drivers: {option} is for one; give --time 2, for how they '
-            'all move in 2 s'
+            f'{scene.name} has {count} drivers, and {option} needs one; give --time 2, for the '
+            'motion of all drivers in 2 s'
         )
 
 
@@ -198,8 +198,8 @@ def _range(scene: Scene) -> tuple[float, float, Limits]:
     driver, is_angle = mechanism.drivers[0], mechanism.kind(0) == 'angle'
     start = float(driver.motion(np.zeros(1))[0, 0])
     unlimited = SceneError(
-        f'nothing ends the way of {driver.name}: there is no range; give --time 2, for how far it '
-        'is driven in 2 s'
+        f'the driver {driver.name} has no limits, so it has no range; give --time 2, for its '
+        'motion in 2 s'
     )
     if not mechanism.linkage.blocks:
         if not is_angle:
@@ -282,7 +282,7 @@ def require_loads(solution: Solution) -> ActingLoads:
     loads = acting_loads(solution.at(0))
     if not loads.all:
         raise SceneError(
-            f'{solution.scene.name} has no loads: add them, as loads: [{{weight: 10 kg, at: '
+            f'{solution.scene.name} has no loads; add them, as loads: [{{weight: 10 kg, at: '
             'BODY.POINT}]'
         )
     return loads
@@ -350,7 +350,7 @@ def driver_text(scene: Scene, k: int, value: float, digits: int = 9) -> str:
 def open_output(path: str | Path) -> Iterator[Path]:
     """Yield a path to write to, which replaces `path` at the end; raise SceneError on failure."""
     try:
-        with files.whole(path) as part:
+        with files.whole_file(path) as part:
             yield part
     except OSError as error:
         raise SceneError(

@@ -64,20 +64,20 @@ def write_table(path: Path, solution: Solution, centers: bool, statics: bool) ->
     for name, points in point_motions(solution).items():
         for z, order in zip(points, _ORDERS, strict=False):
             columns.set_point(name.replace('.', '_'), z, order)
-    found = poles(mechanism, motion)
+    body_poles = poles(mechanism, motion)
     for b, body in enumerate(mechanism.bodies):
         for name in ('icr', 'iap', 'ijp', 'isp'):
-            columns.set_point(f'{body}_{name}', getattr(found, name)[b])
-        columns.set_point(f'{body}_icr_velocity', found.velocity[b])
-        columns[f'{body}_centrode_curvature'] = found.curvature[b]
+            columns.set_point(f'{body}_{name}', getattr(body_poles, name)[b])
+        columns.set_point(f'{body}_icr_velocity', body_poles.velocity[b])
+        columns[f'{body}_centrode_curvature'] = body_poles.curvature[b]
     for (name, _), gains in advantages(solution).items():
         columns[f'advantage_{name.replace("the force at ", "force_").replace(".", "_")}'] = gains
     for names, angles in transmission_angles(mechanism, solution.values).items():
         columns[f'transmission_angle_{"_".join(names)}'] = angles
     if centers:
-        known = centers_of(solution)
-        for (i, j), points in zip(known.pairs, known.points, strict=True):
-            columns.set_point(f'center_{known.bodies[i]}_{known.bodies[j]}', points)
+        all_centers = centers_of(solution)
+        for (i, j), points in zip(all_centers.pairs, all_centers.points, strict=True):
+            columns.set_point(f'center_{all_centers.bodies[i]}_{all_centers.bodies[j]}', points)
     if statics:
         _add_statics(columns, solution)
     write_columns(path, columns)
@@ -94,8 +94,8 @@ def _add_statics(columns: _Columns, solution: Solution) -> None:
     ):
         columns[f'{driver.name}_effort'] = effort
     if not why_no_reactions(mechanism):
-        found = reactions(mechanism, solution.values, loads)
-        for joint, force, moment in zip(found.joints, found.force, found.moment, strict=True):
+        forces = reactions(mechanism, solution.values, loads)
+        for joint, force, moment in zip(forces.joints, forces.force, forces.moment, strict=True):
             columns.set_point(f'{joint}_force', force)
             columns[f'{joint}_moment'] = moment
 

@@ -43,8 +43,8 @@ def static_lines(solution: Solution) -> list[str]:
     lines = ['', 'forces at the start of the range' if several else 'forces']
     loads = acting.all
     if np.isnan(solution.motion.values[1:, :, 0]).all() and solution.motion.regular.size == 1:
-        # So near to a dead point the efforts depend on the last digit of the input.
-        return [*lines, 'not determined: the drivers have no hold of the loads in a dead point']
+        # This near to a dead point, the efforts depend on the last digit of the input.
+        return [*lines, 'not determined: in a dead point the drivers do not move the loads']
     if scene.held_by:
         size, load = holding(scene.mechanism, values, loads, scene.held_by)
         lines.append(_holder_line(scene, float(size[0]), load))
@@ -59,20 +59,20 @@ def static_lines(solution: Solution) -> list[str]:
 def _reaction_lines(scene: Scene, values: np.ndarray, loads: list[Load]) -> list[str]:
     """Return the forces in the joints, and those that are not unique."""
     lines = []
-    found = reactions(scene.mechanism, values, loads)
+    forces = reactions(scene.mechanism, values, loads)
     rows: list[Row] = [
         [name, force.real, force.imag, abs(force), moment]
         for name, force, moment in zip(
-            found.joints, found.force[:, 0], found.moment[:, 0], strict=True
+            forces.joints, forces.force[:, 0], forces.moment[:, 0], strict=True
         )
     ]
     if rows:
         lines += ['', *table_lines(['joint', 'Fx N', 'Fy N', 'F N', 'moment N m'], rows)]
-    for j, name in enumerate(found.joints):
+    for j, name in enumerate(forces.joints):
         # A force that is not unique may have a unique part, such as the force along a wheel's rim.
-        for part, turn in ((found.along[j, 0], 1), (found.across[j, 0], 1j)):
-            if np.isfinite(part) and not np.isfinite(found.force[j, 0]):
-                angle = _degrees(part * turn * found.axis[j, 0])
+        for part, turn in ((forces.along[j, 0], 1), (forces.across[j, 0], 1j)):
+            if np.isfinite(part) and not np.isfinite(forces.force[j, 0]):
+                angle = _degrees(part * turn * forces.axis[j, 0])
                 size = f'{abs(part):.6g} N'
                 lines.append(f'{name}: of its force the part along {angle:g} deg is unique: {size}')
     return [*lines, *undetermined(scene.mechanism, values[:, 0])]
@@ -81,24 +81,24 @@ def _reaction_lines(scene: Scene, values: np.ndarray, loads: list[Load]) -> list
 def _effort_lines(scene: Scene, values: np.ndarray, acting: ActingLoads) -> list[str]:
     """Return the effort of each driver that balances the loads, and the share of each load."""
     lines = []
-    found = efforts(scene.mechanism, values, acting.all)
+    balance = efforts(scene.mechanism, values, acting.all)
     for k, driver in enumerate(scene.mechanism.drivers):
         unit, _ = _UNITS[scene.mechanism.kind(k) == 'angle']
-        if not found.determined[k, 0]:
+        if not balance.determined[k, 0]:
             lines.append(f'{driver.name}: a dead point, where no finite effort balances the loads')
             continue
-        lines.append(f'{driver.name} balances the loads with {found.effort[k, 0]:.9g} {unit}')
+        lines.append(f'{driver.name} balances the loads with {balance.effort[k, 0]:.9g} {unit}')
         ends = np.cumsum([len(acting.external), len(acting.springs)])
-        external, springs, inertia = np.split(found.share[:, k, 0], ends)
-        parts = []
+        external, springs, inertia = np.split(balance.share[:, k, 0], ends)
+        texts = []
         if len(external):
-            parts.append(f'load by load: {", ".join(f"{share:.6g}" for share in external)}')
+            texts.append(f'load by load: {", ".join(f"{share:.6g}" for share in external)}')
         if len(springs):
-            parts.append(f'springs: {springs.sum():.6g}')
+            texts.append(f'springs: {springs.sum():.6g}')
         if len(inertia):
-            parts.append(f'inertia: {inertia.sum():.6g}')
-        if len(external) > 1 or len(parts) > 1:
-            lines.append(f'  of this, {"; ".join(parts)} {unit}')
+            texts.append(f'inertia: {inertia.sum():.6g}')
+        if len(external) > 1 or len(texts) > 1:
+            lines.append(f'  of this, {"; ".join(texts)} {unit}')
     return lines
 
 
@@ -106,7 +106,7 @@ def _holder_line(scene: Scene, size: float, load: Load) -> str:
     """Return the force or torque that holds the loads in place of the driver."""
     driver = scene.mechanism.drivers[0].name
     if not np.isfinite(size):
-        return f'on {load.body} nothing balances the loads here: it does not move, or a dead point'
+        return f'nothing on {load.body} balances the loads: it does not move, or is in a dead point'
     if isinstance(load, Torque):
         return f'{size:.9g} N m on {load.body} balance the loads, with {driver} free'
     angle = f'{np.rad2deg(np.angle(_effort(load) / size)):.6g} deg'
@@ -125,16 +125,16 @@ def work_lines(solution: Solution) -> list[str]:
         for k, (kind, load) in enumerate(zip(kinds, acting.all, strict=True), start=1)
     }
     if np.isnan(here.motion.values[1:, :, 0]).all():
-        return ['', 'virtual work: the drivers have no hold of the loads in a dead point']
+        return ['', 'virtual work: in a dead point the drivers do not move the loads']
     lines: list[str] = []
     if scene.held_by:
         size, holder = holding(scene.mechanism, here.values, acting.all, scene.held_by)
         lines += _balance_lines(here, named, 0, holder, float(size[0]))
-        named[f'{len(named) + 1} what holds them, {_load_text(scene, holder)}'] = holder
+        named[f'{len(named) + 1} holder, {_load_text(scene, holder)}'] = holder
     else:
-        found = efforts(scene.mechanism, here.values, acting.all)
+        balance = efforts(scene.mechanism, here.values, acting.all)
         for k in range(len(scene.mechanism.drivers)):
-            lines += _balance_lines(here, named, k, None, float(found.effort[k, 0]))
+            lines += _balance_lines(here, named, k, None, float(balance.effort[k, 0]))
     return [*lines, *_bearing_lines(here, named)]
 
 
@@ -164,9 +164,9 @@ def _balance_lines(
     powers = [_power(load, v) for load, v in zip(named.values(), rates, strict=False)]
     title, rate = f'the effort of {driver}', driver_rate
     effort_unit, unit = _UNITS[mechanism.kind(k) == 'angle']
-    others = ', the other drivers held' if len(mechanism.drivers) > 1 else ''
+    note = ', the other drivers held' if len(mechanism.drivers) > 1 else ''
     value = driver_text(here.scene, k, here.inputs[k, 0])
-    lines = ['', f'virtual work: {driver} = {value} moves at {driver_rate:.6g} {unit}{others}']
+    lines = ['', f'virtual work: {driver} = {value} moves at {driver_rate:.6g} {unit}{note}']
     rows: list[Row] = [
         [name, *_components(load, _effort(load)), *_components(load, v), power]
         for (name, load), v, power in zip(named.items(), rates, powers, strict=False)
@@ -180,12 +180,12 @@ def _balance_lines(
     if not size:
         return [*lines, 'the powers add up to zero: no effort is needed to balance them']
     if not np.isfinite(size):
-        return [*lines, f'{title} is not determined: a dead point, or it does not move']
+        return [*lines, f'{title} is not determined: it does not move, or this is a dead point']
     lines += [
         f'{sum(powers):.9g} W + {title} · {rate:.9g} {unit} = 0',
         f'{title} = {size:.9g} {effort_unit}',
         '',
-        f'superposition: each load alone asks for minus its power over {rate:.6g} {unit}; the '
+        f'superposition: each load alone needs minus its power over {rate:.6g} {unit}; the '
         'mechanical advantage is the load over that',
     ]
     rows = []
@@ -223,14 +223,14 @@ def _bearing_lines(here: Solution, named: dict[str, Load]) -> list[str]:
     names: Sequence[str] = [name.partition(' ')[0] for name in named]
     names = [*names, *('teeth' for _ in loads[len(named) :])]
     drivers = ', '.join(driver.name for driver in mechanism.drivers)
-    lines = ['', f'bearings: each let go at 1 m/s or 1 rad/s in one direction, {drivers} held']
+    lines = ['', f'bearings: each released at 1 m/s or 1 rad/s in one direction, {drivers} held']
     rows: list[Row] = []
     for one in released:
         direction = 'turning' if one.way is None else f'{_degrees(one.way[0]):g} deg'
         powers = one.powers[:, 0]
         unit = 'N m' if one.way is None else 'N'
         rows.append([one.joint, direction, *powers, -powers.sum(), unit])
-    head = ['joint', 'let go', *(f'power {name} W' for name in names), 'it bears', '']
+    head = ['joint', 'released', *(f'power {name} W' for name in names), 'force', '']
     return [*lines, *table_lines(head, rows)]
 
 

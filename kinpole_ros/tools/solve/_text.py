@@ -81,9 +81,9 @@ def motion_lines(solution: Solution) -> list[str]:
     lines = [f'at {values}']
     if not motion.regular[0]:
         loop = ', '.join(scene.mechanism.dead_loop(motion.values[0, :, 0]))
-        lines.append(f'a dead point of the loop {loop}: the drivers do not tell how it moves on')
+        lines.append(f'a dead point of the loop {loop}: the drivers do not determine the motion')
     elif motion.sound[0] < len(motion.values):
-        lines.append('next to a change point, where rounding leaves no digits of what is missing')
+        lines.append('next to a change point: the missing rates would have no correct digits')
     rows: list[Row] = [
         [body, np.rad2deg(motion.angle[0, b, 0]), *motion.angle[1:, b, 0]]
         for b, body in enumerate(scene.mechanism.bodies)
@@ -109,11 +109,11 @@ def _coordinates(points: Sequence[complex] | np.ndarray) -> list[float]:
 def _pole_lines(solution: Solution) -> list[str]:
     """Return the poles of the bodies at the first position, and the velocity of the ICR."""
     mechanism = solution.scene.mechanism
-    found = poles(mechanism, solution.motion)
+    body_poles = poles(mechanism, solution.motion)
     rows: list[Row] = []
     for b, body in enumerate(mechanism.bodies):
-        points = [z[b, 0] for z in (found.icr, found.iap, found.ijp, found.velocity)]
-        rows.append([body, *_coordinates(points), found.curvature[b, 0]])
+        points = [getattr(body_poles, name)[b, 0] for name in ('icr', 'iap', 'ijp', 'velocity')]
+        rows.append([body, *_coordinates(points), body_poles.curvature[b, 0]])
     head = [f'{name} {axis} m' for name in ('ICR', 'IAP', 'IJP') for axis in 'xy']
     return ['', *table_lines(['body', *head, 'u x m/s', 'u y m/s', 'κ 1/m'], rows)]
 
@@ -146,7 +146,7 @@ def range_lines(solution: Solution) -> list[str]:
     lines = [f'{name} from {ends[0]} to {ends[1]}']
     if scene.mechanism.linkage.blocks:
         for dead in scene.mechanism.path(float(low), float(high)).dead_points:
-            kind = 'limit: it turns back' if dead.turns_back else 'change point: two ways on'
+            kind = 'limit: it turns back' if dead.turns_back else 'change point: two branches'
             moving, loop = ', '.join(dead.moving), ', '.join(dead.loop)
             lines.append(
                 f'dead point at {name} = {driver_text(scene, 0, dead.at, 12)} ({kind}; {moving} '

@@ -50,28 +50,11 @@ def tolerances(
     page: str | None = None,
 ) -> list[str]:
     """
-    Compute the errors of a scene's points, angles and centers.
+    Return the errors of a scene's points, angles and centers as lines to print.
 
-    Parameters
-    ----------
-    scene : str
-        The file, or the name of a scene that comes with kinpole.
-    texts : sequence of str
-        NAME=DEVIATION, play:PIN=RADIUS, and files with the output of `kinpole fit`.
-    samples : int
-        Number of linkages with random errors; 0 for the first order alone.
-    table, picture, page : str, optional
-        CSV table, picture and HTML page to write.
-
-    Returns
-    -------
-    list of str
-        Lines to print.
-
-    Raises
-    ------
-    SceneError, LinkageError
-        If the scene or the tolerances cannot be used, or a file cannot be written.
+    `texts` are NAME=DEVIATION, play:PIN=RADIUS, and files with the output of `kinpole fit`;
+    `samples` is the number of linkages with random errors, 0 for the first order alone. Writes the
+    CSV `table`, the `picture` and the HTML `page`. Raises SceneError and LinkageError.
     """
     loaded = load_scene(scene)
     errors, notes = _errors(loaded, texts)
@@ -280,6 +263,6 @@ def _record_columns(spread: ToleranceSpread) -> Mapping[tuple[str, str], Any]:
         for kind in ('angle', 'angular velocity'):
             name = f'{kind.replace(" ", "_")}_sigma'
             columns[body, name] = spread.deviation[index[body, kind]]
-        parts = spread.parts[:, [index[body, 'ICR x'], index[body, 'ICR y']]]
-        columns[body, 'icr_covariance'] = np.einsum('eat,ebt->tab', parts, parts)
+        axes = spread.parts[:, [index[body, 'ICR x'], index[body, 'ICR y']]]
+        columns[body, 'icr_covariance'] = np.einsum('eat,ebt->tab', axes, axes)
     return columns

@@ -20,17 +20,8 @@ def view(chosen: str = '', port: int = 0) -> None:
     """
     Serve the page until SIGINT or SIGTERM, and print its address.
 
-    Parameters
-    ----------
-    chosen : str
-        A node by its full name, its namespace, or one of its topics; '' is the first node found.
-    port : int
-        The port; 0 is any free port.
-
-    Raises
-    ------
-    BagError
-        If the port cannot be used, or ROS cannot start.
+    `chosen` is a node by its full name, its namespace, or one of its topics; '' is the first node
+    found. Port 0 is any free port. Raises BagError if the port cannot be used, or ROS cannot start.
     """
     from kinpole_ros.ros.listener import watching
 

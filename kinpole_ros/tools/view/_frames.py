@@ -27,7 +27,7 @@ _MOST_BYTES = 1 << 20  # five times a message of so many bodies
 
 
 class Rig(NamedTuple):
-    """What a node measures: bodies in its order, quantities of each, and pairs (j, i)."""
+    """The bodies of a node in its order, the quantities of each, and pairs (j, i)."""
 
     bodies: tuple[str, ...]
     figures: tuple[str, ...]

@@ -30,7 +30,7 @@ _DIAGNOSTICS = '/diagnostics'
 
 
 class RigState:
-    """What a page shows of a rig besides the frames: outlines, joints, reasons and warnings."""
+    """The state of a rig for a page: outlines, joints, reasons and warnings."""
 
     def __init__(self, node: str, topic: str) -> None:
         self.node = node
@@ -111,7 +111,7 @@ class RigState:
         if silence > _SILENT:
             words = [f'no results for {silence:.0f} s']
         if other_nodes:
-            words.append(f'also there: {", ".join(other_nodes)} (kinpole view --topic NAME)')
+            words.append(f'other nodes: {", ".join(other_nodes)} (kinpole view --topic NAME)')
         return '; '.join(words)
 
     def _record(self, rig: Rig) -> Record:
@@ -121,7 +121,7 @@ class RigState:
         def add_center(subject: Any, values: Sequence[Any]) -> None:
             rows = _rows(values, 5)
             columns[subject, 'icr'] = rows[:, 0] + 1j * rows[:, 1]
-            # Of the covariance, only the trace is read.
+            # `joints_of` reads only the trace of the covariance.
             columns[subject, 'icr_covariance'] = rows[:, 2:4, None] ** 2 * np.eye(2)
 
         for b, body in enumerate(rig.bodies):
@@ -210,7 +210,7 @@ class Live:
     def _waiting_text(self, state: RigState | None) -> str:
         if state is not None:
             notes = ''.join(f'; {note}' for note in [*state.notes, state.trouble] if note)
-            return f'{state.node} is there, and has no results yet{notes}'
+            return f'{state.node} runs, and has no results yet{notes}'
         node = f'node under {self._chosen[:-1]}' if self._chosen else 'node'
         domain = os.environ.get('ROS_DOMAIN_ID') or '0'
         return (

@@ -105,8 +105,8 @@ def serving(feed: Feed, page: str, port: int = 0, token: str = '') -> Iterator[s
     except (OSError, OverflowError) as error:
         why = error.strerror if isinstance(error, OSError) else 'ports are numbers up to 65535'
         raise BagError(
-            f'--port {port} of {_ADDRESS} cannot be had ({why}); name another, or leave it out for '
-            'one that is free'
+            f'--port {port} of {_ADDRESS} cannot be used ({why}); name another, or leave it out '
+            'for a free one'
         ) from None
     server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)

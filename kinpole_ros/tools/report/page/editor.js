@@ -70,7 +70,7 @@ function makeEditor({ data, page, stage, redraw, play }) {
       body.withheld = isPinned ? { centrode_curvature: [[0, data.n, 'the ICR stands still']] } : {};
     });
     data.joints = pins();
-    stage.view.held = true;
+    stage.view.isFixed = true;
     stage.updatePoints();
     redraw(moves % ALL_EVERY ? (moves % LINES_EVERY ? 'instant' : 'stage') : 'all');
     moves += 1;

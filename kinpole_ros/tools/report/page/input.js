@@ -65,7 +65,7 @@ function enlarge({ stage, redraw }, factor, at = null) {
   view.x += (u / view.scale) * (1 - 1 / factor);
   view.y += (v / view.scale) * (1 - 1 / factor);
   view.scale *= factor;
-  view.held = true;
+  view.isFixed = true;
   redraw('all');
 }
 
@@ -94,7 +94,7 @@ function listenToStage(element, actions) {
     const pixels = view.scale * fingers.size;
     view.x -= (x - px) / pixels;
     view.y += (y - py) / pixels;
-    view.held = true;
+    view.isFixed = true;
     if (before) enlarge(actions, pinch().distance / (before.distance || 1), pinch().at);
     actions.redraw('all');
   });
@@ -111,21 +111,21 @@ function listenToStage(element, actions) {
 function listen(actions) {
   const { page, data, play, stopAt, stage, charts } = actions;
   byId('play').onclick = () => play(!page.playing);
-  byId('back').onclick = () => stopAt(page.k - 1);
-  byId('ahead').onclick = () => stopAt(page.k + 1);
+  byId('previous').onclick = () => stopAt(page.k - 1);
+  byId('next').onclick = () => stopAt(page.k + 1);
   byId('scrub').oninput = (event) => stopAt(Number(event.target.value));
   byId('pace').onchange = (event) => actions.setPace(Number(event.target.value));
-  byId('whole').onclick = actions.showAll;
-  byId('closer').onclick = () => enlarge(actions, 1.4);
-  byId('farther').onclick = () => enlarge(actions, 1 / 1.4);
+  byId('fit').onclick = actions.showAll;
+  byId('enlarge').onclick = () => enlarge(actions, 1.4);
+  byId('reduce').onclick = () => enlarge(actions, 1 / 1.4);
   const zoomBy = (factor) => () => {
     page.turnsPages = false;
     const [[from, to], t] = [page.range, data.t[page.k]];
     const at = from <= t && t <= to ? t : (from + to) / 2;
     actions.zoom(at - (at - from) * factor, at + (to - at) * factor);
   };
-  byId('shorter').onclick = zoomBy(0.5);
-  byId('longer').onclick = zoomBy(2);
+  byId('zoom-in').onclick = zoomBy(0.5);
+  byId('zoom-out').onclick = zoomBy(2);
   document.addEventListener('keydown', (event) => onKey(event, actions));
   for (const plot of charts.plots) listenToChart(plot, actions);
   listenToStage(byId('stage'), actions);

@@ -5,8 +5,8 @@ const [FRAMES, SPAN] = [300, 10];
 // Charts that can be hidden, and layers and charts that are hidden at first.
 const OPTIONAL_CHARTS = [...RATES.slice(1), 'icr_velocity', 'centrode_curvature'];
 const HIDDEN_LIVE = [...POLES.slice(1), ...OPTIONAL_CHARTS, 'relative'];
-// Every so many frames the stage is fitted to the motion, and numbers and charts are drawn: nobody
-// reads more of these in a second.
+// The stage is fitted to the motion, and numbers and charts are drawn, only every so many frames:
+// ten updates a second are enough to read.
 const [FIT_EVERY, CHARTS_EVERY] = [15, 3];
 // Intervals below this (s) are no gaps in a line: the page or the network was slow.
 const LEAST_PERIOD = 0.1;
@@ -39,7 +39,7 @@ function watch() {
     source.addEventListener('frame', (event) => onFrame(JSON.parse(event.data)));
     source.onopen = () => showState('');
     source.onerror = ({ target }) => {
-      showState('disconnected, trying again; where kinpole view was started anew, open the address it prints');
+      showState('disconnected, trying again; if kinpole view was restarted, open the address that it prints');
       // The browser does not retry after a refusal.
       if (target.readyState === EventSource.CLOSED) {
         setTimeout(() => target === source && connect(), 1000);

@@ -94,7 +94,7 @@ function motionPaths(data, body, step, extent) {
   );
   const { icr } = body;
   if (!icr) return { tracks, fixed: new Path2D(), moving: new Path2D() };
-  // Where the ICR is so uncertain, noise alone would draw a star over the picture.
+  // Parts where the ICR is uncertain are left out: noise would draw a star over the picture.
   const x = icr.x.map((value, k) => (icr.a[k] > 0.02 * extent ? NaN : value));
   const { y } = icr;
   const rate = body.angular_velocity.value;

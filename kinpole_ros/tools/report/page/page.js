@@ -1,16 +1,16 @@
-// ---- The page: its state, what changes it, and what is drawn again then ----
+// ---- The page: its state, the actions that change it, and its drawing ----
 
 const MEANINGS = {
-  icr: 'ICR: the point of the body at rest, about which it turns at this instant',
-  iap: 'IAP: the point without acceleration',
-  ijp: 'IJP: the point without jerk',
-  isp: 'ISP: the point without snap',
-  relative: 'relative center: the point at which two bodies move alike; the pin, where there is one',
-  fixed: 'fixed centrode: where the ICR goes in the plane',
-  moving: 'moving centrode: where it goes in the body; rolls on the fixed one without slip',
+  icr: 'ICR: the point of the body with velocity zero, about which it turns at this instant',
+  iap: 'IAP: the point with acceleration zero',
+  ijp: 'IJP: the point with jerk zero',
+  isp: 'ISP: the point with snap zero',
+  relative: 'relative center: the point at which two bodies have the same velocity, such as their pin',
+  fixed: 'fixed centrode: the path of the ICR in the plane',
+  moving: 'moving centrode: its path in the body, which rolls on the fixed one without slip',
 };
-// What is drawn again, from least to most: the moving part of the stage, the stage, what moves with
-// the cursor, everything.
+// The parts to draw again, from least to most: the moving part of the stage, the stage, all parts that
+// move with the cursor, everything.
 const REDRAWS = ['', 'instant', 'stage', 'cursor', 'all'];
 
 const byId = (id) => document.getElementById(id);
@@ -23,7 +23,7 @@ function makePage(data, off = HIDDEN, onCursor = () => {}) {
   };
   const stage = makeStage(byId('stage'), page, data);
   const charts = makeCharts(byId('charts'), page, data);
-  const table = makeTable(byId('now'), page, data);
+  const table = makeTable(byId('values'), page, data);
   const polygons = data.live ? null : makePolygons(byId('polygons'), page, data);
   let pending = '';
   let time = 0;
@@ -166,7 +166,7 @@ function addButtons({ page, data, toggle }) {
   byId('scrub').max = data.n - 1;
 }
 
-// What a layer looks like in the picture.
+// A sample of a layer.
 function layerIcon(layer) {
   const shapes = {
     outlines: '<rect x="1" y="3" width="16" height="8" rx="4" fill="#0072b233" stroke="#0072b2"/>',
@@ -192,8 +192,8 @@ const showError = (text) => byId('title').after(tag('p', text, { id: 'trouble' }
 
 async function start() {
   if (typeof DecompressionStream === 'undefined') {
-    showError('This browser is too old to unpack the figures: Chrome 80, Firefox 113, Safari 16.4 '
-      + 'or newer can.');
+    showError('This browser is too old to unpack the data; use Chrome 80, Firefox 113, Safari 16.4 '
+      + 'or newer.');
     return;
   }
   const raw = await inflate(byId('data').textContent);
@@ -217,12 +217,12 @@ function showAbout({ about, notes }) {
 function show(data) {
   byId('title').textContent = data.title;
   showAbout(data);
-  drawWithheld(byId('lacking'), data);
+  drawWithheld(byId('withheld'), data);
   drawTheory(byId('theory'), data);
   drawNotes(byId('notes'), data);
   byId('work').hidden = !data.work?.length;
   byId('work').querySelector('pre').textContent = (data.work || []).join('\n').trim();
-  if (data.solved) byId('now').after(byId('polygons'));
+  if (data.solved) byId('values').after(byId('polygons'));
   const actions = makePage(data);
   if (data.edit) makeEditor(actions);
   actions.showReadableTime();
@@ -232,6 +232,6 @@ function show(data) {
 }
 
 start().catch((error) => {
-  showError(`This page cannot be shown: ${error.message}. The file may be cut off; get it anew.`);
+  showError(`This page cannot be shown: ${error.message}. The file may be cut off; make or copy it again.`);
   throw error;
 });

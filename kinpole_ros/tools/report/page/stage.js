@@ -6,11 +6,11 @@ const LAYERS = {
   velocities: 'velocities', names: 'names',
 };
 const HIDDEN = ['ijp', 'isp'];
-// Thickness of a bar, in sizes of the motion; of the largest velocity arrow, in sizes of the stage.
+// Thickness of a bar, in sizes of the motion.
 const THICKNESS = 0.022;
 
-// What is drawn, and where: `view` is the center and the pixels per meter; `points` are those of each
-// body that have velocities; `fastest` is the speed of the longest arrow.
+// The stage: `view` is its center and its pixels per meter; `points` are the points of each body with
+// velocity arrows; `fastest` is the speed of the longest arrow.
 function makeStage(element, page, data) {
   const [under, over] = element.querySelectorAll('canvas');
   const stage = {
@@ -31,7 +31,7 @@ function makeStage(element, page, data) {
     stage.thickness = THICKNESS * extent;
     updatePoints();
     stage.fastest = Math.max(stage.fastest, topSpeed(data, stage.points));
-    if (stage.sizes && !view.held && before !== Object.values(box).join()) fit();
+    if (stage.sizes && !view.isFixed && before !== Object.values(box).join()) fit();
   }
 
   function updatePoints() {
@@ -47,7 +47,7 @@ function makeStage(element, page, data) {
 
   function fit() {
     const sizes = stage.sizes = emptyCanvas(under, page.printing);
-    view.held = false;
+    view.isFixed = false;
     view.scale = 0.9 * Math.min(sizes.width / box.width, sizes.height / box.height);
     view.x = box.x + box.width / 2;
     view.y = box.y + box.height / 2;

@@ -32,12 +32,12 @@ function makeTable(element, page, data) {
     row.append(heading);
     for (const body of data.bodies) addCell(row, (k) => quantityTexts(body, name, k));
   }
-  const hint = tag('p', 'There is more to the right: scroll the table sideways.', { class: 'cut' });
+  const hint = tag('p', 'There are more columns: scroll the table sideways.', { class: 'cut' });
   element.replaceChildren(hint, table);
   if (data.pairs.length) element.append(pairTable());
   const showHint = () => {
     const { scrollWidth, clientWidth, scrollLeft } = element;
-    element.classList.toggle('more', scrollLeft + clientWidth < scrollWidth - 1);
+    element.classList.toggle('scrolls', scrollLeft + clientWidth < scrollWidth - 1);
     hint.hidden = scrollWidth <= clientWidth + 1;
   };
   new ResizeObserver(showHint).observe(element);
@@ -117,9 +117,8 @@ function drawWithheld(element, data) {
   const scroll = tag('div', undefined, { class: 'scroll' });
   scroll.append(table);
   const title = tag('h2', 'What is determined, and why the rest is withheld');
-  element.append(title, scroll, tag('p', 'kinpole guesses nothing: a figure that does not stand '
-    + 'out of its noise is not given. A longer lag or window, more markers or a faster motion '
-    + 'determine more.'));
+  element.append(title, scroll, tag('p', 'A quantity that is not larger than its noise is '
+    + 'withheld. A longer lag or window, more markers or a faster motion determine more.'));
 }
 
 // The share of the instants at which a quantity is determined, and the reasons for the others.
@@ -153,8 +152,8 @@ function drawTheory(element, data) {
     const row = content.insertRow();
     row.append(tag('th', subject, { scope: 'row' }), ...cells.map((text) => tag('td', text)));
   }
-  element.append(tag('h2', `Against the theory of ${data.scene}`), table, tag('p', 'The driver is '
-    + 'taken as it is seen. In deviations, 1 is as it should be for rates, and 1.4 for distances.'));
+  element.append(tag('h2', `Against the theory of ${data.scene}`), table, tag('p', 'The theory '
+    + 'follows the measured driver. Expected are 1 standard deviation for rates, 1.4 for distances.'));
 }
 
 function drawNotes(element, data) {

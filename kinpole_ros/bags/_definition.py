@@ -1,6 +1,6 @@
-"""Bags carry the text of their message types; here it is made from the classes.
+"""The text of message types, as bags have it.
 
-The .msg files do not come with every installation of rclpy, the classes do.
+The .msg files do not come with every installation of rclpy, so it is made from the classes.
 """
 
 import re
@@ -8,32 +8,57 @@ from functools import cache
 from typing import Any
 
 from kinpole_ros import messages
-from kinpole_ros.bags._reader import BagError
+from kinpole_ros.bags._files import BagError
 from kinpole_ros.messages import constants, fields
 
 
 def message_class(name: str) -> type:
-    """The class of a message type, from 'package/msg/Name' or 'package/Name'.
+    """
+    Return the class of a message type.
 
-    Raises BagError when the type is not installed.
+    Parameters
+    ----------
+    name : str
+        'package/msg/Name' or 'package/Name'.
+
+    Returns
+    -------
+    type
+
+    Raises
+    ------
+    BagError
+        If the type is not installed.
+
     """
     try:
-        found: type = messages.message_class(name)
+        cls: type = messages.message_class(name)
     except (LookupError, ValueError) as error:
         raise BagError(
             f"message type '{name}' is not installed; fix: source the workspace that has it"
         ) from error
-    return found
+    return cls
 
 
 @cache
 def definition(message_class: type) -> str:
-    """Text of a message type and all it is made of, in rosbag2's form ('ros2msg').
+    """
+    Return the text of a message type and of all types in it, in rosbag2's form ('ros2msg').
 
-    The type itself comes first, then each type it contains, once, in order of first appearance,
-    below a line of 80 '=' and a line 'MSG: package/Name'. Classes keep no types of constants and
-    no comments: whole numbers are int32 where they fit, and defaults of fields are left out;
-    neither matters to who decodes.
+    Classes keep no types of constants and no comments: whole numbers are int32 where they fit, and
+    defaults of fields are left out. Neither matters for decoding.
+
+    Parameters
+    ----------
+    message_class : type
+        The class of the type.
+
+    Returns
+    -------
+    str
+        The type itself, then the types that it contains, once, in order of first appearance, below
+        a line of 80 '=' and a line 'MSG: package/Name'.
+
     """
     texts = {'': _own_text(message_class)}
     _add_dependencies(message_class, texts)

@@ -1,4 +1,4 @@
-"""Commands from bag to bag: replay, batch, simulate and import."""
+"""Commands that compute results from bags of markers: replay and batch."""
 
 import argparse
 import sys
@@ -8,17 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from kinpole_ros.files import printable
 from kinpole_ros.packages import install_command
-from kinpole_ros.tools.commands._command import (
-    BAG_OUTPUT,
-    CONFIG,
-    POINT_OPTIONS,
-    SCENE,
-    SET,
-    TOPIC,
-    command,
-    flag,
-    option,
-)
+from kinpole_ros.tools.commands._command import CONFIG, SET, TOPIC, command, flag, option
 from kinpole_ros.tools.commands._output_files import check_outputs
 from kinpole_ros.tools.commands._terminal import (
     erased_bar,
@@ -29,7 +19,7 @@ from kinpole_ros.tools.commands._terminal import (
 )
 
 if TYPE_CHECKING:
-    from kinpole_ros.linkage.positions import PositionsFound
+    from kinpole_ros.linkage.positions import PositionReport
     from kinpole_ros.tracking.parameters import Settings
 
 
@@ -46,22 +36,19 @@ def settings_of(options: argparse.Namespace) -> 'Settings':
 @command(
     'replay',
     option(
-        'bag',
-        'BAG',
+        'bag BAG',
         'an .mcap or .db3 file, or a rosbag2 folder; a folder without metadata.yaml is read as one '
         'recording of all its .mcap files',
     ),
     option(
-        '--config',
-        'FILE',
+        '--config FILE',
         'ROS 2 parameter file, as for the node; without it, all markers are one body named "body"',
     ),
     SET,
-    option('--output', 'OUT.mcap', 'bag of results, under /kinpole/...'),
-    option('--csv', 'OUT.csv', 'the results as a table, in SI units, with standard deviations'),
+    option('--output OUT.mcap', 'bag of results, under /kinpole/...'),
+    option('--csv OUT.csv', 'the results as a table, in SI units, with standard deviations'),
     option(
-        '--parquet',
-        'OUT.parquet',
+        '--parquet OUT.parquet',
         f'the same table for pandas and others ({install_command("parquet")})',
     ),
     TOPIC,
@@ -72,7 +59,7 @@ def replay(options: argparse.Namespace) -> int:
 
     Runs the markers of a bag through the same pipeline as the node. The same bag and parameters
     give the same results every time. New results replace earlier ones only when they are complete.
-    A killed run leaves its incomplete results beside them, as NAME.….part, until the next run.
+    A killed run leaves its incomplete results next to them, as NAME.….part, until the next run.
     """
     from kinpole_ros.bags import assumed_body, warnings_of
     from kinpole_ros.bags import replay as replay_bag
@@ -140,7 +127,7 @@ def _result_lines(result: Any) -> Iterator[str]:
         )
 
 
-def _position_lines(positions: 'PositionsFound | None') -> Iterator[str]:
+def _position_lines(positions: 'PositionReport | None') -> Iterator[str]:
     """Yield how far the joints of the scene are off, and whether the scene explains the poses."""
     if positions is None:
         return
@@ -161,26 +148,23 @@ def _position_lines(positions: 'PositionsFound | None') -> Iterator[str]:
 @command(
     'batch',
     option(
-        'bags',
-        'BAG',
+        'bags BAG',
         '.mcap and .db3 files and rosbag2 folders, or URLs such as s3://lab/run.mcap',
         nargs='*',
     ),
-    option('--list', 'FILE', 'a file, from somebody you trust, with one more bag in each line'),
+    option('--list FILE', 'a file, from somebody you trust, with one more bag in each line'),
     CONFIG,
     SET,
-    option(
-        '--output', 'DIR', 'folder for results and summary, or its URL (batch)', default='batch'
-    ),
+    option('--output DIR', 'folder for results and summary, or its URL (batch)', default='batch'),
     TOPIC,
     flag('--mcap', 'write a bag of results for each bag (the default)'),
     flag('--csv', 'write a CSV table for each bag'),
     flag('--parquet', 'write a Parquet table for each bag'),
-    option('--scheduler', 'ADDRESS', 'address of a Dask cluster; without it, use this machine'),
-    option('--tls-ca', 'PEM', 'certificate that signed the certificates of the cluster'),
-    option('--tls-cert', 'PEM', 'certificate to show to the cluster'),
-    option('--tls-key', 'PEM', 'key of --tls-cert, if it is not in the same file'),
-    option('--workers', 'N', 'processes on this machine (one per core)', int),
+    option('--scheduler ADDRESS', 'address of a Dask cluster; without it, use this machine'),
+    option('--tls-ca PEM', 'certificate that signed the certificates of the cluster'),
+    option('--tls-cert PEM', 'certificate to show to the cluster'),
+    option('--tls-key PEM', 'key of --tls-cert, if it is not in the same file'),
+    option('--workers N', 'processes on this machine (one per core)', int),
 )
 def batch(options: argparse.Namespace) -> int:
     r"""
@@ -277,162 +261,6 @@ def _print_assumptions(rows: list[dict[str, Any]], settings: 'Settings') -> None
 
     assumptions = [assumed_body(row.get('markers', 0), settings, row['bag']) for row in rows]
     if first := next(filter(None, assumptions), ''):
-        others = sum(map(bool, assumptions)) - 1
-        more = f'; so it is for {others} other bag{"s"[others == 1 :]}' if others else ''
-        print(f'{printable(first)}{more}')
-
-
-class _ListScenes(argparse.Action):
-    """Print the names of the scenes and exit, as --version does."""
-
-    def __init__(self, **settings: Any) -> None:
-        super().__init__(nargs=0, **settings)
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from kinpole_ros.mechanism import scene_names
-
-        print('\n'.join(scene_names()))
-        parser.exit()
-
-
-@command(
-    'simulate',
-    SCENE,
-    flag('--list', 'print the names of the scenes that come with kinpole', _ListScenes),
-    BAG_OUTPUT,
-    option('--rate', 'HZ', 'frames per second (200)', float, 200.0),
-    option('--duration', 'S', 'length of the recording, s (5)', float, 5.0),
-    option('--noise', 'M', 'noise of a marker per axis, m (0)', float, 0.0),
-    option('--seed', 'N', 'seed of the random numbers (0)', int, 0),
-    option('--dropout', 'P', 'share of markers not seen (0)', float, 0.0),
-    option(
-        '--jitter',
-        'S',
-        'jitter of the times of the frames, s (0); the stamps have the true times',
-        float,
-        0.0,
-    ),
-    option(
-        '--message',
-        'TYPE',
-        'marker_array (the default), marker, pose_array or point_cloud2; or poses of the bodies: '
-        'pose_stamped, body_poses or tf',
-        default='marker_array',
-    ),
-    option(
-        '--arrival',
-        'S',
-        'mean of an exponential delay of the stamps, s (0); the frames keep their order',
-        float,
-        0.0,
-    ),
-    option(
-        '--tilt', 'DEG', 'angle of the plane of motion about the x axis, degrees (0)', float, 0.0
-    ),
-    option('--scale', 'F', 'units per meter: 1000 for mm (1)', float, 1.0),
-    flag(
-        '--unlabeled',
-        'points without names, in random order in each frame; an unseen point leaves no gap',
-    ),
-)
-def simulate(options: argparse.Namespace) -> int:
-    """
-    Write a bag of markers of a simulated mechanism, with the exact motion.
-
-    Writes markers on /markers and the exact motion on /kinpole/truth/... (m, in the frame of the
-    markers, each with the stamp of its frame). Noise, dropout, jitter, arrival, tilt, scale and
-    unlabeled imitate the faults of real rigs.
-    """
-    from kinpole_ros.bags import simulate as simulate_bag
-    from kinpole_ros.mechanism import load_scene
-
-    check_outputs([options.scene], [('--output', options.output, 'an MCAP bag')])
-    scene = load_scene(options.scene)
-    with progress_bar('simulate') as progress:
-        count = simulate_bag(
-            scene,
-            options.output,
-            rate=options.rate,
-            duration=options.duration,
-            noise=options.noise,
-            seed=options.seed,
-            dropout=options.dropout,
-            jitter=options.jitter,
-            message=options.message,
-            arrival=options.arrival,
-            tilt=options.tilt,
-            scale=options.scale,
-            unlabeled=options.unlabeled,
-            progress=progress,
-        )
-    print(f'{count} frames of {", ".join(scene.markers)} written to {options.output}')
-    return 0
-
-
-@command(
-    'import',
-    option('file', 'FILE', 'the file of points, or a folder'),
-    BAG_OUTPUT,
-    option('--format', 'NAME', 'one of the above (auto: by content)', default='auto'),
-    *POINT_OPTIONS,
-    option(
-        '--likelihood',
-        'P',
-        'least likelihood of a point that counts as seen (DeepLabCut 0.6, SLEAP 0)',
-        float,
-    ),
-)
-def import_points(options: argparse.Namespace) -> int:
-    """
-    Convert tracked points of other programs to a bag.
-
-    Units and times are taken from the file where it has them; you are asked for the others. Pixel
-    coordinates count y down. The formats:
-
-      table       columns NAME_x, NAME_y, maybe NAME_z, and t in s (or time_ms ...), in m;
-                  or t, x, y of one point
-      deeplabcut  .csv or .h5, one animal or several
-      sleap       analysis .csv or .h5
-      anipose     .csv of points in space
-      keypoints   OpenPose, a folder of .json; COCO .json
-      kinovea     trajectories as .csv, .txt or .xml, and angles as .csv
-      tracker     data files and .trk of Tracker (Open Source Physics)
-      motive      .csv of OptiTrack
-      vicon       .csv of Nexus
-      qualisys    .tsv, 3D or 6D
-      trc         .trc of OpenSim, Cortex and others
-      c3d         .c3d
-      bag         .bag of ROS 1; .db3, .mcap or a folder of ROS 2: markers, poses, or what
-                  mocap4r2, motion_capture_tracking and VRPN publish
-
-    Files that end in .h5 need h5py (pip install h5py). Cells are separated by commas, semicolons
-    or tabs; with the latter two, decimals may be commas. Empty cells are markers that were not
-    seen. Poses of bodies are written to /tf.
-
-    Examples:
-      kinpole import walk.trc --output walk.mcap
-      kinpole import run_6D.tsv --output run.mcap
-      kinpole import videoDLC_resnet50.csv --rate 240 --scale 0.00051 --output video.mcap
-    """
-    from kinpole_ros.bags import import_points as import_file
-
-    check_outputs([options.file], [('--output', options.output, 'an MCAP bag')])
-    with progress_bar('import') as progress:
-        imported = import_file(
-            options.file,
-            options.output,
-            rate=options.rate,
-            scale=options.scale,
-            y_down=options.y_down,
-            progress=progress,
-            format=options.format,
-            likelihood=options.likelihood,
-        )
-    for note in imported.notes:
-        print_error('import', note)
-    unit = f'in {imported.unit}' if options.scale is None else f'1 unit = {imported.scale:g} m'
-    print(
-        f'{imported.frames} frames of {len(imported.markers)} markers ({imported.format}, {unit}) '
-        f'written to {options.output}'
-    )
-    return 0
+        count = sum(map(bool, assumptions)) - 1
+        note = f'; so it is for {count} other bag{"s"[count == 1 :]}' if count else ''
+        print(f'{printable(first)}{note}')

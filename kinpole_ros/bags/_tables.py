@@ -1,8 +1,9 @@
-"""Results as tables, CSV or Parquet: one row an instant, nothing where it is undetermined."""
+"""Results as tables, CSV or Parquet: a row for each instant, empty where undetermined."""
 
 import csv
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -21,18 +22,17 @@ from kinpole_ros.tracking.estimate import (
 )
 from kinpole_ros.tracking.parameters import Settings
 
-# Rows in a group of a Parquet file, which are held in memory.
-_GROUP = 8192
+_GROUP_ROWS = 8192  # of a Parquet file, which are in memory at once
 
 
 def column_names(bodies: tuple[str, ...], order: int) -> list[str]:
     """
-    Names of the figures of an instant, up to the derivative of `order`.
+    Return the names of the quantities of an instant, up to the derivative of `order`.
 
     Of every body x, y, angle, the rates and curvature each with the column NAME_sigma behind it,
     and the poles and the ICR's velocity as NAME_x, NAME_y and their sigmas; of every pair the
     relative rate and center. SI units, sigma is one standard deviation. x and y are along the axes
-    of the plane: those of the frame in xy, yz and zx, else what `messages.plane_words` says.
+    of the plane: those of the frame in xy, yz and zx, else those of `messages.plane_words`.
     """
     numbers = [*RATE_NAMES[:order], *(['centrode_curvature'] if order >= 3 else [])]
     vectors = [*POLE_NAMES[:order], *(['icr_velocity'] if order >= 2 else [])]
@@ -45,29 +45,6 @@ def column_names(bodies: tuple[str, ...], order: int) -> list[str]:
     return names
 
 
-def figures(estimate: Estimate, order: int) -> np.ndarray:
-    """The figures named by `column_names` at T instants, (T, columns); NaN is undetermined."""
-    shape = (np.size(estimate.stamp), len(estimate.bodies))
-    known = np.reshape(np.asarray(estimate.missing), shape) == ''
-    place = estimate.origin(0).reshape(shape)
-    pose = np.stack((place.real, place.imag, estimate.angle[0].reshape(shape)), axis=-1)
-    numbers = [estimate.rate(k) for k in range(1, order + 1)]
-    vectors = [estimate.pole(k) for k in range(1, order + 1)]
-    if order >= 3:
-        numbers.append(estimate.centrode_curvature)
-    if order >= 2:
-        vectors.append(estimate.icr_velocity)
-    of_bodies = [np.where(known[..., None], pose, np.nan)]
-    of_bodies += [_number(one, shape) for one in numbers]
-    of_bodies += [_vector(one, shape) for one in vectors]
-    pairs = (shape[0], len(measured_pairs(shape[1])))
-    of_pairs = [_number(estimate.relative_rate, pairs), _vector(estimate.relative_icr, pairs)]
-    return np.concatenate(
-        [np.concatenate(part, axis=-1).reshape(shape[0], -1) for part in (of_bodies, of_pairs)],
-        axis=1,
-    )
-
-
 def _names(prefix: str, numbers: list[str], vectors: list[str]) -> Iterator[str]:
     for name in numbers:
         yield from (f'{prefix}_{name}', f'{prefix}_{name}_sigma')
@@ -75,28 +52,51 @@ def _names(prefix: str, numbers: list[str], vectors: list[str]) -> Iterator[str]
         yield from (f'{prefix}_{name}_{end}' for end in ('x', 'y', 'x_sigma', 'y_sigma'))
 
 
-def _number(numbers: Numbers, shape: tuple[int, int]) -> np.ndarray:
-    """Value and sigma, (..., 2)."""
+def table_rows(estimate: Estimate, order: int) -> np.ndarray:
+    """Return the quantities of `column_names` at T instants, (T, columns); NaN if undetermined."""
+    count = np.size(estimate.stamp)
+    shape = (count, len(estimate.bodies))
+    is_known = np.reshape(np.asarray(estimate.missing), (*shape, 1)) == ''
+    origin = estimate.origin(0).reshape(shape)
+    pose = np.stack((origin.real, origin.imag, estimate.angle[0].reshape(shape)), axis=-1)
+    body_columns = [np.where(is_known, pose, np.nan)]
+    body_columns += [_number_columns(estimate.rate(k), shape) for k in range(1, order + 1)]
+    if order >= 3:
+        body_columns.append(_number_columns(estimate.centrode_curvature, shape))
+    body_columns += [_vector_columns(estimate.pole(k), shape) for k in range(1, order + 1)]
+    if order >= 2:
+        body_columns.append(_vector_columns(estimate.icr_velocity, shape))
+    pairs = (count, len(measured_pairs(shape[1])))
+    pair_columns = [
+        _number_columns(estimate.relative_rate, pairs),
+        _vector_columns(estimate.relative_icr, pairs),
+    ]
+    blocks = [np.concatenate(columns, axis=-1) for columns in (body_columns, pair_columns)]
+    return np.concatenate([block.reshape(count, -1) for block in blocks], axis=1)
+
+
+def _number_columns(numbers: Numbers, shape: tuple[int, int]) -> np.ndarray:
+    """Return value and sigma, (..., 2)."""
     with np.errstate(invalid='ignore'):
-        both = np.stack((numbers.value, np.sqrt(numbers.variance)), axis=-1)
-    return np.where(numbers.determined[..., None], both, np.nan).reshape(*shape, 2)
+        columns = np.stack((numbers.value, np.sqrt(numbers.variance)), axis=-1)
+    return np.where(numbers.determined[..., None], columns, np.nan).reshape(*shape, 2)
 
 
-def _vector(vectors: Vectors, shape: tuple[int, int]) -> np.ndarray:
-    """Both components and their sigmas, (..., 4)."""
+def _vector_columns(vectors: Vectors, shape: tuple[int, int]) -> np.ndarray:
+    """Return two components and their sigmas, (..., 4)."""
     value = np.stack((vectors.value.real, vectors.value.imag), axis=-1)
     with np.errstate(invalid='ignore'):
         sigmas = np.sqrt(np.diagonal(vectors.covariance, axis1=-2, axis2=-1))
-    both = np.concatenate((value, sigmas), axis=-1)
-    return np.where(vectors.determined[..., None], both, np.nan).reshape(*shape, 4)
+    columns = np.concatenate((value, sigmas), axis=-1)
+    return np.where(vectors.determined[..., None], columns, np.nan).reshape(*shape, 4)
 
 
 class _Table(ABC):
     """
     A file that estimates are written to; use it in a `with` block.
 
-    `name` is what messages call it, where that is not its path.
-    Raises BagError when it cannot be written.
+    `name` is the one in messages, where that is not its path. Raises BagError when it cannot be
+    written.
     """
 
     def __init__(
@@ -105,7 +105,9 @@ class _Table(ABC):
         self._path, self._name = Path(path), name or path
         self._order = settings.derivative_order or 4
         self._names = column_names(tuple(settings.bodies), self._order)
-        self._guard(self._open)
+        with self._write_errors():
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._open()
 
     def __enter__(self) -> '_Table':
         return self
@@ -117,15 +119,24 @@ class _Table(ABC):
         traceback: TracebackType | None,
     ) -> None:
         try:
-            self._guard(self._close)
+            with self._write_errors():
+                self._close()
         except BagError:
-            if kind is None:  # what went wrong first is what the user should see
+            if kind is None:  # else the first error is the one to be seen
                 raise
 
     def add(self, estimate: Estimate) -> None:
         """Write the rows of its instants."""
-        rows = figures(estimate, self._order)
-        self._guard(lambda: self._write(np.atleast_1d(estimate.stamp), rows))
+        rows = table_rows(estimate, self._order)
+        with self._write_errors():
+            self._write(np.atleast_1d(estimate.stamp), rows)
+
+    @contextmanager
+    def _write_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise unwritable(self._name, error) from None
 
     @abstractmethod
     def _open(self) -> None: ...
@@ -136,18 +147,11 @@ class _Table(ABC):
     @abstractmethod
     def _close(self) -> None: ...
 
-    def _guard(self, do: Callable[[], None]) -> None:
-        try:
-            do()
-        except OSError as error:
-            raise unwritable(self._name, error) from None
-
 
 class CsvTable(_Table):
-    """A spreadsheet: t in s with all its digits, then the figures; empty is undetermined."""
+    """A spreadsheet: t in s with all its digits, then the quantities; empty is undetermined."""
 
     def _open(self) -> None:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
         self._file = open(self._path, 'w', newline='', encoding='utf-8')  # noqa: SIM115
         self._rows = csv.writer(self._file)
         self._rows.writerow(['t', *self._names])
@@ -166,7 +170,7 @@ class ParquetTable(_Table):
     """
     A Parquet file for pandas, Polars, DuckDB and the like, written in groups of rows.
 
-    Columns: stamp, ns, exact; t, s; then the figures; null is undetermined. Needs pyarrow.
+    Columns: stamp, ns, exact; t, s; then the quantities; null is undetermined. Needs pyarrow.
     """
 
     def _open(self) -> None:
@@ -183,21 +187,20 @@ class ParquetTable(_Table):
         self._schema = pyarrow.schema(
             [('stamp', pyarrow.int64()), *((name, double) for name in ('t', *self._names))]
         )
-        self._waiting: list[tuple[np.ndarray, np.ndarray]] = []
-        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._blocks: list[tuple[np.ndarray, np.ndarray]] = []
         self._file = open(self._path, 'wb')  # noqa: SIM115
         self._writer = parquet.ParquetWriter(self._file, self._schema, compression='zstd')
 
     def _write(self, stamps: np.ndarray, rows: np.ndarray) -> None:
-        self._waiting.append((stamps, rows))
-        if sum(len(stamps) for stamps, _ in self._waiting) >= _GROUP:
+        self._blocks.append((stamps, rows))
+        if sum(len(stamps) for stamps, _ in self._blocks) >= _GROUP_ROWS:
             self._write_group()
 
     def _write_group(self) -> None:
-        if not self._waiting:
+        if not self._blocks:
             return
-        stamps, rows = (np.concatenate(part) for part in zip(*self._waiting, strict=True))
-        self._waiting = []
+        stamps, rows = (np.concatenate(column) for column in zip(*self._blocks, strict=True))
+        self._blocks = []
         columns = [stamps, stamps * 1e-9, *rows.T]
         arrays = [self._arrow.array(column, from_pandas=True) for column in columns]
         self._writer.write_table(self._arrow.table(arrays, schema=self._schema))
@@ -210,13 +213,13 @@ class ParquetTable(_Table):
             self._file.close()
 
 
-def join_parquet(parts: Sequence[Path], target: Path) -> None:
-    """Put tables that a `ParquetTable` wrote together, in order."""
+def join_parquet(sources: Sequence[Path], target: Path) -> None:
+    """Join tables that a `ParquetTable` wrote, in order."""
     from pyarrow import parquet
 
-    files = [parquet.ParquetFile(part) for part in parts]
-    with parquet.ParquetWriter(target, files[0].schema_arrow, compression='zstd') as whole:
+    files = [parquet.ParquetFile(source) for source in sources]
+    with parquet.ParquetWriter(target, files[0].schema_arrow, compression='zstd') as writer:
         for file in files:
             with file:
                 for number in range(file.num_row_groups):
-                    whole.write_table(file.read_row_group(number))
+                    writer.write_table(file.read_row_group(number))

@@ -1,7 +1,8 @@
 """
-Quantities as people write them: a number is SI (m, rad, s, N, kg), else its unit stands behind it.
+Values of a scene's keys as people write them: quantities with units, vectors, names of points.
 
-Whatever cannot be read raises SceneError with what was written and an example of what can be.
+A number without a unit is SI (m, rad, s, N, kg). A value that cannot be read raises SceneError with
+what was written and an example of what can be.
 """
 
 import re
@@ -15,6 +16,8 @@ class SceneError(ValueError):
     """A scene file that cannot be used: one line with the file, the key and the fix."""
 
 
+# Body and position in its frame, complex, m, of the points by their names BODY.POINT.
+Points = dict[str, tuple[str, complex]]
 _DEGREE, _TURN = pi / 180, 2 * pi
 UNITS: dict[str, dict[str, float]] = {
     'length': {'m': 1.0, 'cm': 0.01, 'mm': 0.001, 'in': 0.0254, 'ft': 0.3048},
@@ -37,7 +40,7 @@ UNITS: dict[str, dict[str, float]] = {
         'N mm/deg': 0.001 / _DEGREE,
     },
 }
-# In SI units. Nothing is that long or fast, and the fourth powers of what is less do not overflow.
+# In SI units: no linkage is so long or fast, and fourth powers of smaller values do not overflow.
 _LARGEST = 1e15
 _EXAMPLES = {
     'length': '0.12 or 12 cm',
@@ -53,7 +56,7 @@ _EXAMPLES = {
     'stiffness': '2000 or 2 N/mm',
     'torsional stiffness': '3 or 3 N m/rad',
 }
-_WRITTEN = re.compile(r'\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*')
+_QUANTITY = re.compile(r'\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*')
 
 
 def quantity(where: str, value: Any, kind: str) -> float:
@@ -77,12 +80,12 @@ def quantity(where: str, value: Any, kind: str) -> float:
     Raises
     ------
     SceneError
-        For what is no number or beyond all use, or has a unit of another kind.
+        For a value that is no number, is too large, or has a unit of another kind.
 
     """
     number, unit = float('nan'), ''
-    if isinstance(value, str) and (written := _WRITTEN.fullmatch(value)):
-        number, unit = float(written[1]), ' '.join(re.split(r'[\s*·]+', written[2]))
+    if isinstance(value, str) and (match := _QUANTITY.fullmatch(value)):
+        number, unit = float(match[1]), ' '.join(re.split(r'[\s*·]+', match[2]))
         unit = unit.replace('²', '2').replace('^2', '2')
     elif isinstance(value, int | float) and not isinstance(value, bool):
         # Whole numbers may be too large for a float.
@@ -101,12 +104,16 @@ def quantity(where: str, value: Any, kind: str) -> float:
     return result
 
 
-def vector(where: str, value: Any, kind: str = 'length') -> complex:
-    """
-    A vector of the plane, complex: [x, y], or polar, LENGTH @ ANGLE.
+def positive(where: str, value: Any, kind: str) -> float:
+    """A quantity greater than 0."""
+    result = quantity(where, value, kind)
+    if result <= 0:
+        raise SceneError(f'{where} is {value!r}: give one greater than 0')
+    return result
 
-    Raises SceneError as `quantity` does.
-    """
+
+def vector(where: str, value: Any, kind: str = 'length') -> complex:
+    """A vector of the plane, complex: [x, y], or polar, LENGTH @ ANGLE."""
     if isinstance(value, str) and value.count('@') == 1:
         size, angle = (part.strip() for part in value.split('@'))
         # Turned by exact quarters, so that 0.2 @ 90 deg lies on the axis.
@@ -122,3 +129,46 @@ def direction(angle: float) -> complex:
     if abs(quarters - round(quarters)) < 1e-14 * max(1.0, abs(quarters)):
         return 1j ** (round(quarters) % 4)
     return exp(1j * angle)
+
+
+def named_point(where: str, value: Any, points: Points) -> tuple[str, complex]:
+    """The body and position of a point written as BODY.POINT."""
+    # A list cannot be looked up.
+    if not isinstance(value, str) or value not in points:
+        raise SceneError(
+            f'{where} is {value!r}, which is no point: give one of {", ".join(points)}'
+        )
+    return points[value]
+
+
+def mapping(where: str, value: Any, example: str) -> dict[str, Any]:
+    """`value` if it is a mapping with text for keys, and not empty."""
+    if not isinstance(value, dict) or not value:
+        raise SceneError(f'{where} holds no keys and values: write {example}')
+    for key in value:
+        if not isinstance(key, str):
+            raise SceneError(
+                f"{where} has a name {key!r} that is not text: write it in quotes, '{key}'"
+            )
+    return value
+
+
+def refuse_unknown(where: str, data: dict[str, Any], allowed: tuple[str, ...]) -> None:
+    """Refuse the first key that is not among those `allowed`."""
+    for key in data:
+        if key not in allowed:
+            raise SceneError(f"{where}: unknown key '{key}': use {', '.join(allowed)}")
+
+
+def need(where: str, data: dict[str, Any], keys: tuple[str, ...], example: str) -> None:
+    """Refuse data without one of `keys`."""
+    for key in keys:
+        if key not in data:
+            raise SceneError(f"{where}: the key '{key}' is missing: add it, as in {example}")
+
+
+def one_of(where: str, value: Any, allowed: tuple[str, ...] | list[str]) -> str:
+    """`value` if it is one of those allowed."""
+    if value not in allowed:
+        raise SceneError(f'{where} is {value!r}: give one of {", ".join(allowed)}')
+    return str(value)

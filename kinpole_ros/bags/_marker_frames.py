@@ -1,0 +1,188 @@
+"""The topic of markers or poses in a bag, and its frames as arrays."""
+
+from collections.abc import Callable, Iterator
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from kinpole_ros.bags._files import BagError, Truncated
+from kinpole_ros.bags._reader import Progress, read_blocks, topics
+from kinpole_ros.messages import (
+    INPUT_TYPE_NAMES,
+    ROS_TYPE_NAMES,
+    MarkerReader,
+    MessageError,
+    PoseReader,
+    kind_of,
+)
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.parameters import Settings
+
+NODE_NAME = 'kinpole'
+_SECOND = 1_000_000_000  # ns
+
+
+def read_frames(
+    bag: str | Path,
+    topic: str | None = None,
+    seconds: float | None = None,
+    progress: Progress | None = None,
+    report: Callable[[Truncated], None] | None = None,
+    identity: str = 'auto',
+) -> tuple[list[MarkerFrames], str]:
+    """
+    Read the frames of the markers in a bag.
+
+    Parameters
+    ----------
+    bag : str or Path
+        A file or folder, as for `bag_files`.
+    topic : str, optional
+        The topic; without it /markers, else the only one of a type that holds markers.
+    seconds : float, optional
+        Length (s) of the part to read, by stamps; without it, all.
+    progress : callable, optional
+        Called with the fraction of bytes read, 0 to 1.
+    report : callable, optional
+        Called with what is missing of a bag that is not whole.
+    identity : str
+        As the parameter `marker_identity`.
+
+    Returns
+    -------
+    frames : list of MarkerFrames
+        In order; consecutive frames of one layout are one element.
+    topic : str
+        The full name of the topic.
+
+    Raises
+    ------
+    BagError
+        If there is no bag, no such topic, or no message on it that can be read.
+
+    """
+    name, kind = _marker_topic(bag, topic)
+    frames: list[MarkerFrames] = []
+    problem = ''
+    reader = MarkerReader(kind, identity)
+    for group, _, error in frame_blocks(bag, name, kind, reader, progress):
+        if isinstance(error, Truncated):
+            if report is not None:
+                report(error)
+        elif error is not None:
+            problem = problem or str(error)
+        frames += group
+        if seconds is not None and frames:
+            duration = int(frames[-1].stamps[-1]) - int(frames[0].stamps[0])
+            if duration > seconds * _SECOND:
+                break
+    if not frames:
+        reason = f': {problem}' if problem else ''
+        raise BagError(
+            f'{bag}: no message on {name} can be read{reason}; fix: name another with --topic'
+        )
+    if seconds is None:
+        return frames, name
+    start = frames[0].stamps[0]
+    shortened = []
+    for group_frames in frames:
+        late = group_frames.stamps - start > seconds * _SECOND
+        count = int(np.argmax(late)) if late.any() else len(late)
+        if count:
+            shortened.append(part_of(group_frames, slice(count)))
+    return shortened, name
+
+
+def frame_blocks(
+    bag: str | Path,
+    topic: str,
+    kind: str,
+    reader: MarkerReader | PoseReader,
+    progress: Progress | None,
+) -> Iterator[tuple[list[MarkerFrames], np.ndarray, BagError | MessageError | None]]:
+    """
+    Yield the frames of a bag with the log times (T,), ns, of their messages, or an error, in order.
+
+    Those of messages of several layouts, as where markers come and go, are several `MarkerFrames`.
+    """
+    blocks = read_blocks(bag, [topic], progress)
+    no_times, type_name = np.zeros(0, np.int64), INPUT_TYPE_NAMES[kind]
+    while True:
+        try:
+            block = next(blocks, None)
+        except Truncated as error:
+            yield [], no_times, error
+            return
+        if block is None:
+            return
+        # Bytes of another type may be readable, as markers that are none.
+        for message in block:
+            if message.type_name != type_name:
+                problem = (
+                    f'{topic} has messages of {message.type_name} among those of {type_name}; see '
+                    'that each type has a topic of its own'
+                )
+                yield [], no_times, MessageError(problem)
+        block = [message for message in block if message.type_name == type_name]
+        log_times = np.array([message.log_time for message in block], np.int64)
+        results = reader.read_numbered([message.data for message in block])
+        for is_error, group in groupby(results, lambda pair: isinstance(pair[0], MessageError)):
+            items, numbers = zip(*group, strict=True)
+            if is_error:
+                yield from (([], no_times, error) for error in items)
+            else:
+                yield list(items), log_times[np.concatenate(numbers)], None
+
+
+def _marker_topic(bag: str | Path, topic: str | None) -> tuple[str, str]:
+    """Return the full name of a topic of markers and the short name of its type."""
+    kinds = {ros: kind for kind, ros in ROS_TYPE_NAMES.items()}
+    types = topics(bag)
+    candidates = {name: kinds[kind] for name, kind in types.items() if kind in kinds}
+    name = topic if topic is None or topic.startswith('/') else f'/{topic}'
+    if name is None:
+        is_unclear = '/markers' in candidates or len(candidates) != 1
+        name = '/markers' if is_unclear else next(iter(candidates))
+    if name in candidates:
+        return name, candidates[name]
+    fault = f'is {types[name]}, which holds no markers' if name in types else 'is not there'
+    listed, fix = ', '.join(sorted(candidates)), 'name one with --topic'
+    if not candidates:
+        listed = 'no topic of markers'
+        fix = f'`kinpole import {bag} --output NEW.mcap` reads poses and messages of trackers'
+    raise BagError(f'{bag}: topic {name} {fault}; it holds {listed}; fix: {fix}')
+
+
+def input_topic(bag: str | Path, settings: Settings, topic: str | None) -> tuple[str, str]:
+    """Return the full name of the tracker's input topic and the short name of its type."""
+    name = topic or settings.marker_topic
+    if name.startswith('~/'):
+        name = f'/{NODE_NAME}/{name[2:]}'
+    elif not name.startswith('/'):
+        name = f'/{name}'
+    types = topics(bag)
+    input_types = set(INPUT_TYPE_NAMES.values())
+    if name not in types:
+        # Topics of other types are listed only where there are no others.
+        listed = {t: kind for t, kind in types.items() if kind in input_types} or types
+        text = ', '.join(f'{t} ({kind})' for t, kind in sorted(listed.items())) or 'no topics'
+        raise BagError(f'{bag}: no topic {name}; it holds {text}; name one with --topic')
+    marker_type, type_name = settings.marker_type, types[name]
+    kind = kind_of(type_name, marker_type)
+    if kind is not None:
+        return name, kind
+    if type_name not in input_types:
+        raise BagError(
+            f'{bag}: topic {name} is {type_name}; markers must be one of '
+            f'{", ".join(sorted(input_types))}; fix: name another with --topic, or have '
+            f'`kinpole import {bag} --output NEW.mcap` read messages of trackers'
+        )
+    kinds = [one for one, ros in INPUT_TYPE_NAMES.items() if ros == type_name]
+    if kind_of(type_name):
+        kinds.append('auto')
+    raise BagError(
+        f'{bag}: topic {name} is {type_name}, but the parameter marker_type is {marker_type}; set '
+        f'it to {" or ".join(kinds)}'
+        f'{"" if kind_of(type_name) else ", and name the frame of each body"}'
+    )
