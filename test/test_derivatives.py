@@ -152,7 +152,7 @@ def waves(
     frequency = step * np.arange(int(np.pi / step) + 1)
     density = np.exp(-((frequency * length) ** power))
     if power == 0:
-        density = (1 + (frequency * length) ** 2) ** -4.0
+        density = (1 + (frequency * length) ** 2) ** -5.0
     density[0] /= 2
     phase = frequency * time[:, None] + order * np.pi / 2
     size = np.sqrt(density / density.sum()) * frequency**order

@@ -4,7 +4,7 @@ What kinds of motion there may be within a window, and how each differentiates i
 A signal is a line, a process of zero mean on top of it, and white noise. A process is known by its
 spectrum, exp(-(w l)^p): a longer `l` is a slower motion, and the power `p` says how fast harmonics
 fall. Low polynomials are processes too. For covariances alone there is a rough spectrum, that of a
-motion with three derivatives only (Matern 7/2: Rasmussen and Williams, Gaussian Processes for
+motion with four derivatives only (Matern 9/2: Rasmussen and Williams, Gaussian Processes for
 Machine Learning, 2006, 4.2.1). On the samples of a window the singular vectors of a process, its
 modes, make each of its amplitudes diagonal: evidence and derivatives of all amplitudes are sums
 over modes (there, 2.7 for the line with a flat prior, 5.4 for the evidence).
@@ -24,8 +24,9 @@ FEWEST_SAMPLES = 7
 """Samples of the shortest window there is."""
 # Powers of the spectra, and the shortest length of each, samples.
 SPECTRA = ((2.0, 2.0), (1.4, 2.0), (1.0, 4.0))
-# How smooth the rough spectrum is, and its shortest length, samples.
-_ROUGH = ((3.5, 4.0),)
+# Smoothness of the rough spectrum, and its shortest length, samples. With 7/2 the snap would have no
+# finite variance.
+_ROUGH = ((4.5, 4.0),)
 # The longest length, windows. The next one is half as long, a quarter in the rough spectrum.
 _LONGEST = 1.25
 # A line is all there is of degree 1.
