@@ -24,8 +24,7 @@ FEWEST_SAMPLES = 7
 """Samples of the shortest window there is."""
 # Powers of the spectra, and the shortest length of each, samples.
 SPECTRA = ((2.0, 2.0), (1.4, 2.0), (1.0, 4.0))
-# Smoothness of the rough spectrum, and its shortest length, samples. With 7/2 the snap would have no
-# finite variance.
+# Smoothness of the rough spectrum (7/2 gives snap no finite variance), and its shortest length.
 _ROUGH = ((4.5, 4.0),)
 # The longest length, windows. The next one is half as long, a quarter in the rough spectrum.
 _LONGEST = 1.25
@@ -335,7 +334,7 @@ def _derivatives(
             seen = np.count_nonzero(sizes)
             own[..., :seen] = by[..., :seen] / sizes[:seen]
             pair.append(own)
-            left -= by @ one.right
+            left -= by[..., :seen] @ one.right[:seen]
             more += left @ left.swapaxes(1, 2)
         found.append((pair[0], pair[1]))
         unseen.append(more)

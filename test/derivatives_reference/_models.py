@@ -258,8 +258,8 @@ def stencils_of(count: int, at: float, block: int, orders: int, exact: bool = Fa
     unseen = []
     for member, pair in zip(members, functions, strict=True):
         total = np.zeros((orders, orders))
-        for one, (left,) in zip(member.functions, pair, strict=True):
-            left = left - (left @ one.right.T) @ one.right
+        for one, seen, (left,) in zip(member.functions, member.seen, pair, strict=True):
+            left = left - (left @ one.right[:seen].T) @ one.right[:seen]
             total += left @ left.T
         unseen.append(_models._amplitudes(exact)[:, None] ** 2 * total.ravel())
     unseen.append(np.zeros((1, orders * orders)))
