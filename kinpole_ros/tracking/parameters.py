@@ -279,7 +279,8 @@ PARAMETERS: Mapping[str, Parameter] = {
     ),
     'effort': _choices(
         'normal',
-        'Makes no difference any more: events are searched for wherever the evidence asks for it.',
+        'How much is computed for each figure. low: motions that stop or set in all at once are '
+        'followed later; high: twice as many models, less error where it is largest.',
         'low',
         'normal',
         'high',

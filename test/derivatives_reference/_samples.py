@@ -23,18 +23,26 @@ _SIGNAL = [0, 1, 1]
 
 
 class Window(NamedTuple):
-    """The arguments of `stencils_of`."""
+    """The arguments of `stencils_of`, and whether the window may be in two `parts`."""
 
     size: int
     at: float
     block: int
     orders: int
     exact: bool
+    dense: bool
+    parts: bool
+
+    def part(self, rows: slice, orders: int) -> 'Window':
+        """The same of some of the samples."""
+        first, last, _ = rows.indices(self.size)
+        at = self.at + (self.size - last - first) / 2
+        return self._replace(size=last - first, at=at, orders=orders)
 
     @property
-    def models(self) -> tuple[int, int, bool]:
+    def models(self) -> tuple[int, int, bool, bool]:
         """The arguments of `modes_of`."""
-        return self.size, self.block, self.exact
+        return self.size, self.block, self.exact, self.dense
 
 
 class Placed(NamedTuple):
