@@ -888,9 +888,11 @@ def test_nothing_is_computed_that_nobody_subscribes_to(
     asked: list[int | None] = []
 
     class Watched(Tracker):
-        def add(self, frames: MarkerFrames, order: int | None) -> list[Estimate]:
+        def add(
+            self, frames: MarkerFrames, order: int | None, events: bool = False
+        ) -> list[Estimate]:
             asked.append(order)
-            return super().add(frames, order)
+            return super().add(frames, order, events)
 
     monkeypatch.setattr('kinpole_ros.ros.node.Tracker', Watched)
     context = rclpy.get_default_context()
@@ -932,7 +934,7 @@ def test_what_pages_show_is_computed_30_times_a_second_and_after_all_else_is_sen
     asked, sent, now = [], [], 100.0
 
     class Scripted(Tracker):
-        def add(self, frames: MarkerFrames, order: int | None) -> list[Any]:
+        def add(self, frames: MarkerFrames, order: int | None, events: bool = False) -> list[Any]:
             asked.append(order)
             return [] if order is None else ['figures']
 

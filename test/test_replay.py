@@ -495,10 +495,12 @@ def test_frames_of_many_layouts_are_handed_over_together(
     calls: list[int] = []
     add_parts = Tracker.add_parts
 
-    def counted(self: Tracker, parts: Iterable[MarkerFrames], order: int | None) -> list[Estimate]:
+    def counted(
+        self: Tracker, parts: Iterable[MarkerFrames], order: int | None, events: bool = False
+    ) -> list[Estimate]:
         listed = list(parts)
         calls.append(len(listed))
-        return add_parts(self, listed, order)
+        return add_parts(self, listed, order, events)
 
     monkeypatch.setattr(Tracker, 'add_parts', counted)
     replay(simulated('four_bar', **NOISY), FOUR_BAR)

@@ -235,7 +235,7 @@ def test_what_is_measured_again_is_quoted_beside_what_was_before(
         assert 'too little data for conclusions: rigs' in ' '.join(page.read_text().split())
     tables = pages[1].read_text()
     assert rigs_part(made_up()).splitlines()[-1] in tables
-    assert '## Error against lag' in tables
+    assert '## Error by lag' in tables
     assert '## Stability atlas' not in tables
     written = [page.read_text() for page in pages]
     assert cli.main(['bench', '--pages', '--output', str(tmp_path)]) == 0

@@ -79,9 +79,27 @@ def _message(event: BodyEvent, frame_id: str, plane: Plane) -> bytes:
 
 def read_event(data: bytes) -> tuple[int, dict[str, float]]:
     """
-    Read a message of the topic: the stamp of the event, ns, and its numbers by their fields.
+    Read a message of a topic `event`.
 
-    Raises ValueError for another cloud, as RuntimeError where rclpy cannot read it.
+    Parameters
+    ----------
+    data : bytes
+        The serialized PointCloud2.
+
+    Returns
+    -------
+    stamp : int
+        When the event was, ns.
+    fields : dict
+        Its numbers by the names of their fields.
+
+    Raises
+    ------
+    ValueError
+        For another cloud.
+    RuntimeError
+        If rclpy cannot read the message.
+
     """
     cloud = deserialize_message(data, PointCloud2)
     content = bytes(cloud.data)
