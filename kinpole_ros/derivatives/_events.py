@@ -44,7 +44,7 @@ _STEP_COST, _DEGREE_COST = 2.4, 1.0
 _ENOUGH, _AHEAD = 18.0, 3.0
 # Of an acceleration and of a jerk: smooth motion looks more like steps of these.
 _ENOUGH_OF = {1: _ENOUGH, 2: 20.0, 3: 24.0}
-# Residuals beside the step must not exceed the noise by more than this many standard deviations of
+# Residuals around the step must not exceed the noise by more than this many standard deviations of
 # their mean square.
 _MISFIT = 4.0
 # An event of order 2 or 3 is less distinct from smooth motion: its rivals must have less than this
@@ -102,7 +102,7 @@ class _Window:
     """
     Polynomials on samples at `time` (N,), in samples, with `after` of them after the middle.
 
-    Samples are joined to blocks of up to so many, which begin at `starts`.
+    Samples are averaged in blocks of up to so many, which begin at `starts`.
     """
 
     def __init__(self, time: Real, starts: np.ndarray, after: int, block: int) -> None:
@@ -603,7 +603,7 @@ def _sizes(
 
 
 def _simple_gain(fit: _Fit, place: float, k: int, degrees: list[int], most: int) -> float:
-    """Gain of the signals whose likeliest curve beside the event has at `most` this degree."""
+    """Gain of the signals whose likeliest curve next to the event has at `most` this degree."""
     parts = fit.evidence(fit.window.steps(np.array([place]), _ORDERS), _ROWS[k])
     simple = [one for one, degree in zip(parts, degrees, strict=True) if degree <= most]
     return float(_of_both(simple)[0]) if simple else 0.0
