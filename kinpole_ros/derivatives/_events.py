@@ -37,7 +37,7 @@ _SHORTEST, _MOST_BLOCKS = 8, 64
 # A window has so many times as many samples before the middle as after it.
 _BEFORE = 2
 # Samples that the noise is known from beforehand.
-_KNOWN = 30.0
+_PRIOR_SAMPLES = 30.0
 # What a size costs besides the logarithm of how far it exceeds its noise: of a step, of a degree.
 _STEP_COST, _DEGREE_COST = 2.4, 1.0
 # Logarithm of the evidence that an event must have, and have more than its rivals.
@@ -90,12 +90,12 @@ class _Steps(NamedTuple):
     Steps of some orders at P places, as rows of a window and polynomials see them.
 
     `columns` (n, K, P), their coefficients `along` (D + 1, K, P) in the polynomials, and the
-    products `left` (D + 1, K, K, P) of what polynomials up to each degree leave of them.
+    products `remaining` (D + 1, K, K, P) of what polynomials up to each degree leave of them.
     """
 
     columns: Real
     along: Real
-    left: Real
+    remaining: Real
 
 
 class _Window:
@@ -128,8 +128,8 @@ class _Window:
         root = self.root.reshape(-1, *[1] * (rows.ndim - 1))
         return np.asarray(np.add.reduceat(rows, self.starts) / root)
 
-    def steps(self, places: Real, orders: Sequence[int]) -> _Steps:
-        since = self.time[:, None] - places
+    def steps(self, step_times: Real, orders: Sequence[int]) -> _Steps:
+        since = self.time[:, None] - step_times
         columns = self.join(np.stack([_power(since, order) for order in orders], axis=1))
         shape = columns.shape
         along = (self.basis.T @ columns.reshape(len(columns), -1)).reshape(-1, *shape[1:])
@@ -137,45 +137,45 @@ class _Window:
         explained = np.cumsum(along[:, :, None] * along[:, None], axis=0)
         return _Steps(columns, along, own - explained)
 
-    def steps_at(self, places: tuple[float, ...], orders: Sequence[int]) -> _Steps:
+    def steps_at(self, step_times: tuple[float, ...], orders: Sequence[int]) -> _Steps:
         """Return the same, kept for the next time."""
-        key = places, tuple(orders)
+        key = step_times, tuple(orders)
         if key not in self._steps:
-            self._steps[key] = self.steps(np.array(places), orders)
+            self._steps[key] = self.steps(np.array(step_times), orders)
         return self._steps[key]
 
-    def near(self, offset: float, reach: float) -> tuple[float, ...]:
-        """Places at most `reach` from `offset`, and one more to either side."""
-        far = np.ceil(reach / self.block) + 1
-        places = round(offset) + np.arange(-far, far + 1) * self.block
-        inside = (places > self.time[0] + _EDGE) & (places < self.time[-1] - _EDGE)
-        return tuple(places[inside].tolist())
+    def near(self, offset: float, radius: float) -> tuple[float, ...]:
+        """Places at most `radius` from `offset`, and one more to either side."""
+        far = np.ceil(radius / self.block) + 1
+        step_times = round(offset) + np.arange(-far, far + 1) * self.block
+        inside = (step_times > self.time[0] + _EDGE) & (step_times < self.time[-1] - _EDGE)
+        return tuple(step_times[inside].tolist())
 
-    def directions(self, places: tuple[float, ...]) -> Real:
+    def directions(self, step_times: tuple[float, ...]) -> Real:
         """
         Unit vectors (degrees, P, 5, n) along what polynomials leave of the steps of _DIRECTIONS.
 
         Each is without what the step before it in the same set has.
         """
-        if places not in self._directions:
-            steps = self.steps_at(places, _ORDERS)
+        if step_times not in self._directions:
+            steps = self.steps_at(step_times, _ORDERS)
             degrees = slice(1, self.simplest + 1)
             columns = np.moveaxis(steps.columns, 0, -1).swapaxes(0, 1)  # (P, K, n)
             explained = np.einsum('dkp,nd->dpkn', steps.along, self.basis, optimize=True)
-            rest = columns - np.cumsum(explained, axis=0)[degrees]
+            remainder = columns - np.cumsum(explained, axis=0)[degrees]
             least = np.sqrt(_ROUNDING * (columns**2).sum(axis=-1, keepdims=True))
-            found = np.empty((*rest.shape[:2], len(_DIRECTIONS), rest.shape[-1]))
+            result = np.empty((*remainder.shape[:2], len(_DIRECTIONS), remainder.shape[-1]))
             for k, (row, before) in enumerate(_DIRECTIONS):
-                own = rest[:, :, row]
+                own = remainder[:, :, row]
                 if before is not None:
-                    other = found[:, :, before]
+                    second = result[:, :, before]
                     for _ in range(2):
-                        own = own - other * (other * own).sum(axis=-1, keepdims=True)
+                        own = own - second * (second * own).sum(axis=-1, keepdims=True)
                 size = np.sqrt((own**2).sum(axis=-1, keepdims=True))
                 seen = size > least[:, row]
-                found[:, :, k] = np.where(seen, own / np.where(seen, size, 1.0), 0.0)
-            self._directions[places] = found
-        return self._directions[places]
+                result[:, :, k] = np.where(seen, own / np.where(seen, size, 1.0), 0.0)
+            self._directions[step_times] = result
+        return self._directions[step_times]
 
 
 def _power(since: Real, order: int) -> Real:
@@ -206,11 +206,11 @@ class _Fit:
         self.least = float(squares[with_step.stop - 1].sum() / (3 * (self.count - with_step.stop)))
         for part in _SIGNALS:
             signals = part.stop - part.start
-            left = squares[:, part].sum(axis=1)
-            each = (0.5 * np.log1p(along[:, part] ** 2) + _DEGREE_COST).sum(axis=1)
-            cost, number = np.cumsum(each), (_KNOWN + signals * window.count) / 2
-            self.smooth.append(_log_sum((-number * np.log(_KNOWN + left) - cost)[1:]))
-            self.squares.append(left[with_step])
+            remaining = squares[:, part].sum(axis=1)
+            per_signal = (0.5 * np.log1p(along[:, part] ** 2) + _DEGREE_COST).sum(axis=1)
+            cost, number = np.cumsum(per_signal), (_PRIOR_SAMPLES + signals * window.count) / 2
+            self.smooth.append(_log_sum((-number * np.log(_PRIOR_SAMPLES + remaining) - cost)[1:]))
+            self.squares.append(remaining[with_step])
             self.cost.append(cost[with_step])
             self.number.append(number)
 
@@ -229,22 +229,22 @@ class _Fit:
         `product` is that of `product`, if it is known.
         """
         size = self.product(steps) if product is None else product
-        left = steps.left[1 : self.window.simplest + 1]
+        remaining = steps.remaining[1 : self.window.simplest + 1]
         factor: list[list[Real]] = []
         explained: list[Real] = []
         for i, row in enumerate(rows):
-            own, value = left[:, row, row], size[:, row]
+            own, value = remaining[:, row, row], size[:, row]
             lower: list[Real] = []
             for j in range(i):
-                shared = left[:, row, rows[j]].copy()
+                shared = remaining[:, row, rows[j]].copy()
                 for m in range(j):
                     shared -= lower[m] * factor[j][m]
                 scaled = shared * factor[j][j]
                 lower.append(scaled)
                 own = own - scaled**2
                 value = value - scaled[..., None] * explained[j]
-            whole = np.einsum('np,np->p', steps.columns[:, row], steps.columns[:, row])
-            seen = own > _ROUNDING * whole
+            total = np.einsum('np,np->p', steps.columns[:, row], steps.columns[:, row])
+            seen = own > _ROUNDING * total
             inverse = np.where(seen, 1 / np.sqrt(np.where(seen, own, 1.0)), 0.0)
             factor.append([*lower, inverse])
             explained.append(value * inverse[..., None])
@@ -253,19 +253,21 @@ class _Fit:
     def product(self, steps: _Steps) -> Real:
         """Products (degrees, K, P, 3) of steps with what polynomials leave of the samples."""
         shape = steps.columns.shape
-        whole = steps.columns.reshape(len(self.samples), -1).T @ self.samples
+        total = steps.columns.reshape(len(self.samples), -1).T @ self.samples
         by_degree = np.cumsum(steps.along[..., None] * self.along[:, None, None], axis=0)
         by_degree = by_degree[1 : self.window.simplest + 1]
-        return np.asarray(whole.reshape(*shape[1:], 3) - by_degree)
+        return np.asarray(total.reshape(*shape[1:], 3) - by_degree)
 
     def _gains(self, squares: list[Real]) -> list[Real]:
         gains = []
         for k, part in enumerate(_SIGNALS):
             signals = part.stop - part.start
-            each = [square[..., part].sum(axis=-1) for square in squares]
-            cost = sum(signals * np.log1p(one / signals) / 2 + _STEP_COST for one in each)
-            left = np.maximum(self.squares[k][:, None] - sum(each), 0.0)
-            value = -self.number[k] * np.log(_KNOWN + left) - self.cost[k][:, None] - cost
+            per_signal = [square[..., part].sum(axis=-1) for square in squares]
+            cost = sum(signals * np.log1p(one / signals) / 2 + _STEP_COST for one in per_signal)
+            remaining = np.maximum(self.squares[k][:, None] - sum(per_signal), 0.0)
+            value = (
+                -self.number[k] * np.log(_PRIOR_SAMPLES + remaining) - self.cost[k][:, None] - cost
+            )
             gains.append(value - self.smooth[k])
         return gains
 
@@ -284,10 +286,10 @@ class _Fit:
             ends = slice(length, None), slice(None, -length)
             sums = np.cumsum(np.pad(basis, ((1, 0), (0, 0))), axis=0)
             sums = sums[ends[0]] - sums[ends[1]]
-            left = np.maximum(length - np.cumsum(sums.T**2, axis=0)[rows], _ROUNDING)
+            remaining = np.maximum(length - np.cumsum(sums.T**2, axis=0)[rows], _ROUNDING)
             off = np.cumsum(np.pad(residual, ((0, 0), (1, 0), (0, 0))), axis=1)
             off = off[:, ends[0]] - off[:, ends[1]]
-            gains.append(_of_both(self._gains([off**2 / left[..., None]])).max())
+            gains.append(_of_both(self._gains([off**2 / remaining[..., None]])).max())
         return float(max(gains))
 
 
@@ -337,7 +339,7 @@ class _Task(NamedTuple):
     interval: float
     middle: float
     offset: float
-    reach: float
+    radius: float
 
 
 def find_events(samples: Sequence[Samples], after: float) -> list[Event | None]:
@@ -348,28 +350,28 @@ def find_events(samples: Sequence[Samples], after: float) -> list[Event | None]:
     before. There is none where smooth motion explains the samples as well.
     """
     tasks = [_task_of(one) for one in samples]
-    found: list[Event | None] = [None] * len(tasks)
+    result: list[Event | None] = [None] * len(tasks)
     for number, lengths in _screened(tasks, after).items():
         task = tasks[number]
         assert task is not None
         fits = [fit for length in lengths[1] if (fit := _fit_of(task, length)) is not None]
-        best: _Found | None = None
+        best: _Finding | None = None
         for k, fit in enumerate(fits):
             if fit.window.after in lengths[0]:
-                one = _search(fit, fits[k + 1 :], task.offset, task.reach)
+                one = _search(fit, fits[k + 1 :], task.offset, task.radius)
                 if one is not None and (best is None or one.gain > best.gain):
                     best = one
         if best is not None:
             unit = task.scale / task.interval**best.order
-            found[number] = Event(
-                task.middle + best.place * task.interval,
+            result[number] = Event(
+                task.middle + best.step_time * task.interval,
                 best.sigma * task.interval,
                 best.order,
                 best.size * unit,
                 best.size_sigma * unit,
                 best.gain,
             )
-    return found
+    return result
 
 
 def _task_of(samples: Samples) -> _Task | None:
@@ -391,8 +393,8 @@ def _task_of(samples: Samples) -> _Task | None:
     since = (own - middle) / interval
     first = min(int(np.searchsorted(since, 0.0)), len(since) - 1)
     scale = np.sqrt(variance.mean(axis=0))[[0, 1, 1]]
-    offset, reach = ((begin + end) / 2 - middle) / interval, (end - begin) / interval / 2
-    return _Task(since, (values - values[first]) / scale, scale, interval, middle, offset, reach)
+    offset, radius = ((begin + end) / 2 - middle) / interval, (end - begin) / interval / 2
+    return _Task(since, (values - values[first]) / scale, scale, interval, middle, offset, radius)
 
 
 def _lengths(task: _Task, after: float) -> list[int]:
@@ -421,30 +423,30 @@ def _screened(tasks: Sequence[_Task | None], after: float) -> dict[int, tuple[se
     groups: dict[tuple[int, int, int], list[int]] = {}
     lengths = {k: _lengths(task, after) for k, task in enumerate(tasks) if task is not None}
     likely: dict[int, set[int]] = {}
-    for k, each in lengths.items():
+    for k, per_signal in lengths.items():
         task = tasks[k]
         assert task is not None
-        for length in each:
+        for length in per_signal:
             rows = _rows_of(task, length)
             if _is_even(task, rows, length):
-                key = length, round(task.offset), int(np.ceil(task.reach))
+                key = length, round(task.offset), int(np.ceil(task.radius))
                 groups.setdefault(key, []).append(k)
                 continue
             fit = _fit_of(task, length)
             if fit is not None:
                 steps = fit.window.steps(
-                    np.array(fit.window.near(task.offset, task.reach)), _ORDERS
+                    np.array(fit.window.near(task.offset, task.radius)), _ORDERS
                 )
                 if fit.gain(steps, _ROWS).max() > _ENOUGH:
                     likely.setdefault(k, set()).add(length)
-    for (length, offset, reach), members in groups.items():
+    for (length, offset, radius), members in groups.items():
         window = _even_window(length, _block_of(length))
         samples = []
         for k in members:
             task = tasks[k]
             assert task is not None
             samples.append(window.join(task.samples[_rows_of(task, length)]))
-        gains = _even_gains(window, window.near(offset, reach), np.stack(samples, axis=1))
+        gains = _even_gains(window, window.near(offset, radius), np.stack(samples, axis=1))
         for k, gain in zip(members, gains.tolist(), strict=True):
             if gain > _ENOUGH:
                 likely.setdefault(k, set()).add(length)
@@ -457,24 +459,28 @@ def _even_gains(window: _Window, near: tuple[float, ...], samples: Real) -> Real
     flat = samples.reshape(count, -1)
     along = (window.basis.T @ flat).reshape(-1, number, 3)
     directions = window.directions(near)
-    high, places, rows, _ = directions.shape
+    high, step_times, rows, _ = directions.shape
     explained = (directions.reshape(-1, count) @ flat) ** 2
-    explained = explained.reshape(high, places, rows, number, 3)
-    left = np.maximum((flat**2).sum(axis=0).reshape(number, 3) - np.cumsum(along**2, axis=0), 0.0)
-    each = 0.5 * np.log1p(along**2) + _DEGREE_COST
-    total = np.zeros((len(_SETS), places, number))
+    explained = explained.reshape(high, step_times, rows, number, 3)
+    remaining = np.maximum(
+        (flat**2).sum(axis=0).reshape(number, 3) - np.cumsum(along**2, axis=0), 0.0
+    )
+    per_signal = 0.5 * np.log1p(along**2) + _DEGREE_COST
+    total = np.zeros((len(_SETS), step_times, number))
     for part in _SIGNALS:
         signals = part.stop - part.start
-        cost, half = np.cumsum(each[..., part].sum(axis=-1), axis=0), signals * count
-        half = (_KNOWN + half) / 2
-        rest = left[..., part].sum(axis=-1)
-        smooth = _log_sum((-half * np.log(_KNOWN + rest) - cost)[1:])
+        cost, half = np.cumsum(per_signal[..., part].sum(axis=-1), axis=0), signals * count
+        half = (_PRIOR_SAMPLES + half) / 2
+        remainder = remaining[..., part].sum(axis=-1)
+        smooth = _log_sum((-half * np.log(_PRIOR_SAMPLES + remainder) - cost)[1:])
         squares = explained[..., part].sum(axis=-1)
         costs = signals * np.log1p(squares / signals) / 2 + _STEP_COST
         for k, chosen in enumerate(_DIRECTIONS_OF):
             used = list(chosen)
-            less = rest[1 : high + 1, None] - squares[:, :, used].sum(axis=2)
-            value = -half * np.log(_KNOWN + np.maximum(less, 0.0)) - cost[1 : high + 1, None]
+            lower = remainder[1 : high + 1, None] - squares[:, :, used].sum(axis=2)
+            value = (
+                -half * np.log(_PRIOR_SAMPLES + np.maximum(lower, 0.0)) - cost[1 : high + 1, None]
+            )
             value -= costs[:, :, used].sum(axis=2)
             total[k] += np.logaddexp(_log_sum(value) - smooth, 0.0) - np.log(2)
     return np.asarray(total.max(axis=(0, 1)))
@@ -504,10 +510,10 @@ def _fit_of(task: _Task, after: int) -> _Fit | None:
     return _Fit(window, window.join(samples))
 
 
-class _Found(NamedTuple):
+class _Finding(NamedTuple):
     """An event as one window sees it, in samples and deviations of the noise."""
 
-    place: float
+    step_time: float
     sigma: float
     order: int
     size: Real
@@ -515,114 +521,119 @@ class _Found(NamedTuple):
     gain: float
 
 
-def _search(fit: _Fit, shorter: list[_Fit], offset: float, reach: float) -> _Found | None:
-    """Find an event at most `reach` samples from `offset`."""
+def _search(fit: _Fit, shorter: list[_Fit], offset: float, radius: float) -> _Finding | None:
+    """Find an event at most `radius` samples from `offset`."""
     window = fit.window
     step = window.block
     first, last = np.ceil(window.time[0]) + _EDGE, np.floor(window.time[-1]) - _EDGE
-    every = tuple(np.arange(first, last + 1, step).tolist())
-    gains = fit.gain(window.steps_at(every, _ORDERS), _ROWS)
+    all_of = tuple(np.arange(first, last + 1, step).tolist())
+    gains = fit.gain(window.steps_at(all_of, _ORDERS), _ROWS)
     best, at = np.unravel_index(gains.argmax(), gains.shape)
-    if gains[best, at] < _ENOUGH or abs(every[at] - offset) > reach + 0.5 * step:
+    if gains[best, at] < _ENOUGH or abs(all_of[at] - offset) > radius + 0.5 * step:
         return None
-    rivals = fit.gain(window.steps_at(every, _RIVAL_ORDERS), _RIVAL_ROWS).max()
+    rivals = fit.gain(window.steps_at(all_of, _RIVAL_ORDERS), _RIVAL_ROWS).max()
     rival = max(float(rivals), fit.pulse())
     if gains[best, at] < rival + _AHEAD:
         return None
     # The order that stands out, and what steps with it.
-    close = np.abs(np.array(every) - every[at]) <= 3 * step
+    close = np.abs(np.array(all_of) - all_of[at]) <= 3 * step
     top = np.where(close, gains, -np.inf).max(axis=1)
-    found = sorted(
-        (_refine(fit, k, every[int(np.where(close, gains[k], -np.inf).argmax())], step), k)
+    result = sorted(
+        (_refine(fit, k, all_of[int(np.where(close, gains[k], -np.inf).argmax())], step), k)
         for k in np.flatnonzero(top > 0.7 * top.max() - 15).tolist()
     )[::-1]
-    for refined, k in found:
-        gain, place, sigma = refined
+    for refined, k in result:
+        gain, step_time, sigma = refined
         degrees = [
             1 + int(one[:, 0].argmax())
-            for one in fit.evidence(window.steps(np.array([place]), _ORDERS), _ROWS[k])
+            for one in fit.evidence(window.steps(np.array([step_time]), _ORDERS), _ROWS[k])
         ]
-        size, size_sigma, misfit = _sizes(fit, place, _SETS[k], degrees)
+        size, size_sigma, misfit = _sizes(fit, step_time, _SETS[k], degrees)
         order = _SETS[k][0]
         if len(_SETS[k]) == 1 or ((size / size_sigma) ** 2).sum() > _STANDS_OUT:
             break
     else:
         return None
-    if abs(place - offset) > reach or gain < _ENOUGH_OF[order]:
+    if abs(step_time - offset) > radius or gain < _ENOUGH_OF[order]:
         return None
     noise = max(1.0, (shorter or [fit])[-1].least)
     if (misfit > noise * (1 + _MISFIT * np.sqrt(2 / (fit.count * np.array((1, 2)))))).any():
         return None
     # No shorter window says whether more degrees would explain it.
-    if not shorter and _simple_gain(fit, place, k, degrees, window.simplest - 1) < _ENOUGH_SIMPLE:
+    if (
+        not shorter
+        and _simple_gain(fit, step_time, k, degrees, window.simplest - 1) < _ENOUGH_SIMPLE
+    ):
         return None
     if order > 1 and (
         rival > _RIVAL_SHARE * gain
-        or _simple_gain(fit, place, k, degrees, _SIMPLE) < _ENOUGH_SIMPLE
+        or _simple_gain(fit, step_time, k, degrees, _SIMPLE) < _ENOUGH_SIMPLE
     ):
         return None
-    if shorter and not _is_confirmed(fit, shorter[0], place, k, degrees):
+    if shorter and not _is_confirmed(fit, shorter[0], step_time, k, degrees):
         return None
-    return _Found(place, sigma, order, size, size_sigma, gain)
+    return _Finding(step_time, sigma, order, size, size_sigma, gain)
 
 
-def _refine(fit: _Fit, k: int, place: float, step: int) -> tuple[float, float, float]:
+def _refine(fit: _Fit, k: int, step_time: float, step: int) -> tuple[float, float, float]:
     """Find the gain, place and its standard deviation of a set of steps, by moments."""
     half, window = 3.0 * step, fit.window
     gain = sigma = 0.0
     for _ in range(6):
-        places = place + half * np.linspace(-1, 1, 17)
-        places = places[(places > window.time[0] + 1) & (places < window.time[-1] - 1)]
-        gains = fit.gain(window.steps(places, _ORDERS), _ROWS[k : k + 1])[0]
+        step_times = step_time + half * np.linspace(-1, 1, 17)
+        step_times = step_times[
+            (step_times > window.time[0] + 1) & (step_times < window.time[-1] - 1)
+        ]
+        gains = fit.gain(window.steps(step_times, _ORDERS), _ROWS[k : k + 1])[0]
         weights = np.exp(gains - gains.max())
         weights /= weights.sum()
-        gain, place = float(gains.max()), float(weights @ places)
-        sigma = float(np.sqrt(weights @ (places - place) ** 2))
+        gain, step_time = float(gains.max()), float(weights @ step_times)
+        sigma = float(np.sqrt(weights @ (step_times - step_time) ** 2))
         if sigma > half / 5 or half < 1e-3:
             break
         half = max(5 * sigma, half / 8)
-    return gain, place, sigma
+    return gain, step_time, sigma
 
 
 def _sizes(
-    fit: _Fit, place: float, orders: Sequence[int], degrees: list[int]
+    fit: _Fit, step_time: float, orders: Sequence[int], degrees: list[int]
 ) -> tuple[Real, Real, Real]:
     """Sizes (3,) of the first step, their standard deviations, and mean squares left (2,)."""
     window = fit.window
-    columns = window.steps(np.array([place]), orders).columns[:, :, 0]
+    columns = window.steps(np.array([step_time]), orders).columns[:, :, 0]
     size, sigma, misfit = np.empty(3), np.empty(3), []
     for part, degree in zip(_SIGNALS, degrees, strict=True):
         degree = min(degree + _MORE_DEGREES, window.simplest)
         design = np.concatenate((columns, window.basis[:, : degree + 1]), axis=1)
         inverse = np.linalg.pinv(design)
-        found = inverse @ fit.samples[:, part]
-        size[part], sigma[part] = found[0], np.linalg.norm(inverse[0])
-        left = fit.samples[:, part] - design @ found
-        misfit.append((left**2).mean() * fit.count / (fit.count - len(inverse)))
+        result = inverse @ fit.samples[:, part]
+        size[part], sigma[part] = result[0], np.linalg.norm(inverse[0])
+        remaining = fit.samples[:, part] - design @ result
+        misfit.append((remaining**2).mean() * fit.count / (fit.count - len(inverse)))
     return size, sigma, np.array(misfit)
 
 
-def _simple_gain(fit: _Fit, place: float, k: int, degrees: list[int], most: int) -> float:
+def _simple_gain(fit: _Fit, step_time: float, k: int, degrees: list[int], most: int) -> float:
     """Gain of the signals whose likeliest curve next to the event has at `most` this degree."""
-    parts = fit.evidence(fit.window.steps(np.array([place]), _ORDERS), _ROWS[k])
-    simple = [one for one, degree in zip(parts, degrees, strict=True) if degree <= most]
+    pieces = fit.evidence(fit.window.steps(np.array([step_time]), _ORDERS), _ROWS[k])
+    simple = [one for one, degree in zip(pieces, degrees, strict=True) if degree <= most]
     return float(_of_both(simple)[0]) if simple else 0.0
 
 
-def _is_confirmed(fit: _Fit, shorter: _Fit, place: float, k: int, degrees: list[int]) -> bool:
+def _is_confirmed(fit: _Fit, shorter: _Fit, step_time: float, k: int, degrees: list[int]) -> bool:
     """Whether a shorter window shows what the curve with the step lets expect of it."""
-    window, other = fit.window, shorter.window
-    if not other.time[0] + 3 < place < other.time[-1] - 3:
+    window, second = fit.window, shorter.window
+    if not second.time[0] + 3 < step_time < second.time[-1] - 3:
         return True
-    columns = window.steps(np.array([place]), _SETS[k]).columns[:, :, 0]
-    since = other.time[:, None, None] - place
-    there = np.concatenate([_power(since[..., 0], order) for order in _SETS[k]], axis=1)
-    curve = np.empty((len(other.time), 3))
-    powers = window.powers(other.time), window.join(window.powers(window.time))
+    columns = window.steps(np.array([step_time]), _SETS[k]).columns[:, :, 0]
+    since = second.time[:, None, None] - step_time
+    present = np.concatenate([_power(since[..., 0], order) for order in _SETS[k]], axis=1)
+    curve = np.empty((len(second.time), 3))
+    powers = window.powers(second.time), window.join(window.powers(window.time))
     for part, degree in zip(_SIGNALS, degrees, strict=True):
         design = np.concatenate((columns, powers[1][:, : degree + 1]), axis=1)
-        known = np.concatenate((there, powers[0][:, : degree + 1]), axis=1)
-        curve[:, part] = known @ np.linalg.lstsq(design, fit.samples[:, part], rcond=None)[0]
-    steps = other.steps(np.array([place]), _ORDERS)
-    expected = _Fit(other, other.join(curve), white=True).gain(steps, _ROWS).max()
+        is_known = np.concatenate((present, powers[0][:, : degree + 1]), axis=1)
+        curve[:, part] = is_known @ np.linalg.lstsq(design, fit.samples[:, part], rcond=None)[0]
+    steps = second.steps(np.array([step_time]), _ORDERS)
+    expected = _Fit(second, second.join(curve), white=True).gain(steps, _ROWS).max()
     return bool(shorter.gain(steps, _ROWS).max() >= _CONFIRMED * expected - _CONFIRMED_LESS)

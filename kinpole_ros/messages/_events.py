@@ -51,10 +51,10 @@ def events(body: int, given: Plane) -> Build:
 
 def _message(event: BodyEvent, frame_id: str, plane: Plane) -> bytes:
     point = np.zeros(1, _POINT)
-    place = plane.in_space(np.array([event.place]), np.array([event.height]))[0]
+    origin = plane.in_space(np.array([event.position]), np.array([event.height]))[0]
     (xx, xy), (_, yy) = event.step_covariance
     point[0] = (
-        *place,
+        *origin,
         event.order,
         event.time_sigma,
         event.angle_step,

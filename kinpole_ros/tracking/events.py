@@ -25,7 +25,7 @@ class BodyEvent(NamedTuple):
         By how much the derivative of the angle steps.
     step, step_covariance : complex, m/s^order, and (2, 2)
         By how much that of the origin of the body's frame steps.
-    place, height : complex and float, m
+    position, height : complex and float, m
         Where that origin was.
     due : int
         The frame, of those given to the tracker in one call, with which the event was found.
@@ -39,7 +39,7 @@ class BodyEvent(NamedTuple):
     angle_step_sigma: float
     step: complex
     step_covariance: np.ndarray
-    place: complex
+    position: complex
     height: float
     due: int
 
@@ -56,12 +56,12 @@ class EventSearch:
         self._window, self._share = window, window // _SHARE
         # Where the search goes on, ns; the last event of each body, ns.
         self._next: int | None = None
-        self._anew = False
+        self._is_paused = False
         self._last = [-window] * bodies
 
     def pause(self) -> None:
         """Go on only with frames that come after the next call of `search`."""
-        self._next, self._anew = None, True
+        self._next, self._is_paused = None, True
 
     def search(
         self, history: History, bodies: Bodies, hub: np.ndarray, due: int
@@ -76,7 +76,7 @@ class EventSearch:
             return []
         if self._next is None:
             # Shares begin at multiples of their length, wherever the search begins.
-            begin = int(time[-1 if self._anew else 0]) + self._window
+            begin = int(time[-1 if self._is_paused else 0]) + self._window
             self._next = -(-begin // self._share) * self._share
             self._last = [self._next - self._window] * len(self._last)
         settled = int(time[-1 - _SETTLED]) - self._window - self._share
@@ -86,7 +86,7 @@ class EventSearch:
         self._next = int(begins[-1]) + self._share
         asked: list[tuple[int, int, slice]] = []
         samples: list[Samples] = []
-        whole = _poses(history, bodies, hub)
+        values_and_variances = _poses(history, bodies, hub)
         for begin in begins.tolist():
             first, last = np.searchsorted(
                 time,
@@ -97,10 +97,13 @@ class EventSearch:
                 continue
             since = (time[rows] - begin) * 1e-9
             for b in np.flatnonzero(np.isfinite(bodies.noise)).tolist():
-                values, variance = whole[0][rows, b], whole[1][rows, b]
+                values, variance = (
+                    values_and_variances[0][rows, b],
+                    values_and_variances[1][rows, b],
+                )
                 asked.append((begin, b, rows))
                 samples.append(Samples(since, values, variance, 0.0, self._share * 1e-9))
-        found = []
+        body_events = []
         events = find_events(samples, self._window * 1e-9)
         for (begin, b, rows), event in zip(asked, events, strict=True):
             at = begin if event is None else begin + round(event.time * 1e9)
@@ -111,8 +114,8 @@ class EventSearch:
             ready = begin + self._window + self._share
             with_frame = int(np.searchsorted(time, ready)) + _SETTLED
             number = due - (len(time) - 1 - with_frame)
-            found.append(_body_event(event, b, at, rows, history, hub[b], number))
-        return found
+            body_events.append(_body_event(event, b, at, rows, history, hub[b], number))
+        return body_events
 
 
 def _poses(history: History, bodies: Bodies, hub: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -128,8 +131,8 @@ def _poses(history: History, bodies: Bodies, hub: np.ndarray) -> tuple[np.ndarra
         far = near + np.abs(hub - bodies.middle) ** 2 / turned
         far = np.where(hub == 0, 1 / placed, far)
         variance = np.stack((1 / turned, far), axis=-1) * bodies.noise[:, None] ** 2
-    known = (information > 0).all(axis=-1) & np.isfinite(values).all(axis=-1)
-    return values, np.where(known[..., None], variance, np.inf)
+    is_known = (information > 0).all(axis=-1) & np.isfinite(values).all(axis=-1)
+    return values, np.where(is_known[..., None], variance, np.inf)
 
 
 def _body_event(
