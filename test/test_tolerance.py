@@ -134,6 +134,20 @@ def test_vectors_and_slides_have_errors_too() -> None:
         np.testing.assert_allclose(np.hypot(*moved), size, rtol=1e-4)
 
 
+def test_an_angle_that_the_scene_leaves_out_has_an_error_too(tmp_path: Path) -> None:
+    """A guide is not turned unless the scene says so; a guide that tilts turns its block."""
+    scene = tmp_path / 'guide.yaml'
+    scene.write_text(
+        'bodies: {ground: {O: [0, 0]}, crank: {O: [0, 0], A: [0.1, 0]},\n'
+        '  rod: {A: [0, 0], B: [0.3, 0]}, block: {B: [0, 0]}}\n'
+        'joints: [{prismatic: block.B, on: ground.O, along: 0 deg, name: piston}]\n'
+        'drivers: [{drive: crank, rate: 1 rev/s, start: 30 deg}]\n'
+    )
+    found = spread_of(str(scene), np.array([0.7]), {'piston.turned': 1e-3})
+    angle = quantity(found, 'block', 'angle')
+    np.testing.assert_allclose(np.abs(found.parts[0, angle]), 1e-3, rtol=1e-9)
+
+
 def test_the_command_prints_writes_and_draws(tmp_path: Path, capsys) -> None:
     files = {kind: tmp_path / f'a.{kind}' for kind in ('csv', 'png', 'html')}
     words = ['tolerance', '--tolerances', 'coupler.B=0.2mm', 'play:A=0.05 mm', 'four_bar']

@@ -231,11 +231,13 @@ def _changed(
         for key in error.path[:-1]:
             entry = entry[key]
         last = error.path[-1]
+        # A scene may leave out what is zero, such as the angle of a slider.
+        written = entry.get(last) if isinstance(entry, dict) else entry[last]
         if error.path[0] == 'bodies':
             # A point has two coordinates, each with an error and the play of a pin.
-            point = vector(error.name, entry[last]) + 1j**error.axis * change
+            point = vector(error.name, written) + 1j**error.axis * change
             entry[last] = [point.real, point.imag]
-        elif isinstance(entry[last], str) and (base := _RELATIVE_ANGLE.match(entry[last])):
+        elif isinstance(written, str) and (base := _RELATIVE_ANGLE.match(written)):
             entry[last] = f'{base[1]} + {np.degrees(error.value + change):.15g} deg'
         else:
             entry[last] = error.value + change
