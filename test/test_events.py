@@ -1,6 +1,7 @@
 """Events: instants at which the velocity, acceleration or jerk of a body steps."""
 
 import csv
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -216,6 +217,51 @@ def test_track_returns_the_events_of_each_body(bounces: MarkerFrames) -> None:
     assert (events.order == 1).all() and (events.step[:, 1] > 1.5).all()
     assert events.step.shape == (len(events), 2)
     assert events.step_covariance.shape == (len(events), 2, 2)
+
+
+def spoiled(frames: MarkerFrames, how: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return stamps and points as rigs have them."""
+    rng, points, count = np.random.default_rng(9), frames.points.copy(), len(frames.stamps)
+    stamps, seen = frames.stamps, np.ones(count, bool)
+    if how == 'late stamps':
+        late = np.rint(rng.exponential(1e6, count)).astype(np.int64)
+        stamps = np.maximum.accumulate(stamps + late)
+    elif how == 'hidden markers':
+        points[rng.random(points.shape[:2]) < 0.1] = np.nan
+    elif how == 'spikes':
+        points[rng.random(points.shape[:2]) < 0.01] += 0.05
+    elif how == 'exchanged markers':
+        points[count // 2 :, [0, 1]] = points[count // 2 :, [1, 0]]
+    elif how == 'correlated noise':
+        noise = 1e-4 * rng.normal(size=(count, 4, 2))
+        for k in range(1, count):
+            noise[k] = 0.8 * noise[k - 1] + 0.6 * noise[k]
+        points[..., :2] += noise
+    elif how == 'tilted plane':
+        points[..., 0], points[..., 2] = 0.996 * points[..., 0], 0.087 * points[..., 0]
+    else:
+        seen = rng.random(count) > 0.1
+    return stamps[seen], points[seen]
+
+
+@pytest.mark.parametrize(
+    'how',
+    [
+        *('late stamps', 'hidden markers', 'spikes', 'exchanged markers', 'correlated noise'),
+        *('tilted plane', 'lost frames'),
+    ],
+)
+def test_impacts_are_found_in_what_rigs_send(how: str) -> None:
+    stamps, points = spoiled(markers_of('impact on a slider', 9.5), how)
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')  # of the troubles, which other tests hold
+        found = track(points, stamps, {'slider': [0, 1, 2, 3]}, window=0.3, lag=0.1)
+    times = found.events['slider'].t - START * 1e-9
+    times = times[times > 2]
+    off = np.abs(times[:, None] - 0.83 * np.arange(3, 12))
+    # The last ones have no window after them.
+    assert (off.min(axis=0)[:7] < 1 / RATE).sum() >= 6
+    assert (off.min(axis=1) < 2 / RATE).all()
 
 
 @pytest.fixture(scope='module')
