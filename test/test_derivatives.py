@@ -553,6 +553,44 @@ def test_where_motion_sets_in_the_stated_errors_grow_with_the_true_ones() -> Non
     assert np.mean(square[now >= start]) < 20
 
 
+@pytest.mark.parametrize('order', [1, 2])
+@pytest.mark.parametrize('size', [20, 2000])
+@pytest.mark.parametrize('offset', [-30, -10, 10])
+def test_a_step_of_a_derivative_is_seen(offset: int, size: float, order: int) -> None:
+    """At any place of the window, and what follows is known as well as if it began there."""
+    rng = np.random.default_rng(11)
+    noise, now = 1e-3, COUNT - 1 - AHEAD
+    since = np.maximum(np.arange(COUNT) - now - offset - 0.3, 0.0)
+    # Of a derivative per sample, in deviations of its polynomial over 40 samples.
+    step = size * noise * np.linalg.norm(derivative_weights(np.arange(40) - 20, 2, 2)[order])
+    exact = step * since**order / factorial(order)
+    angle = exact[:, None] + noise * rng.normal(size=(COUNT, 200))
+    position = exact[:, None] + noise * (rng.normal(size=(COUNT, 200, 2)) @ (1, 1j))
+    found = derive(stamps(COUNT), angle, position, noise, order=2)
+    truth = step * since[now] ** (order - 1) * (since[now] > 0) * STEP**-1 * 1e9
+    off = found.angle[1, 0] - truth
+    deviation = np.sqrt(found.angle_covariance[1, 1, 0])
+    assert (np.abs(off) < 1.96 * deviation).mean() > 0.8
+    assert (np.abs(off) < 10 * deviation).all()
+    # A parabola on either side of the step, were it known where that is.
+    own = np.arange(COUNT) - now
+    own = own[own > offset + 0.3] if offset < 0 else own[own < offset]
+    most = noise * np.linalg.norm(derivative_weights(own * STEP * 1e-9, 2, 1)[1])
+    below(np.sqrt((off**2).mean()), 2.5 * most)
+
+
+def test_effort_is_accepted_and_makes_no_difference() -> None:
+    time = stamps(COUNT)
+    angle, position = noisy(smooth(time, 2), 1e-3)
+    good = np.ones(angle.shape)
+    poses = Poses(time, angle, 0 * good, position, good, good)
+    windows = Windows(*(np.array([k]) for k in (79, 0, 99)))
+    rest = np.zeros((1, 2), int), np.full((1, 2), 1e-3), 0.5, 3
+    low, high = (derive_poses(poses, windows, *rest, effort) for effort in ('low', 'high'))
+    for one, other in zip(low, high, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_a_body_at_rest_is_quiet_and_known_to_be() -> None:
     rng = np.random.default_rng(9)
     noise = 1e-3

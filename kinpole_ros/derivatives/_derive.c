@@ -135,8 +135,7 @@ find_sets(const Models *m, const Samples *s, const Work *w, long long orders, lo
         int next = -1;
         for (int k = 0; k < ORDERS; k++) {
             Set *set = sets + *number;
-            if (!(found[k].gain >= LEAST_GAIN) ||
-                found[k].value < top - (event ? BEHIND_NEXT : BEHIND_FIRST))
+            if (!(found[k].gain >= LEAST_GAIN) || found[k].value < top - BEHIND)
                 continue;
             data = extend_set(m, s, w, sets + base, found + k, k, orders, block, data, set,
                               spare);

@@ -21,9 +21,8 @@
 #define SIZE_COST 2.4
 /* A candidate has at least so much more evidence by the models that screen it. */
 #define LEAST_GAIN 8.0
-/* Candidates of another order have so much less evidence at most: for the first event, the next. */
-#define BEHIND_FIRST 12.0
-#define BEHIND_NEXT 3.0
+/* Candidates of another order have so much less evidence than the best at most. */
+#define BEHIND 4.0
 /* Another event is looked for if the last one has so much more evidence by all models. */
 #define LEAST_PROGRESS 1.0
 /* Events have so many samples on either side. */

@@ -27,7 +27,7 @@ _WORTH = 1
 # How probable an event is, and the logarithm of the part of all sizes that is as large.
 _PRIOR, _SIZE_COST = 0.05, 2.4
 # Evidence that a candidate gains, by which it is at most behind another, and that it is worth.
-_GAIN, _BEHIND_FIRST, _BEHIND_NEXT, _PROGRESS = 8.0, 12.0, 3.0, 1.0
+_GAIN, _BEHIND, _PROGRESS = 8.0, 4.0, 1.0
 # Samples on either side of an event.
 _EDGE = 3
 # Standard deviation of the place of an event, samples, at least and at most.
@@ -248,10 +248,9 @@ def _sets(window: Window, samples: Real, seen: Real, lacking: Real, empty: _Set)
                 if order not in found or value + gain > found[order][0]:
                     found[order] = value + gain, gain, at, screens
         top = max(value for value, *_ in found.values())
-        behind = _BEHIND_NEXT if event else _BEHIND_FIRST
         progress, following = _PROGRESS, None
         for order, (value, gain, at, screens) in found.items():
-            if gain < _GAIN or value < top - behind:
+            if gain < _GAIN or value < top - _BEHIND:
                 continue
             sets.append(_extended(window, samples, seen, lacking, base, order, at, screens))
             more = np.maximum(sets[-1].evidence.max(axis=0) - best, 0.0).sum()
