@@ -22,7 +22,7 @@
 #define SLOPES 4
 #define MOST_KINDS 8
 /* The weight of the rough spectrum in covariances, over that of another, is at most this. */
-#define ROUGH_SHARE 0.1
+#define ROUGH_SHARE 0.5
 /* Sets of steps that are compared, the empty one first, and the steps of one set. */
 #define MOST_SETS 7
 #define MOST_STEPS 8
@@ -446,7 +446,7 @@ find_evidence(const Models *m, const Samples *s, const Work *w, Set *set)
 /* Compute the probabilities of models with all sets of steps, and their weights in covariances. In
    covariances evidence, and half of the prior of steps, count to the power of 1/2, and each spectrum,
    with the line and rest, as much as the others: how harmonics fall below the noise is what samples
-   cannot tell. The rough spectrum, the last, counts less, by the root of its total. */
+   cannot tell. The rough spectrum, the last, counts less, by its total. */
 static void
 weigh(const Models *m, int c, Set *sets, int number)
 {
@@ -495,7 +495,7 @@ weigh(const Models *m, int c, Set *sets, int number)
     total[kinds] = common;
     /* The total of the rough spectrum over the largest of the others, 1 if it is more. */
     double part = smaller(total[rough] / most * exp((highest - all) / 2), 1.0);
-    total[rough] = total[rough] > 1e-300 ? ROUGH_SHARE * sqrt(part) / total[rough] : 0.0;
+    total[rough] = total[rough] > 1e-300 ? ROUGH_SHARE * part / total[rough] : 0.0;
     for (int n = 0; n < number; n++) {
         double *weight = (double *)(sets[n].counting + c * m->groups);
         for (long long i = 0; i < models; i++)

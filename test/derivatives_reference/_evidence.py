@@ -22,7 +22,7 @@ _LEAST, _LEAST_PROBABLE = 1e-5, 1e-8
 # Models with so much less evidence than others do not count.
 _FAR = 80.0
 # The weight of the rough spectrum in covariances, over that of another, is at most this.
-_ROUGH_SHARE = 0.1
+_ROUGH_SHARE = 0.5
 # Of angle and position: how many components, and which of both each component is of.
 _COMPONENTS = np.array((1, 2))
 _SIGNAL = [0, 1, 1]
@@ -290,7 +290,7 @@ def weights_of(evidence: Real, prior: Real, kinds: Real) -> tuple[Real, Real]:
     total = np.einsum('km,nms->ks', kinds, weights)
     inverse = np.divide(1.0, total, out=np.zeros_like(total), where=total > 1e-300)
     part = total[-1] / total[:-1].max(axis=0) * np.exp((highest - top) / 2)
-    inverse[-1] *= _ROUGH_SHARE * np.sqrt(np.minimum(part, 1.0))
+    inverse[-1] *= _ROUGH_SHARE * np.minimum(part, 1.0)
     weights *= kinds.T @ inverse
     weights /= weights.sum(axis=(0, 1))
     weights[weights < _LEAST] = 0.0
