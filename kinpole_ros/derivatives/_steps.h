@@ -20,7 +20,7 @@
 /* The logarithm of the part of all sizes that is as large as the one estimated. */
 #define SIZE_COST 2.4
 /* A candidate has at least so much more evidence by the models that screen it. */
-#define LEAST_GAIN 8.0
+#define LEAST_GAIN 12.0
 /* Candidates of another order have so much less evidence than the best at most. */
 #define BEHIND 4.0
 /* Another event is looked for if the last one has so much more evidence by all models. */
@@ -32,7 +32,7 @@
 #define MOST_PLACE 3.0
 /* By how many samples events of each order may be seen late, at least: an acceleration may set in
    gradually, and is taken for a step then. */
-static const double least_off[ORDERS] = {0.0, 0.5, 2.0};
+static const double least_off[ORDERS] = {0.0, 1.0, 3.0};
 /* Steps are screened with the likeliest of all models, and of the slowest of each spectrum. */
 #define SLOWEST 2
 /* A step of which less is left is one that is in the set. */

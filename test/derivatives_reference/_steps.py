@@ -27,7 +27,7 @@ _WORTH = 1
 # How probable an event is, and the logarithm of the part of all sizes that is as large.
 _PRIOR, _SIZE_COST = 0.05, 2.4
 # Evidence that a candidate gains, by which it is at most behind another, and that it is worth.
-_GAIN, _BEHIND, _PROGRESS = 8.0, 4.0, 1.0
+_GAIN, _BEHIND, _PROGRESS = 12.0, 4.0, 1.0
 # Samples on either side of an event.
 _EDGE = 3
 # Standard deviation of the place of an event, samples, at least and at most.
@@ -36,7 +36,7 @@ _PLACE = 0.5, 3.0
 _SLOWEST = 2
 # By how many samples events of an order may be seen late, at least: an acceleration may set in
 # gradually, and is taken for a step then.
-_LEAST_OFF = {0: 0.0, 1: 0.5, 2: 2.0}
+_LEAST_OFF = {0: 0.0, 1: 1.0, 2: 3.0}
 _LEFT_OF_STEP = 1e-6
 _ROUNDING = 1e-9
 
