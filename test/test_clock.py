@@ -12,6 +12,7 @@ from kinpole_ros.tracking.clock import MAX_PENDING, Clock, estimate_clock
 from kinpole_ros.tracking.counter import Counter, motion_costs
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.stamps import StampHistory
 from kinpole_ros.tracking.timeline import count_frames
 from kinpole_ros.tracking.tracker import Tracker
 
@@ -196,6 +197,26 @@ def test_a_change_of_the_rate_is_noticed():
         tracker, found = errors(late(times, kind, drift=0), points, rates, 4.5, mode='arrival')
         assert tracker.stamp_state().interval == pytest.approx(1 / 150, rel=1e-3)
         assert found < 0.1
+
+
+@pytest.mark.parametrize('block', [1, 7, None])
+@pytest.mark.parametrize('even', [5, 7, 12, 18, 30])
+def test_a_shift_by_half_a_period_updates_the_clock_once(monkeypatch, even, block):
+    """As where a publisher begins anew. The clock was updated without end for the first frame."""
+    updates = []
+    update = StampHistory.update
+
+    def counted(self, *given):
+        updates.append(given)
+        assert len(updates) < 100
+        return update(self, *given)
+
+    monkeypatch.setattr(StampHistory, 'update', counted)
+    times = 0.01 * np.concatenate((np.arange(even), np.arange(even, even + 60) + 0.5))
+    points, rates = record(times, noise=1e-4)
+    _, stamp, rate = track(START + np.rint(times * 1e9).astype(np.int64), points, block=block)
+    assert len(stamp) > 30
+    assert np.abs(rate - np.interp((stamp - START) * 1e-9, times, rates)).max() < 0.5
 
 
 def test_rounding_lapses_when_stamps_become_true():
