@@ -198,6 +198,17 @@ def test_a_change_of_the_rate_is_noticed():
         assert found < 0.1
 
 
+@pytest.mark.parametrize('seed', [1, 3])
+def test_frames_that_wait_when_the_rate_changes_are_counted_too(seed):
+    times = np.concatenate((np.arange(600) / 200, 3 + np.arange(1000) / 300))
+    points, _ = record(times)
+    stamps = late(times, '0.003', seed, drift=0)
+    # Once frames come in time, none waits any more.
+    stamps[-100:] = START + np.rint(times[-100:] * 1e9).astype(np.int64) + 3_000_000
+    _, stamp, _ = track(stamps, points, mode='arrival', block=1)
+    assert stamp[-1] >= stamps[-1] - 105_000_000
+
+
 def test_rounding_lapses_when_stamps_become_true():
     rng = np.random.default_rng(0)
     times = np.arange(1200) / 240
