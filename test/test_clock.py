@@ -219,6 +219,60 @@ def test_a_shift_by_half_a_period_updates_the_clock_once(monkeypatch, even, bloc
     assert np.abs(rate - np.interp((stamp - START) * 1e-9, times, rates)).max() < 0.5
 
 
+@pytest.mark.parametrize('seed', [1, 3])
+def test_frames_that_wait_when_the_rate_changes_are_counted_too(seed):
+    times = np.concatenate((np.arange(600) / 200, 3 + np.arange(1000) / 300))
+    points, _ = record(times)
+    stamps = late(times, '0.003', seed, drift=0)
+    # Once frames come in time, none waits any more.
+    stamps[-100:] = START + np.rint(times[-100:] * 1e9).astype(np.int64) + 3_000_000
+    _, stamp, _ = track(stamps, points, mode='arrival', block=1)
+    assert stamp[-1] >= stamps[-1] - 105_000_000
+
+
+def stamps_of_any_kind(seed, count=250):
+    """Stamps (T,), ns, of rates, units, jitters and jumps that change again and again."""
+    rng = np.random.default_rng(seed)
+    stamps = [START]
+    while len(stamps) < count:
+        unit = rng.choice([1, 1_000, 100_000, 1_000_000, 5_000_000])
+        step = 1e6 * rng.choice([1, 2, 3, 5, 8, 8.333, 10, 16.667, 20])
+        jump = step * rng.choice([1, 1, 1, 0.5, 1.5, 2, 0, -1, 10, 40, 0.1])
+        jitter = rng.choice([0, 0, 0, 1e3, 1e5, 2e6])
+        ticks = np.arange(rng.choice([1, 2, 3, 7, 15, 25, 60]))
+        since = jump + step * ticks + jitter * rng.random(len(ticks))
+        stamps += [stamps[-1] + int(round(one / unit) * unit) for one in since.tolist()]
+    return np.array(stamps)
+
+
+# These gave times that step back, and warnings, where frames waited at a change of the rate.
+@pytest.mark.filterwarnings('error')
+@settings(max_examples=10)
+@given(st.integers(0, 10_000), st.sampled_from(('auto', 'arrival')), st.sampled_from((1, 5, 300)))
+@example(95, 'arrival', 1)
+@example(110, 'arrival', 1)
+@example(134, 'arrival', 300)
+def test_times_increase_and_work_is_bounded_with_stamps_of_any_kind(seed, mode, block):
+    stamps = stamps_of_any_kind(seed)
+    points, _ = record((stamps - START) * 1e-9)
+    updates = []
+    update = StampHistory.update
+
+    def counted(self, *given):
+        updates.append(given)
+        assert len(updates) <= len(stamps)
+        return update(self, *given)
+
+    given = {'window': 0.3, 'lag': 0.1, 'stamps': mode, 'body.markers': list(NAMES)}
+    tracker = Tracker(settings_from(given))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(StampHistory, 'update', counted)
+        for k in range(0, len(stamps), block):
+            part = slice(k, k + block)
+            tracker.add(MarkerFrames(stamps[part], 'world', NAMES, points[part]), 1)
+            assert (np.diff(tracker._history['time']) > 0).all()
+
+
 def test_rounding_lapses_when_stamps_become_true():
     rng = np.random.default_rng(0)
     times = np.arange(1200) / 240

@@ -7,7 +7,7 @@ from recordings import KITE
 from test_wrong_frames import frames_of, motion, off_by, tracker_of
 
 from kinpole_ros.messages import DiagnosticsMaker
-from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
 
 T = np.arange(700) / 200
 NOISE = 2e-4
@@ -48,6 +48,16 @@ def test_it_is_named_with_what_it_errs(kind: str, deviation: float) -> None:
     assert status.level == DiagnosticStatus.WARN
     assert "marker 'b' errs by " in status.message
     assert 'counts for less' in status.message
+
+
+def test_it_is_named_while_others_are_hidden() -> None:
+    frames = erring('noisier')
+    frames.points[:, 0] = np.nan
+    frames.points[170:, 3] = np.nan
+    tracker = tracker_of()
+    for part in (slice(0, 170), slice(170, 700)):
+        tracker.add(part_of(frames, part), 1)
+        assert 'b' in tracker.erring()['kite']
 
 
 def test_live_it_counts_as_in_a_block() -> None:

@@ -73,6 +73,14 @@ def test_a_frame_in_which_a_body_is_wrong_is_left_out(
         assert tracker.wrong() == 1
 
 
+@pytest.mark.parametrize('lag', [0.0, 0.1])
+def test_the_reason_of_a_frame_left_out_is_its_pose(lag: float) -> None:
+    frames = spoilt(frames_of(*motion(T)[:2]), [300], 2.0, 0.03)
+    (estimate,) = tracker_of(lag).add(frames, 1)
+    (reason,) = estimate.missing[estimate.stamp == frames.stamps[300], 0]
+    assert reason == 'its pose is far off its path, and may be wrong'
+
+
 def test_two_and_three_wrong_frames_running_are_left_out_live_as_in_a_block() -> None:
     frames = spoilt(frames_of(*motion(T)[:2]), [150, 200, 201, 300, 301, 302], 2.0, 0.03)
     found = []

@@ -17,6 +17,7 @@ from kinpole_ros.messages import (
     wrong_pose_fault,
 )
 from kinpole_ros.tracking.parameters import DEPRECATED, Settings, deprecation_warnings
+from kinpole_ros.tracking.results import OFF_PATH
 
 # By the reasons that the tracker gives.
 _FIXES = {
@@ -24,6 +25,7 @@ _FIXES = {
         'see that two of them, at distinct places in the plane, are in a frame at once and finite'
     ),
     'no pose of it came': 'see that its driver sees it, and that its orientation is a quaternion',
+    OFF_PATH: 'see that the tracker takes no other markers for it',
     'the noise of its angle is too large': 'see to the driver: it is more than 0.15 rad',
     'markers too close for their noise': (
         'move them farther from each other, or set the parameter noise'

@@ -27,7 +27,7 @@ typedef struct {
 /* Why the loop ends, besides the return values of `kinpole_derive`. */
 enum { UNUSUAL = 2, SEEN_AGAIN, DEFORMED, FULL };
 /* Why a body has no result; larger numbers go first: see results.py. */
-enum { KNOWN, NOT_FULL, TOO_NOISY, NOISE_UNKNOWN, NOT_SEEN };
+enum { KNOWN, NOT_FULL, TOO_NOISY, NOISE_UNKNOWN, NOT_SEEN, OFF_PATH };
 
 /* The arrays of one call of `kinpole_derive`. `heading` is the angle of the body, and `angle` that by
    which its hub moves: the heading plus what a tilted body turns beyond it. */
@@ -242,7 +242,7 @@ compute_result(const Frames *f, Call *call, Results *r, Workspace *work, long lo
         const double *rate = work->derivatives + (2 * orders + 1) * bodies + b;
         const double *velocity = work->derivatives + 2 * (bodies + b);
         int found = isfinite(*rate) && isfinite(velocity[0]) && isfinite(velocity[1]);
-        int missing = !seen ? NOT_SEEN : f->reason[b];
+        int missing = seen ? f->reason[b] : isnan(f->angle[at]) ? NOT_SEEN : OFF_PATH;
         r->missing[to] = missing ? missing : found ? KNOWN : NOT_FULL;
         r->size[to] = f->size[b], r->height[to] = f->height[at];
         r->reference[to] = work->hub[b];

@@ -241,7 +241,7 @@ def _update_weights(bodies: Bodies, history: History) -> bool:
     changed = False
     for b in np.flatnonzero(suspicious).tolist():
         relative, bodies.deviation[b] = marker_variances(
-            residual[:, b], goes_on, bodies.shape[b], bodies.relative[b]
+            residual[:, b], goes_on, bodies.shape[b], bodies.relative[b], bodies.deviation[b]
         )
         if (relative != bodies.relative[b]).any():
             bodies.relative[b] = relative

@@ -162,7 +162,7 @@ def correlated_noise(
 
 
 def marker_variances(
-    residual: Complex, goes_on: np.ndarray, shape: Complex, relative: Real
+    residual: Complex, goes_on: np.ndarray, shape: Complex, relative: Real, deviation: Real
 ) -> tuple[Real, Real]:
     """
     Estimate the variance of each marker of one body over that of the others.
@@ -178,8 +178,8 @@ def marker_variances(
         False for a frame that follows a gap.
     shape : array, shape (n,), complex, m
         Places of the markers.
-    relative : array, shape (n,)
-        The ratios so far.
+    relative, deviation : array, shape (n,)
+        The ratios and the deviations, m, so far. They stay where too few markers are seen.
 
     Returns
     -------
@@ -190,9 +190,9 @@ def marker_variances(
 
     """
     seen = (~np.isnan(residual)).sum(axis=0) >= MIN_FRAMES // 2
-    ratios, deviation = np.ones(len(seen)), np.zeros(len(seen))
     if seen.sum() < 3 or len(residual) < MIN_FRAMES:
         return relative, deviation
+    ratios, deviation = np.ones(len(seen)), np.zeros(len(seen))
     difference = residual[1:-1] - (residual[:-2] + residual[2:]) / 2
     difference[~(goes_on[1:-1] & goes_on[2:])] = complex(np.nan, np.nan)
     for values, limit in ((difference, RATIO_ON), (_block_means(residual), BLOCK_RATIO_ON)):

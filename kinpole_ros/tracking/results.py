@@ -18,12 +18,14 @@ from kinpole_ros.tracking.plane import Plane
 
 # Why a body has no result, by the numbers of _follow.c, of markers and of poses.
 _COMMON = '', 'window not full'
+OFF_PATH = 'its pose is far off its path, and may be wrong'
 _OF_MARKERS = np.array(
     [
         *_COMMON,
         'markers too close for their noise',
         'noise not known yet',
         'too few markers seen, or all at one place',
+        OFF_PATH,
     ],
     object,
 )
@@ -33,6 +35,7 @@ _OF_POSES = np.array(
         'the noise of its angle is too large',
         'noise not known yet',
         'no pose of it came',
+        OFF_PATH,
     ],
     object,
 )

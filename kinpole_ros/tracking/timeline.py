@@ -133,9 +133,11 @@ class Timeline:
             waiting = sum(len(part.stamps) for part in self._uncounted)
             numbers = np.concatenate((np.repeat(numbers[:1], waiting), numbers))
         else:
+            # A new counter may have counted frames that wait.
+            counted = np.repeat(numbers[:1], len(self._next_counts))
             counts, certain_with = count_frames(self._counter, frames.stamps, frames.points)
             self._next_counts = np.concatenate((self._next_counts, counts))
-            numbers = numbers[certain_with]
+            numbers = np.concatenate((counted, numbers[certain_with]))
         self._uncounted, certain = [], []
         for part in parts:
             number = min(len(part.stamps), len(numbers))
@@ -214,12 +216,13 @@ class Timeline:
                 self._counter = None
         if self._counter is None:
             self._counter = FrameCounter(clock, int(counts[0]) if len(counts) else -1)
-            # Waiting frames are counted by the clock so far.
-            if len(counts) and not self._uncounted:
+            if len(counts):
                 markers = history['markers'][first + 1 :].view(float)
                 stamps = history['stamp'][first + 1 :]
                 counted, _ = count_frames(self._counter, stamps, markers)
                 counts = np.concatenate((counts[:1], counted, self._counter.take_pending()))
+            waiting = [count_frames(self._counter, p.stamps, p.points)[0] for p in self._uncounted]
+            self._next_counts = np.concatenate([self._next_counts[:0], *waiting])
         count = self._counter.count
         self._anchor = clock.origin + round(clock.phase + count * clock.interval), count
         self._counter.learn_losses(counts)
