@@ -225,7 +225,8 @@ curvature_at(const Motion *m, long long t)
 Quantity
 kinpole_rate(const Motion *m, long long t, int order)
 {
-    Quantity q = {m->angle[order * m->stride + t]};
+    Quantity q = {0};
+    q.value = m->angle[order * m->stride + t];
     q.spread[0] = m->of_angle[order * (m->orders + 1) * m->stride + t];
     q.flags = isfinite(creal(q.value)) ? DETERMINED : 0;
     return q;
