@@ -954,9 +954,8 @@ def test_what_pages_show_is_computed_30_times_a_second_and_after_all_else_is_sen
     for read, order in (([], None), ([Output('odom', Odometry, 1, build)], 1)):
         asked.clear()
         monkeypatch.setattr(node.results, '_display_due', 0.0)
-        monkeypatch.setattr(node.results, '_frame_rows', [(row, Sent(row.topic)) for row in read])
-        shown = [(view._replace(build=build), Sent(VIEW))]
-        monkeypatch.setattr(node.results, '_display_rows', shown)
+        shown = view._replace(build=build)
+        node.results.use([(row, Sent(row.topic)) for row in (*read, shown)])
         # A second of frames at 200 Hz.
         for _ in range(200):
             now += 0.005
