@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -951,6 +952,7 @@ def test_what_pages_show_is_computed_30_times_a_second_and_after_all_else_is_sen
     class Sent:
         def __init__(self, topic: str) -> None:
             self.publish = lambda data: sent.append(topic)
+            self.handle = SimpleNamespace(publish_raw=self.publish)
 
     view = live_outputs(node.settings, None)[-1]
     assert view.topic == VIEW
