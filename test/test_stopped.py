@@ -189,15 +189,6 @@ def test_a_command_interrupted_while_it_starts_ends_without_a_word(
     assert (tmp_path / 'said').read_text() == ''
 
 
-def test_a_topic_to_be_recorded_may_lack_its_slash(tmp_path: Path) -> None:
-    words = ('record', '--output', tmp_path / 'live.mcap', '--topic', TOPIC[1:])
-    with publisher() as source, kinpole(*words) as process:
-        until(lambda: source.get_subscription_count() > 0, 15)
-        process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
-    assert recorder_of(tmp_path / 'live.mcap') == RECORDER
-
-
 def test_what_was_sent_before_and_is_kept_for_those_who_come_late_is_recorded(
     tmp_path: Path,
 ) -> None:
@@ -228,7 +219,9 @@ def test_a_recorder_that_is_behind_when_told_to_stop_records_all_that_has_come(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / 'live.mcap'
-    with publisher() as source, kinpole('record', '--output', path, '--topic', TOPIC) as process:
+    # The slash of a topic may be missing.
+    words = ('record', '--output', path, '--topic', TOPIC[1:])
+    with publisher() as source, kinpole(*words) as process:
         until(lambda: source.get_subscription_count() > 0, 15)
         for k in range(1000):
             source.publish(String(data=str(k)))
@@ -236,6 +229,7 @@ def test_a_recorder_that_is_behind_when_told_to_stop_records_all_that_has_come(
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
     assert len(readable(path)) == 1000
+    assert recorder_of(path) == RECORDER
 
 
 def test_a_recorder_names_what_it_cannot_record_and_what_nobody_publishes(
