@@ -133,7 +133,7 @@ def processes(
     bodies: int = 1, kind: str = 'point_cloud2', lag: float = LAG
 ) -> Iterator[dict[str, 'subprocess.Popen[bytes]']]:
     """Node and relay, each in its process, on a domain of their own."""
-    os.environ.setdefault('ROS_DOMAIN_ID', str(200 + os.getpid() % 32))
+    os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 90))
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     relay_words = ['-c', f'from bench._rig import relay; relay({kind!r})']
     with (

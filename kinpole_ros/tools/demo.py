@@ -51,7 +51,7 @@ def demo(output: str | Path) -> int:
         raise BagError(f'{bag} is missing; make it with make bags')
     recording, picture = folder / 'demo.mcap', folder / 'demo.png'
     # A domain of its own, so that other nodes do not interfere, and stay undisturbed.
-    os.environ.setdefault('ROS_DOMAIN_ID', str(100 + os.getpid() % 100))
+    os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 90))
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
     # By default SIGTERM would leave node and recorder running.
