@@ -46,8 +46,8 @@ class _Joints(Structure):
 
     def write(self, motion: Motion, stamps: np.ndarray, nearest: np.ndarray) -> list[bytes]:
         """Return the messages of `stamps`, by `nearest` instants; b'' without known joints."""
-        if motion.shape[1] != self.bodies:
-            raise ValueError(f'expected an estimate of {self.bodies} bodies, got {motion.shape[1]}')
+        if motion.shape[1] != self.bodies or motion.orders < 2:
+            raise ValueError(f'expected rates of {self.bodies} bodies, got {motion.shape}')
         count, size = len(stamps), self.size
         out, lengths = np.empty(count * size, np.uint8), np.empty(count, np.int64)
         arrays = stamps, nearest, out, lengths
