@@ -63,6 +63,7 @@ setup(
                 f'{NAME}/tracking/_step.c',
                 f'{NAME}/tracking/_follow.c',
                 f'{NAME}/messages/_rows.c',
+                f'{NAME}/messages/_joints.c',
             ],
             depends=glob(f'{NAME}/*/*.[ch]'),
         )

@@ -110,7 +110,7 @@ def joint_build(
     joined = Rows([row for _, rows in compiled for row in rows.rows], given)
 
     def build_all(estimate: Estimate) -> list[tuple[int, bytes]]:
-        messages = [(topics[row], data) for row, _, data in joined.messages(estimate)]
+        messages = [(topics[row], data) for row, data in joined.messages(estimate)]
         messages += [(k, data) for k, build in others for data in build(estimate)[1]]
         return messages
 

@@ -125,14 +125,13 @@ read_pose(const Motion *m, long long t, Pose *pose)
 {
     long long step = m->stride, row = m->orders * step;
     double angle = m->angle[t];
-    Number velocity = m->position[step + t];
-    pose->rate = m->angle[step + t];
-    if (!isfinite(pose->rate) || !isfinite(creal(velocity)) || !isfinite(cimag(velocity)))
+    if (!kinpole_is_known(m, t))
         return 0;
+    pose->rate = m->angle[step + t];
     pose->half_turn = cos(0.5 * angle) + I * sin(0.5 * angle);
     pose->arm = m->reference[t] * (cos(angle) + I * sin(angle));
     pose->origin = m->position[t] - pose->arm;
-    pose->velocity = velocity - I * pose->rate * pose->arm;
+    pose->velocity = m->position[step + t] - I * pose->rate * pose->arm;
     for (int k = 0; k < 2; k++) {
         for (int l = 0; l < 2; l++)
             pose->of_angle[k][l] = m->of_angle[k * row + l * step + t];
@@ -141,13 +140,11 @@ read_pose(const Motion *m, long long t, Pose *pose)
     return 1;
 }
 
-/* Writes the covariance (6, 6), as ROS orders it, of x, y and angle in the plane. `by` are their
-   derivatives by the angle and the rate, and `even` is the variance of x and y besides. */
+/* The covariance of x, y and an angle in the plane, from their derivatives `by` angle and rate. The
+   variance of x and y besides is `even`: errors of the reference point are independent. */
 static void
-write_covariance(const Plane *plane, const Pose *pose, const double (*by)[2], double even, double *out)
+covariance_of(const Pose *pose, const double (*by)[2], double even, double (*cells)[3])
 {
-    const double(*e)[3] = plane->basis;
-    double cells[3][3], turn[3][6];
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) {
             cells[i][j] = i == j && i < 2 ? even : 0.0;
@@ -155,10 +152,17 @@ write_covariance(const Plane *plane, const Pose *pose, const double (*by)[2], do
                 for (int l = 0; l < 2; l++)
                     cells[i][j] += by[i][k] * pose->of_angle[k][l] * by[j][l];
         }
-    for (int c = 0; c < 3; c++) {
-        turn[0][c] = e[0][c], turn[1][c] = e[1][c], turn[2][c] = 0.0;
-        turn[0][3 + c] = turn[1][3 + c] = 0.0, turn[2][3 + c] = e[2][c];
-    }
+}
+
+/* Writes the covariance (6, 6) in space, as ROS orders it. */
+static void
+write_covariance(const Plane *plane, const Pose *pose, const double (*by)[2], double even, double *out)
+{
+    const double(*e)[3] = plane->basis;
+    double cells[3][3], turn[3][6] = {{0.0}};
+    covariance_of(pose, by, even, cells);
+    for (int c = 0; c < 3; c++)
+        turn[0][c] = e[0][c], turn[1][c] = e[1][c], turn[2][3 + c] = e[2][c];
     for (int c = 0; c < 6; c++)
         for (int d = 0; d <= c; d++) {
             double sum = 0.0;
@@ -201,32 +205,26 @@ write_pose(const Task *task, double *out)
     return 85;
 }
 
-/* Writes position, angle and velocity of the frame of a body, with their covariances, for `state`. The
-   errors of the reference point are independent of those of the angle. An error d of the angle moves
+/* Writes a vector of the plane with its covariance for `state`. */
+static void
+write_state_vector(Number value, double xx, double xy, double yy, double *out)
+{
+    out[0] = creal(value), out[1] = cimag(value), out[2] = xx, out[3] = xy, out[4] = yy;
+}
+
+/* Writes position, angle and velocity of the frame of a body for `state`. An error d of the angle moves
    the origin by -i d r, with r the arm, and changes its velocity by d w r; an error e of the rate w
    changes the velocity by -i e r. */
 static void
 write_state_pose(const Pose *pose, double angle, double *out)
 {
-    double x = creal(pose->arm), y = cimag(pose->arm), xx = x * x, xy = x * y, yy = y * y;
-    double of_angle = pose->of_angle[0][0], of_rate = pose->of_angle[1][1];
-    double by_angle = of_angle * pose->rate * pose->rate, both = pose->of_angle[0][1] * pose->rate;
-    double of_position = pose->of_position[0], of_velocity = pose->of_position[1];
-    const double values[] = {
-        creal(pose->origin),
-        cimag(pose->origin),
-        of_position + of_angle * yy,
-        -of_angle * xy,
-        of_position + of_angle * xx,
-        angle,
-        root_of(of_angle),
-        creal(pose->velocity),
-        cimag(pose->velocity),
-        of_velocity + by_angle * xx + 2 * both * xy + of_rate * yy,
-        (by_angle - of_rate) * xy + both * (yy - xx),
-        of_velocity + by_angle * yy - 2 * both * xy + of_rate * xx,
-    };
-    memcpy(out, values, sizeof values);
+    double x = creal(pose->arm), y = cimag(pose->arm), w = pose->rate, cells[3][3];
+    const double by_origin[3][2] = {{y}, {-x}}, by_velocity[3][2] = {{w * x, y}, {w * y, -x}};
+    covariance_of(pose, by_origin, pose->of_position[0], cells);
+    write_state_vector(pose->origin, cells[0][0], cells[0][1], cells[1][1], out);
+    out[5] = angle, out[6] = root_of(pose->of_angle[0][0]);
+    covariance_of(pose, by_velocity, pose->of_position[1], cells);
+    write_state_vector(pose->velocity, cells[0][0], cells[0][1], cells[1][1], out + 7);
 }
 
 /* Writes a quantity for `state`, and returns the number of doubles; all are 0 if it is undetermined. */
@@ -236,10 +234,8 @@ write_state_quantity(const Quantity *q, int is_vector, double *out)
     int is_determined = q->flags & DETERMINED;
     for (int k = 0; k < 5; k++)
         out[k] = 0.0;
-    if (is_determined && is_vector) {
-        out[0] = creal(q->value), out[1] = cimag(q->value);
-        memcpy(out + 2, q->spread, sizeof q->spread);
-    }
+    if (is_determined && is_vector)
+        write_state_vector(q->value, q->spread[0], q->spread[1], q->spread[2], out);
     else if (is_determined)
         out[0] = creal(q->value), out[1] = root_of(q->spread[0]);
     return is_vector ? 5 : 2;

@@ -5,9 +5,11 @@ A row is what _rows.c needs to know of a topic. The messages of all rows, of all
 estimate, are made by one call: in a node that sleeps between frames each call of numpy is dear.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from ctypes import POINTER, byref, c_longlong, c_void_p
 from functools import partial
+from itertools import chain
+from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
@@ -81,15 +83,36 @@ class Rows:
 
     def __call__(self, estimate: Estimate) -> Built:
         """Return the messages of an estimate in the order of its instants."""
-        messages = self.messages(estimate)
-        if len(self.rows) > 1:
-            messages.sort(key=lambda message: message[1])
-        return [instant for _, instant, _ in messages], [data for _, _, data in messages]
+        data, made = self._write(estimate)
+        if len(self.rows) == 1:
+            return self._messages_of(0, data, made)
+        by_row = (zip(*self._messages_of(k, data, made), strict=True) for k in range(len(made)))
+        messages = sorted(chain.from_iterable(by_row), key=itemgetter(0))
+        return [instant for instant, _ in messages], [one for _, one in messages]
 
-    def messages(self, estimate: Estimate) -> list[tuple[int, int, bytes]]:
-        """Return the messages of an estimate with their rows and instants, row by row."""
+    def messages(self, estimate: Estimate) -> list[tuple[int, bytes]]:
+        """Return the messages of an estimate with their rows, row by row."""
         if not self.rows:
             return []
+        data, made = self._write(estimate)
+        if made.shape[1] == 1:
+            parts = enumerate(zip(self._slices, made.tobytes(), strict=True))
+            return [(k, data[part]) for k, (part, is_made) in parts if is_made]
+        rows = range(len(made))
+        return [(k, one) for k in rows for one in self._messages_of(k, data, made)[1]]
+
+    def _messages_of(self, k: int, data: bytes, made: np.ndarray) -> Built:
+        """Return the messages of a row from what `_write` returned."""
+        count, part = made.shape[1], self._slices[k]
+        first, end, size = part.start * count, part.stop * count, part.stop - part.start
+        instants = made[k].nonzero()[0]
+        starts: Iterable[int] = range(first, end, size)
+        if len(instants) < count:
+            starts = (first + size * instants).tolist()
+        return instants.tolist(), [data[start : start + size] for start in starts]
+
+    def _write(self, estimate: Estimate) -> tuple[bytes, np.ndarray]:
+        """Return the bytes of all rows, of all instants of each; which (rows, T) are messages."""
         motion = estimate.compiled_motion
         instants, bodies = motion.shape
         self._bind(estimate, bodies)
@@ -98,27 +121,13 @@ class Rows:
         if motion.orders <= self._order:
             raise ValueError(f'expected derivatives up to order {self._order}')
         out = np.empty(self._size * instants, np.uint8)
-        made = np.empty(len(self.rows) * instants, np.uint8)
+        made = np.empty((len(self.rows), instants), np.uint8)
         addresses = address_of(self._space), address_of(self._fields)
         _write_rows(
             *(byref(motion), bodies, *addresses, len(self.rows), address_of(out), address_of(made))
         )
         del arrays
-        data, is_made = out.tobytes(), made.tobytes()
-        if instants == 1:
-            return [
-                (k, 0, data[part])
-                for k, (part, is_one) in enumerate(zip(self._slices, is_made, strict=True))
-                if is_one
-            ]
-        return [
-            (k, t, data[first : first + part.stop - part.start])
-            for k, part in enumerate(self._slices)
-            for t, first in enumerate(
-                range(part.start * instants, part.stop * instants, part.stop - part.start)
-            )
-            if is_made[k * instants + t]
-        ]
+        return out.tobytes(), made
 
     def _bind(self, estimate: Estimate, bodies: int) -> None:
         """Update the fields for another plane, frame_id or number of bodies."""

@@ -222,6 +222,13 @@ curvature_at(const Motion *m, long long t)
     return q;
 }
 
+int
+kinpole_is_known(const Motion *m, long long t)
+{
+    Number velocity = m->position[m->stride + t];
+    return isfinite(m->angle[m->stride + t]) && isfinite(creal(velocity)) && isfinite(cimag(velocity));
+}
+
 Quantity
 kinpole_rate(const Motion *m, long long t, int order)
 {

@@ -33,6 +33,8 @@ typedef struct {
     int flags;
 } Quantity;
 
+/* Whether anything is known of a body at an instant. */
+int kinpole_is_known(const Motion *m, long long t);
 /* Of the body and instant `t`, or of `j` with respect to `i`. */
 Quantity kinpole_rate(const Motion *m, long long t, int order);
 Quantity kinpole_quantity(const Motion *m, long long t, int what);

@@ -1,0 +1,108 @@
+/*
+ * The bytes of sensor_msgs/JointState: angles and rates of joints, or their standard deviations.
+ */
+
+#include <math.h>
+#include <string.h>
+
+#include "../tracking/_quantities.h"
+
+/* Joints of the second body against the first, -1 for the ground. The name of joint k, with its
+   terminating zero, is that from `ends[k]` to `ends[k + 1]`. See _joints.py. */
+typedef struct {
+    long long number, bodies, is_deviation, size;
+    const long long *first, *second, *ends;
+    const unsigned char *names;
+} Joints;
+
+/* Adds the angle or rate of a body `seconds` after an instant, by its Taylor series up to the
+   acceleration; or the variance of that. Returns whether the body is known. */
+static int
+add_state(const Motion *m, const Joints *joints, long long body, long long t, double seconds,
+          double sign, double *sums)
+{
+    if (body < 0)
+        return 1;
+    long long at = t * joints->bodies + body, orders = m->orders < 3 ? m->orders : 3;
+    const double series[] = {1.0, seconds, seconds * seconds / 2};
+    for (long long order = 0; order < 2; order++) {
+        double value = 0.0, variance = 0.0;
+        for (long long k = order; k < orders; k++) {
+            value += series[k - order] * m->angle[k * m->stride + at];
+            for (long long l = order; l < orders; l++)
+                variance += series[k - order] * series[l - order] *
+                    m->of_angle[(k * m->orders + l) * m->stride + at];
+        }
+        if (joints->is_deviation)
+            sums[order] += variance > 0.0 ? variance : 0.0;
+        else
+            sums[order] += sign * value;
+    }
+    return kinpole_is_known(m, at);
+}
+
+/* Writes an integer aligned to its 4 bytes, and returns where it ends. */
+static unsigned char *
+put_integer(unsigned char *start, unsigned char *out, int value)
+{
+    out += -(out - start) & 3;
+    memcpy(out, &value, sizeof value);
+    return out + sizeof value;
+}
+
+/* Writes the message of an instant, extrapolated to a stamp, and returns its bytes; 0 without joints. */
+static long long
+write_joint_state(const Motion *m, const Joints *joints, long long t, long long stamp,
+                  unsigned char *out)
+{
+    const long long second = 1000000000;
+    double seconds = (double)(stamp - m->stamp[t]) * 1e-9;
+    int listed = 0;
+    memset(out, 0, joints->size);
+    out[1] = 1; /* little endian */
+    unsigned char *start = out + 4, *at = put_integer(start, start, (int)(stamp / second));
+    at = put_integer(start, at, (int)(stamp % second));
+    at = put_integer(start, at, 1) + 1; /* the empty frame_id */
+    unsigned char *number = at + (-(at - start) & 3);
+    at = number + 4;
+    /* The states follow all names, and wait for them behind the longest message. */
+    unsigned char *states = out + joints->size - 16 * joints->number;
+    for (long long k = 0; k < joints->number; k++) {
+        double sums[2] = {0.0, 0.0}, state[2];
+        int is_known = add_state(m, joints, joints->second[k], t, seconds, 1.0, sums);
+        is_known &= add_state(m, joints, joints->first[k], t, seconds, -1.0, sums);
+        if (!is_known || !isfinite(sums[0]) || !isfinite(sums[1]))
+            continue;
+        state[0] = joints->is_deviation ? sqrt(sums[0]) : atan2(sin(sums[0]), cos(sums[0]));
+        state[1] = joints->is_deviation ? sqrt(sums[1]) : sums[1];
+        memcpy(states + 16 * listed++, state, sizeof state);
+        long long length = joints->ends[k + 1] - joints->ends[k];
+        at = put_integer(start, at, (int)length);
+        memcpy(at, joints->names + joints->ends[k], length);
+        at += length;
+    }
+    put_integer(start, number, listed);
+    for (int order = 0; order < 2; order++) {
+        at = put_integer(start, at, listed);
+        at += -(at - start) & 7;
+        for (int k = 0; k < listed; k++, at += 8)
+            memcpy(at, states + 16 * k + 8 * order, 8);
+    }
+    /* No efforts, but padding up to where they would begin. */
+    at = put_integer(start, at, 0);
+    at += -(at - start) & 7;
+    return listed ? at - out : 0;
+}
+
+/* Writes `count` messages, of the instants `nearest` extrapolated to `stamps`, each in `size` bytes, of
+   which it takes `lengths`. */
+#ifdef _WIN32
+__declspec(dllexport)
+#endif
+void
+kinpole_write_joints(const Motion *motion, const Joints *joints, const long long *stamps,
+                     const long long *nearest, long long count, unsigned char *out, long long *lengths)
+{
+    for (long long k = 0; k < count; k++, out += joints->size)
+        lengths[k] = write_joint_state(motion, joints, nearest[k], stamps[k], out);
+}
