@@ -88,12 +88,14 @@ bags: .venv/demo-$(READY)  ## simulate the bags in bags/ again
 	    --output bags/$$scene.mcap || exit 1; \
 	done
 
-fuzz: .venv/test-$(READY)  ## read 10,000 corrupted bags, corrupted captures, and 100,000 corrupted messages; kill each command 20 times; spoil rigs
+fuzz: .venv/test-$(READY)  ## read 10,000 corrupted bags, corrupted captures, and 100,000 corrupted messages; kill each command 20 times; spoil rigs; other examples of each property
 	@$(RUN) test/fuzz_bags.py
 	@$(RUN) test/fuzz_captures.py
 	@$(RUN) test/fuzz_messages.py
 	@OPENBLAS_NUM_THREADS=1 $(RUN) test/fuzz_kills.py
 	@PYTHONPATH=. OPENBLAS_NUM_THREADS=1 $(RUN) test/fuzz_rigs.py
+	@HYPOTHESIS_PROFILE=fuzz PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 OPENBLAS_NUM_THREADS=1 \
+	  $(RUN) $(PYTEST) $$(grep -l '^@given' test/test_*.py)
 
 # One resolution for all commands, so that they can share .venv; for Python 3.10 to 3.14.
 UV := .venv/bin/uv pip compile setup.py - --universal --python-version 3.10 --generate-hashes \

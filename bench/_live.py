@@ -24,7 +24,7 @@ from visualization_msgs.msg import MarkerArray
 
 from bench._rig import LAG, NODE, RELAY, Asker, Rig, node_words, processes, started, wheels
 from bench._speed import compared
-from kinpole_ros.messages import TF, result_outputs
+from kinpole_ros.messages import STATE, TF, result_outputs
 from kinpole_ros.ros.private import take
 
 _FEW = ('angular_velocity', 'icr', 'centrode_curvature')
@@ -73,6 +73,7 @@ CASES = (
     Case('one body at 120 Hz, stamps in whole µs', rate=120.0, unit=1000),
     _THREE._replace(what='3 bodies in a MarkerArray, stamps off by up to 50 µs'),
     _THREE._replace(what='the same, all topics', topics=None),
+    _THREE._replace(what='the same, ~/state alone', topics=(STATE,)),
     Case('4 bodies at 200 Hz', bodies=4),
     Case('16 bodies at 100 Hz, poles and odometry', topics=_POLES, bodies=16, rate=100.0),
 )
@@ -163,7 +164,8 @@ def _asked(
                 # Frames are published if it is asked for.
                 if topic == TF:
                     continue
-                if case.topics is None or topic.partition('/')[2] in case.topics:
+                own = topic if topic == STATE else topic.partition('/')[2]
+                if case.topics is None or own in case.topics:
                     topics.append((NODE, topic, kind))
             for name, topic, kind in topics:
                 qos = QoSProfile(depth=1 if kind in _HEAVY else _KEPT)
@@ -201,6 +203,8 @@ def _asked(
 
 def _always(case: Case) -> list[str]:
     """Topics of a case with a message for every frame."""
+    if case.topics == (STATE,):
+        return [STATE]
     chosen = _ALWAYS if case.topics is None else [one for one in _ALWAYS if one in case.topics]
     return [f'{body}/{topic}' for body in wheels(case.bodies) for topic in chosen]
 

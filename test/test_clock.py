@@ -12,6 +12,7 @@ from kinpole_ros.tracking.clock import MAX_PENDING, Clock, estimate_clock
 from kinpole_ros.tracking.counter import Counter, motion_costs
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.stamps import StampHistory
 from kinpole_ros.tracking.timeline import count_frames
 from kinpole_ros.tracking.tracker import Tracker
 
@@ -198,6 +199,26 @@ def test_a_change_of_the_rate_is_noticed():
         assert found < 0.1
 
 
+@pytest.mark.parametrize('block', [1, 7, None])
+@pytest.mark.parametrize('even', [5, 7, 12, 18, 30])
+def test_a_shift_by_half_a_period_updates_the_clock_once(monkeypatch, even, block):
+    """As where a publisher begins anew. The clock was updated without end for the first frame."""
+    updates = []
+    update = StampHistory.update
+
+    def counted(self, *given):
+        updates.append(given)
+        assert len(updates) < 100
+        return update(self, *given)
+
+    monkeypatch.setattr(StampHistory, 'update', counted)
+    times = 0.01 * np.concatenate((np.arange(even), np.arange(even, even + 60) + 0.5))
+    points, rates = record(times, noise=1e-4)
+    _, stamp, rate = track(START + np.rint(times * 1e9).astype(np.int64), points, block=block)
+    assert len(stamp) > 30
+    assert np.abs(rate - np.interp((stamp - START) * 1e-9, times, rates)).max() < 0.5
+
+
 @pytest.mark.parametrize('seed', [1, 3])
 def test_frames_that_wait_when_the_rate_changes_are_counted_too(seed):
     times = np.concatenate((np.arange(600) / 200, 3 + np.arange(1000) / 300))
@@ -207,6 +228,49 @@ def test_frames_that_wait_when_the_rate_changes_are_counted_too(seed):
     stamps[-100:] = START + np.rint(times[-100:] * 1e9).astype(np.int64) + 3_000_000
     _, stamp, _ = track(stamps, points, mode='arrival', block=1)
     assert stamp[-1] >= stamps[-1] - 105_000_000
+
+
+def stamps_of_any_kind(seed, count=250):
+    """Stamps (T,), ns, of rates, units, jitters and jumps that change again and again."""
+    rng = np.random.default_rng(seed)
+    stamps = [START]
+    while len(stamps) < count:
+        unit = rng.choice([1, 1_000, 100_000, 1_000_000, 5_000_000])
+        step = 1e6 * rng.choice([1, 2, 3, 5, 8, 8.333, 10, 16.667, 20])
+        jump = step * rng.choice([1, 1, 1, 0.5, 1.5, 2, 0, -1, 10, 40, 0.1])
+        jitter = rng.choice([0, 0, 0, 1e3, 1e5, 2e6])
+        ticks = np.arange(rng.choice([1, 2, 3, 7, 15, 25, 60]))
+        since = jump + step * ticks + jitter * rng.random(len(ticks))
+        stamps += [stamps[-1] + int(round(one / unit) * unit) for one in since.tolist()]
+    return np.array(stamps)
+
+
+# These gave times that step back, and warnings, where frames waited at a change of the rate.
+@pytest.mark.filterwarnings('error')
+@settings(max_examples=10)
+@given(st.integers(0, 10_000), st.sampled_from(('auto', 'arrival')), st.sampled_from((1, 5, 300)))
+@example(95, 'arrival', 1)
+@example(110, 'arrival', 1)
+@example(134, 'arrival', 300)
+def test_times_increase_and_work_is_bounded_with_stamps_of_any_kind(seed, mode, block):
+    stamps = stamps_of_any_kind(seed)
+    points, _ = record((stamps - START) * 1e-9)
+    updates = []
+    update = StampHistory.update
+
+    def counted(self, *given):
+        updates.append(given)
+        assert len(updates) <= len(stamps)
+        return update(self, *given)
+
+    given = {'window': 0.3, 'lag': 0.1, 'stamps': mode, 'body.markers': list(NAMES)}
+    tracker = Tracker(settings_from(given))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(StampHistory, 'update', counted)
+        for k in range(0, len(stamps), block):
+            part = slice(k, k + block)
+            tracker.add(MarkerFrames(stamps[part], 'world', NAMES, points[part]), 1)
+            assert (np.diff(tracker._history['time']) > 0).all()
 
 
 def test_rounding_lapses_when_stamps_become_true():

@@ -439,7 +439,7 @@ def test_a_fit_leaves_no_more_than_the_draft_that_it_began_with(tmp_path, capsys
     bag, rig, scene = tmp_path / 'r.mcap', tmp_path / 'rig.yaml', tmp_path / 'draft.yaml'
     made = ['--tilt', '20', '--arrival', '0.001', '--scale', '1000', '--message', 'point_cloud2']
     made += ['--unlabeled', '--noise', '0.0002', '--seed', '1', '--output', str(bag)]
-    assert main(['simulate', 'loader_cylinder', *made]) == 0
+    assert main(['simulate', 'loader_cylinder', '--duration', '3', *made]) == 0
     assert main(['discover', str(bag), '--output', str(rig), '--scene', str(scene)]) == 0
     capsys.readouterr()
     assert main(['fit', str(scene), str(bag), '--config', str(rig)]) == 0

@@ -264,7 +264,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     folder = tmp_path_factory.mktemp('faults')
     config = write_config(folder / 'rod.yaml', SETTINGS, marker_identity='index', **RELIABLE)
     made = Rig()
-    with process(*node_words(config), log=folder / 'stderr', limit=180) as node:
+    with process(*node_words(config), log=folder / 'stderr', limit=600) as node:
         made.listen()
         yield made
         assert node.poll() is None

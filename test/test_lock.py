@@ -23,6 +23,8 @@ EXTRAS = {
 }
 # A bare install of what the demo needs has 100 packages.
 MOST_PACKAGES_OF_DEMO = 110
+# Packages that a lock is to lack.
+LACKING = (r'numpy==\S+', r'coverage\[toml\]==\S+', r'kiwisolver==\S+')
 
 
 def environment(python: str) -> dict[str, str]:
@@ -52,9 +54,13 @@ def pins(text: str, python: str) -> dict[str, str]:
     return found
 
 
+def file_of(name: str) -> Path:
+    return ROOT / 'requirements' / f'{name}.txt'
+
+
 @lru_cache
 def lock(name: str) -> str:
-    return (ROOT / 'requirements' / f'{name}.txt').read_text(encoding='utf-8')
+    return file_of(name).read_text(encoding='utf-8')
 
 
 def resolved(lock_file: Path, name: str, python: str) -> str:
@@ -75,35 +81,45 @@ def resolved(lock_file: Path, name: str, python: str) -> str:
 
 
 @pytest.fixture(scope='module')
-def resolutions() -> Iterator[dict[tuple[str, str], Future[str]]]:
-    """Every lock resolved for every Python, at the same time: uv mostly waits for the network."""
+def resolutions(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[dict[tuple[Path, str], Future[str]]]:
+    """
+    Every lock resolved for every Python, and locks that lack one package for one.
+
+    All at the same time: uv mostly waits for the network.
+    """
+    locks = [(file_of(name), name, python) for name in EXTRAS for python in PYTHONS]
+    folder = tmp_path_factory.mktemp('lacking')
+    for number, line in enumerate(LACKING):
+        lacking = folder / f'{number}.txt'
+        lacking.write_text(re.sub(rf'(?m)^{line}.*\\\n( .*\n)+', '', lock('test')))
+        locks.append((lacking, 'test', '3.12'))
     with ThreadPoolExecutor(8) as pool:
         yield {
-            (name, python): pool.submit(
-                resolved, ROOT / 'requirements' / f'{name}.txt', name, python
-            )
-            for name in EXTRAS
-            for python in PYTHONS
+            (file, python): pool.submit(resolved, file, name, python)
+            for file, name, python in locks
         }
 
 
 @pytest.mark.parametrize('python', PYTHONS)
 @pytest.mark.parametrize('name', EXTRAS)
 def test_every_requirement_of_a_locked_package_is_met_inside_the_lock(
-    name: str, python: str, resolutions: dict[tuple[str, str], Future[str]]
+    name: str, python: str, resolutions: dict[tuple[Path, str], Future[str]]
 ) -> None:
     # Resolving adds nothing: no package, no other version, and no extra, which pip before 23.3
     # would take for a requirement of its own.
-    whole = resolutions[name, python].result()
+    whole = resolutions[file_of(name), python].result()
     assert pins(whole, python) == pins(lock(name), python)
 
 
-@pytest.mark.parametrize('line', [r'numpy==\S+', r'coverage\[toml\]==\S+', r'kiwisolver==\S+'])
-def test_a_lock_that_lacks_a_package_is_seen(tmp_path: Path, line: str) -> None:
-    name = 'test'
-    lacking = tmp_path / 'lock.txt'
-    lacking.write_text(re.sub(rf'(?m)^{line}.*\\\n( .*\n)+', '', lock(name)))
-    assert pins(resolved(lacking, name, '3.12'), '3.12') != pins(lacking.read_text(), '3.12')
+def test_a_lock_that_lacks_a_package_is_seen(
+    resolutions: dict[tuple[Path, str], Future[str]],
+) -> None:
+    seen = {file: done for (file, _), done in resolutions.items() if file.stem.isdigit()}
+    assert len(seen) == len(LACKING)
+    for file, done in seen.items():
+        assert pins(done.result(), '3.12') != pins(file.read_text(), '3.12')
 
 
 @pytest.mark.parametrize('name', [*EXTRAS, 'compiler'])

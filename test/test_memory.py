@@ -1,44 +1,34 @@
 """The memory that a publisher can take of the live node and of `kinpole discover` is bounded."""
 
 import threading
-from pathlib import Path
 
 import pytest
-from conftest import write_config
-from rcl_interfaces.srv import GetParameters
+import rclpy
 from rclpy.serialization import serialize_message
-from test_faults import SETTINGS, Rig, message, rod
-from test_node import LIMIT, process
+from test_faults import Rig, message, rod
+from test_node import LIMIT
 
 import kinpole_ros.ros.listener as listen_module
 from kinpole_ros.bags import BagError
 from kinpole_ros.messages import MARKER_TYPES
+from kinpole_ros.ros.node import KinpoleNode
 from kinpole_ros.ros.source import MAX_MESSAGE_BYTES
 
 
 @pytest.mark.parametrize('given', [None, 7])
-def test_the_default_depth_bounds_memory_and_can_be_overridden(
-    tmp_path: Path, given: int | None
-) -> None:
-    topic = '/bounded'
-    depth = f'qos_overrides.{topic}.subscription.depth'
-    more = {} if given is None else {depth: given}
-    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index', **more)
-    rig = Rig('bounded', topic)
+def test_the_default_depth_bounds_memory_and_can_be_overridden(given: int | None) -> None:
+    words = ['-p', 'marker_type:=marker_array']
+    if given is not None:
+        words += ['-p', f'qos_overrides./markers.subscription.depth:={given}']
+    rclpy.init(args=['kinpole', '--ros-args', *words])
+    node = KinpoleNode()
     try:
-        with (
-            process(*rig.words(config), log=tmp_path / 'stderr'),
-            rig.publisher(MARKER_TYPES['marker_array']),
-        ):
-            request = GetParameters.Request(names=[depth])
-            asked = rig.call('/bounded/get_parameters', GetParameters, request)
-        found = asked.values[0].integer_value
-        if given is None:
-            assert 0 < found * MAX_MESSAGE_BYTES <= 64 << 20
-        else:
-            assert found == given
+        (markers,) = (each for each in node.subscriptions if each.topic_name == '/markers')
+        depth = markers.qos_profile.depth
+        assert depth == given if given else 0 < depth * MAX_MESSAGE_BYTES <= 64 << 20
     finally:
-        rig.close()
+        node.destroy_node()
+        rclpy.try_shutdown()
 
 
 @pytest.mark.parametrize(

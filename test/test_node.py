@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -871,12 +872,19 @@ def test_in_a_namespace_the_node_tells_under_its_full_name_and_of_what_was_given
     assert 'no parameter file has anything for /left/kinpole' in told[1]
 
 
-def test_one_file_may_hold_the_qos_of_several_nodes(peer: Peer, tmp_path: Path) -> None:
+def test_one_file_may_hold_the_qos_of_several_nodes(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     qos = {f'qos_overrides./{n}.subscription.depth': 10 for n in ('markers', 'left/markers')}
-    with process(*node_words(write_config(tmp_path / 'c.yaml', Settings(), **qos)),
-                 log=tmp_path / 'stderr'):  # fmt: skip
-        assert peer.state() == 'active'
-    assert complaints(tmp_path / 'stderr') == []
+    config = write_config(tmp_path / 'c.yaml', Settings(), **qos)
+    rclpy.init(args=['kinpole', '--ros-args', '--params-file', str(config)])
+    node = KinpoleNode()
+    try:
+        assert node.active
+        assert '[WARN]' not in capfd.readouterr().err
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
 
 
 # What nobody asks for
@@ -944,6 +952,7 @@ def test_what_pages_show_is_computed_30_times_a_second_and_after_all_else_is_sen
     class Sent:
         def __init__(self, topic: str) -> None:
             self.publish = lambda data: sent.append(topic)
+            self.handle = SimpleNamespace(publish_raw=self.publish)
 
     view = live_outputs(node.settings, None)[-1]
     assert view.topic == VIEW
@@ -954,9 +963,8 @@ def test_what_pages_show_is_computed_30_times_a_second_and_after_all_else_is_sen
     for read, order in (([], None), ([Output('odom', Odometry, 1, build)], 1)):
         asked.clear()
         monkeypatch.setattr(node.results, '_display_due', 0.0)
-        monkeypatch.setattr(node.results, '_frame_rows', [(row, Sent(row.topic)) for row in read])
-        shown = [(view._replace(build=build), Sent(VIEW))]
-        monkeypatch.setattr(node.results, '_display_rows', shown)
+        shown = view._replace(build=build)
+        node.results.use([(row, Sent(row.topic)) for row in (*read, shown)])
         # A second of frames at 200 Hz.
         for _ in range(200):
             now += 0.005

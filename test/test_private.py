@@ -16,7 +16,8 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
+from rclpy.publisher import Publisher
+from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
@@ -64,6 +65,8 @@ def until(condition: Callable[[], object], what: str) -> None:
         (rclpy_implementation.Timer, ['call_timer', '__enter__', '__exit__']),
         (rclpy_implementation.Subscription, ['take_message', '__enter__', '__exit__']),
         (Subscription, ['handle']),
+        (Publisher, ['handle']),
+        (rclpy_implementation.Publisher, ['publish_raw']),
         (rclpy.Context, ['handle']),
         (LifecycleNode, ['services']),
     ],
@@ -92,7 +95,7 @@ def test_one_wait_set_serves_many_waits_and_take_has_all_messages(node: Node) ->
         assert time.monotonic() - begun >= 0.09, 'rclpy has changed: WaitSet.wait does not wait'
     assert [*private.take(heard, 5)] == [], 'rclpy has changed: take_message of nothing'
     for word in ('a', 'b', 'c'):
-        publisher.publish(String(data=word))
+        private.sender(publisher)(serialize_message(String(data=word)))
     begun = time.monotonic()
     assert prepared.wait(5.0), 'rclpy has changed: WaitSet.get_ready_entities'
     assert time.monotonic() - begun < 4, 'rclpy has changed: WaitSet.wait misses a message'

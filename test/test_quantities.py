@@ -16,6 +16,7 @@ from kinpole_ros.tracking.quantities import (
     VELOCITY,
     Motion,
     compute_quantity,
+    relative_centers,
 )
 
 pytestmark = pytest.mark.filterwarnings('error')
@@ -153,6 +154,33 @@ def test_gates_let_some_pass_and_withhold_others(quantity: str) -> None:
     """Else the comparison above would compare nothing."""
     flags = compute_quantity(QUANTITIES[quantity], Motion(*motion(4, (500, 3), 0.3)))[2]
     assert 0.02 < np.mean(flags & DETERMINED) < 0.98
+
+
+@pytest.mark.parametrize('noise', [1e-3, 0.3])
+def test_compiled_relative_centers_as_numpy(noise: float) -> None:
+    """Also of bodies that turn at one rate, and of one of which nothing is known."""
+    m, pairs = motion(2, (200, 4), noise), np.array([[1, 2, 3, 2], [0, 0, 0, 1]])
+    m.angle[1:, :50, 2] = m.angle[1:, :50, 1]
+    for array in m:
+        array[..., 3] = np.nan
+    with np.errstate(divide='ignore', invalid='ignore'):
+        (z_j, z_i), (a_j, a_i), (s_j, s_i) = (
+            [array[..., own] for own in pairs] for array in (m.position, m.angle, m.size)
+        )
+        by_j, by_i = planar.relative_pole(z_j, a_j, z_i, a_i)
+        spread = sum(
+            covariance(by, m.position_covariance[..., own], m.angle_covariance[..., own])
+            for by, own in zip((by_j, by_i), pairs, strict=True)
+        )
+        deviation = np.sqrt(m.angle_covariance[1, 1][:, pairs].sum(axis=1))
+        turns = np.abs(a_j[1] - a_i[1]) > 4 * deviation
+        near = np.abs(by_j.value - (z_j[0] + z_i[0]) / 2) < 1e3 * np.maximum(s_j, s_i)
+    finite = np.isfinite(spread).all(axis=(-2, -1)) & np.isfinite(by_j.value)
+    value, found, flags = relative_centers(Motion(*m), pairs)
+    assert np.array_equal(flags, turns & near & finite)
+    assert 0.1 < flags.mean() < 0.9
+    assert_equal(value[finite], by_j.value[finite])
+    assert_equal(found[finite], spread[finite])
 
 
 def test_each_instant_by_itself() -> None:

@@ -20,12 +20,14 @@ from kinpole_ros.messages import (
     DiagnosticsMaker,
     Output,
     deletion_of_all,
+    joint_build,
     result_outputs,
     type_name,
 )
 from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.plane import plane_along
 from kinpole_ros.tracking.tracker import Tracker
 
 # Along the two axes of each plane, and its normal.
@@ -650,15 +652,41 @@ def told(instants: Sequence[Estimate], cuts: Sequence[int]) -> dict[str, list[tu
     return found
 
 
+def test_all_topics_at_once_say_what_each_says_by_itself() -> None:
+    """Also after a change of the frame and the plane, and with some bodies gone."""
+    table = [row for row in result_outputs(BODIES, 'xy') if '/centrode/' not in row.topic]
+    table = [row for row in table if row.topic != 'visualization']
+    build = joint_build(table)
+    tilted = plane_along((0.0, -0.5, 0.8))
+    for frame_id, plane in (('rig', None), ('rig', tilted), ('a longer name', None)):
+        for ways in ([{}], [{}, {'spin': 0}, {'missing': ('', 'gone')}, {}]):
+            block = stacked([estimate(10**9 + STEP * k, **way) for k, way in enumerate(ways)])
+            block.frame_id, block.plane = frame_id, plane
+            expected = [(k, data) for k, row in enumerate(table) for data in row.build(block)[1]]
+            assert sorted(build(block)) == sorted(expected)
+            assert len(expected) > 40
+    assert joint_build(())(block) == []
+
+
+def test_an_estimate_that_lacks_derivatives_or_bodies_is_refused() -> None:
+    """The library never reads beyond what it is given."""
+    table = {row.topic: row for row in result_outputs((*BODIES, 'rocker'), 'xy')}
+    with pytest.raises(ValueError, match='derivatives up to order 4'):
+        table['crank/isp'].build(stacked([estimate(order=3)]))
+    for topic in ('rocker/icr', 'rocker/wrt/crank/icr'):
+        with pytest.raises(ValueError, match='all bodies, got 2'):
+            table[topic].build(stacked([estimate()]))
+
+
 def test_many_instants_at_once_say_what_they_say_one_by_one() -> None:
     ways: list[dict[str, Any]] = [{}, {}, {}, {'missing': ('', 'gone')}, {'spin': 0}]
-    stamps = np.random.default_rng(1).choice([STEP // 4, STEP, 3 * STEP], 300).cumsum()
+    stamps = np.random.default_rng(1).choice([STEP // 4, STEP, 3 * STEP], 200).cumsum()
     instants = [
         estimate(5_000_000_000 + int(stamp), **ways[k // 7 % len(ways)])
         for k, stamp in enumerate(stamps)
     ]
-    alone = told(instants, range(301))
-    blocks = told(instants, [0, 1, 2, 100, 235, 236, 300])
+    alone = told(instants, range(201))
+    blocks = told(instants, [0, 1, 2, 70, 155, 156, 200])
     for topic, expected in alone.items():
         if topic.endswith('/event'):
             continue

@@ -129,7 +129,9 @@ def reduce(loops: Loops) -> Linkage:
     coefficients = np.concatenate((free, driven), axis=1)
     lengths, angles = loops.lengths @ coefficients, loops.angles @ coefficients
     names = [loops.variables[k] for k in unknown]
-    order = _solving_order(loops.loops, lengths, angles, names, len(loops.drives))
+    anywhere = np.random.default_rng(0).normal(size=(count, 1))
+    slopes = loop_jacobian(loops, anywhere)[1][:, :, 0] @ free
+    order = _solving_order(loops.loops, lengths, angles, names, len(loops.drives), slopes)
     stage = np.zeros(len(unknown) + inputs, int)
     for k, (_, block_unknowns) in enumerate(order):
         stage[list(block_unknowns)] = k + 1
@@ -298,20 +300,35 @@ def _eliminate(loops: Loops, rows: Real, right: Real) -> list[int]:
 
 
 def _solving_order(
-    loops: Real, lengths: Real, angles: Real, names: Sequence[str], inputs: int
+    loops: Real, lengths: Real, angles: Real, names: Sequence[str], inputs: int, slopes: Complex
 ) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
-    """Smallest sets of loops with as many unsolved unknowns as equations, and these, in order."""
+    """
+    Smallest sets of loops with as many unsolved unknowns as equations, and these, in order.
+
+    Of redundant loops such a set need not hold its unknowns: that shows in the derivatives `slopes`
+    (loops, unknowns) anywhere.
+    """
     touches = (lengths[:, : len(names)] != 0) | (angles[:, : len(names)] != 0)
     uses = (loops != 0).astype(float) @ touches > 0
     open_loops, solved = list(range(len(loops))), np.zeros(len(names), bool)
     blocks = []
 
+    redundant = len(names) < 2 * len(loops)
+
+    def holds(chosen: Sequence[int], unknown: np.ndarray) -> bool:
+        if len(unknown) < 2 * len(chosen):
+            return len(chosen) == len(open_loops)
+        if not redundant:
+            return len(unknown) == 2 * len(chosen)
+        own = slopes[np.ix_(chosen, unknown)]
+        rank = int(np.linalg.matrix_rank(np.vstack((own.real, own.imag))))
+        return rank == len(unknown) == 2 * len(chosen)
+
     def next_block() -> tuple[tuple[int, ...], tuple[int, ...]] | None:
         for size in range(1, len(open_loops) + 1):
             for chosen in combinations(open_loops, size):
                 unknown = np.flatnonzero(uses[list(chosen)].any(axis=0) & ~solved)
-                last = size == len(open_loops)
-                if len(unknown) == 2 * size or (last and len(unknown) < 2 * size):
+                if holds(chosen, unknown):
                     return chosen, tuple(int(k) for k in unknown)
         return None
 

@@ -10,7 +10,7 @@ equal bytes and a bag holds nothing of that memory.
 import re
 import struct
 from collections.abc import Callable, Sequence
-from functools import cache, lru_cache
+from functools import cache
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -60,29 +60,6 @@ class Writer:
             self.data += values.astype('<f8').tobytes()
 
 
-def stamped_doubles(
-    stamps: np.ndarray,
-    frame_id: str,
-    values: np.ndarray,
-    child: str | None = None,
-    is_list: bool = False,
-) -> list[bytes]:
-    """
-    Write messages of a header and doubles, one of each row of `values` (T, n).
-
-    `stamps` (T,) are in ns. `child` is the second string of messages that have one, the
-    child_frame_id of Odometry. With `is_list` the message is a list of this one item, as TFMessage.
-    """
-    head = _unstamped_head(frame_id, child, is_list)
-    first = HEAD + 4 * is_list
-    doubles = values.astype('<f8', copy=False)
-    rows = np.empty((len(doubles), len(head) + doubles.strides[0]), np.uint8)
-    rows[:, : len(head)] = np.frombuffer(head, np.uint8)
-    rows[:, first : first + TIME.size] = stamp_bytes(stamps)
-    rows[:, len(head) :] = doubles.view(np.uint8)
-    return rows_of_bytes(rows)
-
-
 def stamp_bytes(stamps: np.ndarray) -> np.ndarray:
     """The bytes (T, 8) of stamps (T,) in ns."""
     times = np.empty((len(stamps), 2), '<u4')
@@ -94,28 +71,6 @@ def rows_of_bytes(rows: np.ndarray) -> list[bytes]:
     """The bytes of each row of an array (T, n)."""
     data, size = rows.tobytes(), rows.shape[1] * rows.itemsize
     return [data[first : first + size] for first in range(0, len(data), size)]
-
-
-# One entry for each frame of a body: most topics of an instant share one.
-@lru_cache(maxsize=128)
-def stamped_head(stamp: int, frame_id: str, child: str | None, is_list: bool) -> bytes:
-    """All before the doubles of a message, as in `stamped_doubles`; `stamp` in ns."""
-    head, first = _unstamped_head(frame_id, child, is_list), HEAD + 4 * is_list
-    return head[:first] + TIME.pack(*divmod(stamp, SECOND)) + head[first + TIME.size :]
-
-
-# One entry for each frame of a body and each frame of markers.
-@lru_cache(maxsize=256)
-def _unstamped_head(frame_id: str, child: str | None, is_list: bool) -> bytes:
-    """All before the doubles, with the stamp 0."""
-    writer = Writer()
-    if is_list:
-        writer.pack('I', 1)
-    writer.header(0, frame_id)
-    if child is not None:
-        writer.string(child)
-    writer.align(8)
-    return bytes(writer.data)
 
 
 def serialize_message(message: Any) -> bytes:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.messages._cdr import HEAD, TIME, Writer, stamp_bytes
-from kinpole_ros.messages._quantities import Build, Built
+from kinpole_ros.messages._rows import Build, Built
 from kinpole_ros.messages._types import Marker
 from kinpole_ros.tracking.estimate import POLE_NAMES, Estimate, Vectors, measured_pairs
 from kinpole_ros.tracking.plane import Plane

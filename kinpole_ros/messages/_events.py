@@ -8,7 +8,7 @@ each number, as the topic `state` has. It is stamped with the time of the event.
 import numpy as np
 
 from kinpole_ros.messages._cdr import Writer
-from kinpole_ros.messages._quantities import Build, Built
+from kinpole_ros.messages._rows import Build, Built
 from kinpole_ros.messages._types import (
     PointCloud2,
     PointField,

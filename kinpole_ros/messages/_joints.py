@@ -1,4 +1,4 @@
-"""What robot stacks read: frames of bodies on /tf, and states of joints between bodies."""
+"""What robot stacks read: states of joints between bodies."""
 
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
@@ -8,33 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.messages._cdr import HEAD, TIME, Writer, rows_of_bytes, stamp_bytes
-from kinpole_ros.messages._quantities import Build, Built, Index, Rows, builds_of, frame_poses
+from kinpole_ros.messages._rows import Build, Built
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.parameters import GROUND
-from kinpole_ros.tracking.plane import Plane
 
 _STATE_ORDERS = 3  # angle, rate and acceleration: what a state between two instants is made of
 _MAX_AHEAD = 0.25  # of its window: how far from an instant a state is extrapolated
-
-
-def frames(names: Sequence[str], given: Plane) -> Build:
-    """Return a function that makes a message of /tf for each body, of frames with these names."""
-
-    def quantity(estimate: Estimate, which: int | slice) -> Rows:
-        def rows(index: Index) -> np.ndarray:
-            return frame_poses(estimate, given, index)
-
-        return estimate.missing[:, which] == '', rows
-
-    builds = builds_of(len(names), quantity, names, is_list=True)
-
-    def build(estimate: Estimate) -> Built:
-        messages: list[tuple[int, bytes]] = []
-        for of_body in builds:
-            messages += zip(*of_body(estimate), strict=True)
-        return _in_order(messages)
-
-    return build
 
 
 class _Angles(NamedTuple):

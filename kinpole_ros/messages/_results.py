@@ -8,20 +8,24 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from kinpole_ros.messages._drawing import Trail, centrode, drawing
 from kinpole_ros.messages._events import events
-from kinpole_ros.messages._joints import frames, joint_states
-from kinpole_ros.messages._quantities import (
+from kinpole_ros.messages._joints import joint_states
+from kinpole_ros.messages._rows import (
+    FRAME,
+    NORMAL,
+    ODOMETRY,
+    POINT,
+    POSE,
+    RATE,
+    RELATIVE_CENTER,
+    RELATIVE_RATE,
+    VECTOR,
     Build,
-    balance_wrench,
-    builds_of,
-    numbers,
-    odometry,
-    points_with_covariance,
-    vectors,
-    with_deviation,
+    Row,
+    Rows,
+    balance_rows,
+    stamped,
 )
 from kinpole_ros.messages._state import STATE, state
 from kinpole_ros.messages._types import (
@@ -42,12 +46,11 @@ from kinpole_ros.tracking.estimate import (
     POLE_NAMES,
     RATE_NAMES,
     Estimate,
-    Numbers,
-    Vectors,
     measured_pairs,
 )
 from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.plane import XY, Plane, PlaneSetting, plane_of
+from kinpole_ros.tracking.quantities import CURVATURE, VELOCITY
 
 if TYPE_CHECKING:
     from kinpole_ros.linkage.theory import Theory
@@ -56,6 +59,8 @@ DRAWING = 'visualization'
 """The topic of the drawing for RViz and Foxglove."""
 TF = '/tf'
 """The topic of frames, the same for all nodes."""
+# Of the names of topics, and whether such a topic has standard deviations.
+_SUFFIXES = ('', False), ('/deviation', True)
 
 
 class Output(NamedTuple):
@@ -81,21 +86,54 @@ class Output(NamedTuple):
         return self.topic if self.topic.startswith('/') else f'{node}/{self.topic}'
 
 
+def joint_build(
+    outputs: Sequence[Output],
+) -> Callable[[Estimate], list[tuple[int, bytes]]]:
+    """
+    Return a function that makes the messages of several topics.
+
+    Parameters
+    ----------
+    outputs : sequence of Output
+        The topics. One call of compiled code makes the messages of all those that it can.
+
+    Returns
+    -------
+    callable
+        Of an estimate; returns messages, each with the index of its topic.
+    """
+    builds = [(k, output.build) for k, output in enumerate(outputs)]
+    compiled = [(k, build) for k, build in builds if isinstance(build, Rows)]
+    others = [(k, build) for k, build in builds if not isinstance(build, Rows)]
+    topics = [k for k, rows in compiled for _ in rows.rows]
+    given = compiled[0][1].given if compiled else XY
+    joined = Rows([row for _, rows in compiled for row in rows.rows], given)
+
+    def build_all(estimate: Estimate) -> list[tuple[int, bytes]]:
+        messages = [(topics[row], data) for row, _, data in joined.messages(estimate)]
+        messages += [(k, data) for k, build in others for data in build(estimate)[1]]
+        return messages
+
+    return build_all
+
+
 class _Table:
     """The rows of the table so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, given: Plane) -> None:
+        self.given = given
         self.rows: list[Output] = []
 
     def add(self, topic: str, kind: type, order: int, build: Build) -> None:
         self.rows.append(Output(topic, kind, order, build))
 
-    def add_with_deviation(
-        self, topic: str, kind: type, order: int, builds: tuple[list[Build], list[Build]], k: int
-    ) -> None:
+    def add_row(self, topic: str, kind: type, row: Row) -> None:
+        self.add(topic, kind, row.order, Rows([row], self.given))
+
+    def add_with_deviation(self, topic: str, kind: type, row: Row) -> None:
         """Add a topic and the topic of its standard deviation."""
-        for suffix, build in zip(('', '/deviation'), builds, strict=True):
-            self.add(f'{topic}{suffix}', kind, order, build[k])
+        self.add_row(topic, kind, row)
+        self.add_row(f'{topic}/deviation', kind, row._replace(is_deviation=True))
 
 
 def result_outputs(
@@ -135,95 +173,70 @@ def result_outputs(
     """
     given = plane_of(plane) or XY
     frame_names = [frame_prefix + body for body in bodies]
-    table = _Table()
+    table = _Table(given)
     trails = [Trail() for _ in bodies]
-    _add_bodies(table, bodies, frame_names, given, trails)
-    _add_pairs(table, bodies, given)
+    for b in range(len(bodies)):
+        _add_body(table, bodies[b], b, frame_names[b], trails[b])
+    _add_pairs(table, bodies)
     if theory is not None:
-        _add_points(table, bodies, theory, given)
+        _add_points(table, bodies, theory)
     table.add(STATE, PointCloud2, highest, state(given, highest))
     table.add(DRAWING, MarkerArray, highest, drawing(tuple(bodies), given, trails, highest))
     if joints:
         order = min(2, highest) if joint_state_rate else 1
-        states = [[joint_states(joints, bodies, joint_state_rate, of)] for of in (False, True)]
-        table.add_with_deviation('joint_states', JointState, order, (states[0], states[1]), 0)
+        for suffix, is_deviation in _SUFFIXES:
+            build = joint_states(joints, bodies, joint_state_rate, is_deviation)
+            table.add(f'joint_states{suffix}', JointState, order, build)
     if theory is not None and theory.balances:
-        builds = with_deviation(1, partial(balance_wrench, theory, given))
-        table.add_with_deviation('balance', WrenchStamped, 1, builds, 0)
-    table.add(TF, TFMessage, 1, frames(frame_names, given))
+        for (suffix, _), rows in zip(_SUFFIXES, balance_rows(theory, given), strict=True):
+            table.add(f'balance{suffix}', WrenchStamped, 1, rows)
+    frames = [Row(FRAME, 0, stamped(FRAME, name), 1, b) for b, name in enumerate(frame_names)]
+    table.add(TF, TFMessage, 1, Rows(frames, given))
     return [output for output in table.rows if output.order <= highest]
 
 
-def _add_bodies(
-    table: _Table,
-    bodies: Sequence[str],
-    frame_names: Sequence[str],
-    given: Plane,
-    trails: list[Trail],
-) -> None:
-    count = len(bodies)
-    odometries = builds_of(count, odometry(given), frame_names)
-    rates = [with_deviation(count, partial(numbers, _rate(n), given)) for n in range(1, 5)]
-    points = [builds_of(count, vectors(_pole(n), given, np.arange(count))) for n in range(1, 5)]
-    poses = [builds_of(count, points_with_covariance(_pole(n), given)) for n in range(1, 5)]
-    velocity = with_deviation(count, partial(vectors, lambda e: e.icr_velocity, given, None))
-    curvature = with_deviation(count, partial(numbers, lambda e: e.centrode_curvature, given))
-    for b, body in enumerate(bodies):
-        table.add(f'{body}/odom', Odometry, 1, odometries[b])
-        for order, name in enumerate(RATE_NAMES, 1):
-            topic = f'{body}/{name}'
-            table.add_with_deviation(topic, Vector3Stamped, order, rates[order - 1], b)
-        for order, name in enumerate(POLE_NAMES, 1):
-            topic = f'{body}/{name}'
-            table.add(topic, PointStamped, order, points[order - 1][b])
-            pose = poses[order - 1][b]
-            table.add(f'{topic}/with_covariance', PoseWithCovarianceStamped, order, pose)
-        table.add_with_deviation(f'{body}/icr_velocity', Vector3Stamped, 2, velocity, b)
-        table.add_with_deviation(f'{body}/centrode_curvature', Vector3Stamped, 3, curvature, b)
-        for name, frame in (('fixed', None), ('moving', frame_names[b])):
-            locus = centrode(b, given, trails[b], frame)
-            table.add(f'{body}/centrode/{name}', Path, 1, locus)
-        event = Output(f'{body}/event', PointCloud2, 1, events(b, given), of_events=True)
-        table.rows.append(event)
+def _add_body(table: _Table, body: str, b: int, frame_name: str, trail: Trail) -> None:
+    point, vector = stamped(POINT), stamped(VECTOR)
+    table.add_row(f'{body}/odom', Odometry, Row(ODOMETRY, 0, stamped(ODOMETRY, frame_name), 1, b))
+    for order, name in enumerate(RATE_NAMES, 1):
+        rate = Row(NORMAL, RATE + order, vector, order, b)
+        table.add_with_deviation(f'{body}/{name}', Vector3Stamped, rate)
+    for order, name in enumerate(POLE_NAMES, 1):
+        topic = f'{body}/{name}'
+        table.add_row(topic, PointStamped, Row(POINT, order, point, order, b))
+        pose = Row(POSE, order, stamped(POSE), order, b)
+        table.add_row(f'{topic}/with_covariance', PoseWithCovarianceStamped, pose)
+    velocity = Row(VECTOR, VELOCITY, vector, 2, b)
+    table.add_with_deviation(f'{body}/icr_velocity', Vector3Stamped, velocity)
+    curvature = Row(NORMAL, CURVATURE, vector, 3, b)
+    table.add_with_deviation(f'{body}/centrode_curvature', Vector3Stamped, curvature)
+    for name, frame in (('fixed', None), ('moving', frame_name)):
+        locus = centrode(b, table.given, trail, frame)
+        table.add(f'{body}/centrode/{name}', Path, 1, locus)
+    event = Output(f'{body}/event', PointCloud2, 1, events(b, table.given), of_events=True)
+    table.rows.append(event)
 
 
-def _add_pairs(table: _Table, bodies: Sequence[str], given: Plane) -> None:
-    pairs = measured_pairs(len(bodies))
-    firsts = np.array([i for i, _ in pairs], int)
-    center = partial(vectors, lambda e: e.relative_icr, given, firsts)
-    centers = with_deviation(len(pairs), center)
-    rates = with_deviation(len(pairs), partial(numbers, lambda e: e.relative_rate, given))
-    for k, (i, j) in enumerate(pairs):
+def _add_pairs(table: _Table, bodies: Sequence[str]) -> None:
+    for i, j in measured_pairs(len(bodies)):
         name = f'{bodies[j]}/wrt/{bodies[i]}'
-        table.add_with_deviation(f'{name}/icr', PointStamped, 1, centers, k)
-        table.add_with_deviation(f'{name}/angular_velocity', Vector3Stamped, 1, rates, k)
+        center = Row(POINT, RELATIVE_CENTER, stamped(POINT), 1, i, j)
+        table.add_with_deviation(f'{name}/icr', PointStamped, center)
+        rate = Row(NORMAL, RELATIVE_RATE, stamped(NORMAL), 1, i, j)
+        table.add_with_deviation(f'{name}/angular_velocity', Vector3Stamped, rate)
 
 
-def _add_points(table: _Table, bodies: Sequence[str], theory: 'Theory', given: Plane) -> None:
+def _add_points(table: _Table, bodies: Sequence[str], theory: 'Theory') -> None:
     """Add the points of interest of the scene and their motion."""
     from kinpole_ros.linkage.theory import measured_point, points_of_interest
 
     for point in points_of_interest(theory):
-        body = np.array([bodies.index(point.body)])
+        body = bodies.index(point.body)
         for order, name in enumerate(('', '/velocity', '/acceleration', '/jerk')):
-            kind, heights = (Vector3Stamped, None) if order else (PointStamped, body)
-            motion = partial(_as_column, partial(measured_point, theory, point, order))
-            builds = with_deviation(1, partial(vectors, motion, given, heights))
-            topic = f'{point.body}/points/{point.name}{name}'
-            table.add_with_deviation(topic, kind, max(order, 1), builds, 0)
-
-
-def _as_column(motion: Callable[[Estimate], Vectors], estimate: Estimate) -> Vectors:
-    """The motion (T,) of one point as an array (T, 1) of points."""
-    return Vectors(*(part[:, None] for part in motion(estimate)))
-
-
-def _rate(order: int) -> Callable[[Estimate], Numbers]:
-    return lambda estimate: estimate.rate(order)
-
-
-def _pole(order: int) -> Callable[[Estimate], Vectors]:
-    return lambda estimate: estimate.pole(order)
+            kind, message_type = (VECTOR, Vector3Stamped) if order else (POINT, PointStamped)
+            motion = partial(measured_point, theory, point, order)
+            row = Row(kind, 0, stamped(kind), max(order, 1), body, values=motion)
+            table.add_with_deviation(f'{point.body}/points/{point.name}{name}', message_type, row)
 
 
 def theory_of(settings: Settings) -> 'Theory | None':

@@ -6,15 +6,14 @@ message type of its own. It costs far less to make, send and read than the separ
 have the same numbers.
 """
 
-from functools import lru_cache
+from functools import partial
 from itertools import chain
 
 import numpy as np
 
-from kinpole_ros.messages._cdr import HEAD, TIME, Writer
-from kinpole_ros.messages._quantities import Build, Built
+from kinpole_ros.messages._cdr import Writer
+from kinpole_ros.messages._rows import STATE_POINTS, Row, Rows
 from kinpole_ros.messages._types import (
-    SECOND,
     PointCloud2,
     PointField,
     deserialize_message,
@@ -34,8 +33,6 @@ _FIRST_FIELDS = {
     'determined': PointField.UINT32,
 }
 _FIRST_DOUBLES = len(_FIRST_FIELDS) // 2
-_POSE_FIELDS = 12
-_LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 
 
 def state_fields(order: int) -> dict[str, list[str]]:
@@ -71,54 +68,13 @@ def _fields_of(name: str, is_vector: bool = False) -> list[str]:
     return [name, f'{name}_deviation']
 
 
-def state(given: Plane, order: int) -> Build:
+def state(given: Plane, order: int) -> Rows:
     """
-    Return a function that makes the messages of all instants, with derivatives up to `order`.
+    Return what makes the messages, with derivatives up to `order`.
 
     `given` is the plane of estimates that have none.
     """
-    sizes = [len(names) for names in state_fields(order).values()]
-    quantity_of_field = np.repeat(np.arange(len(sizes)), sizes)
-    bits = 1 << np.arange(len(sizes), dtype=np.uint32)
-
-    def build(estimate: Estimate) -> Built:
-        count, bodies = estimate.missing.shape
-        numbers = np.empty((count, bodies, len(quantity_of_field)))
-        determined = np.empty((count, bodies, len(sizes)), bool)
-        _fill(numbers, determined, estimate, order)
-        points = np.zeros((count, bodies, _FIRST_DOUBLES + numbers.shape[-1]), '<f8')
-        np.copyto(points[..., _FIRST_DOUBLES:], numbers, where=determined[..., quantity_of_field])
-        origin = (estimate.plane or given).in_space(estimate.origin(0), estimate.height)
-        origin = np.where(determined[..., :1], origin, 0.0)
-        points.view('<f4')[..., :3] = origin.clip(-_LARGEST_FLOAT32, _LARGEST_FLOAT32)
-        points.view('<u4')[..., 3] = determined @ bits
-        start, head, tail = _constant_parts(estimate.frame_id, bodies, order)
-        times = [TIME.pack(*divmod(stamp, SECOND)) for stamp in estimate.stamp.tolist()]
-        return list(range(count)), [
-            b''.join((start, time, head, of_bodies.tobytes(), tail))
-            for time, of_bodies in zip(times, points, strict=True)
-        ]
-
-    return build
-
-
-def _fill(numbers: np.ndarray, determined: np.ndarray, estimate: Estimate, order: int) -> None:
-    """Write all numbers (T, B, fields), and where each quantity (T, B, bits) is determined."""
-    determined[..., 0] = estimate.missing == ''
-    _fill_pose(numbers, estimate)
-    k = _POSE_FIELDS
-    for bit, quantity in enumerate(quantities_of(estimate, order).values(), 1):
-        determined[..., bit] = quantity.determined
-        if isinstance(quantity, Numbers):
-            numbers[..., k] = quantity.value
-            np.sqrt(quantity.variance, out=numbers[..., k + 1], where=quantity.determined)
-            k += 2
-        else:
-            numbers[..., k], numbers[..., k + 1] = quantity.value.real, quantity.value.imag
-            numbers[..., k + 2] = quantity.covariance[..., 0, 0]
-            numbers[..., k + 3] = quantity.covariance[..., 0, 1]
-            numbers[..., k + 4] = quantity.covariance[..., 1, 1]
-            k += 5
+    return Rows([Row(STATE_POINTS, order, partial(_template, order), order)], given)
 
 
 def quantities_of(estimate: Estimate, order: int) -> dict[str, Numbers | Vectors]:
@@ -134,43 +90,8 @@ def quantities_of(estimate: Estimate, order: int) -> dict[str, Numbers | Vectors
     return quantities
 
 
-def _fill_pose(numbers: np.ndarray, estimate: Estimate) -> None:
-    """
-    Write position, angle and velocity of the bodies' frames, with their covariances.
-
-    The origin lies at -r from the reference point, whose errors are independent of those of the
-    angle. So an error d of the angle moves the origin by -i d r, and changes its velocity by d w r;
-    an error e of the rate w changes the velocity by -i e r.
-    """
-    position, velocity = estimate.origin(0), estimate.origin(1)
-    angle, rate = estimate.angle[:2]
-    variance, of_velocity = estimate.position_covariance[0, 0], estimate.position_covariance[1, 1]
-    r = estimate.reference * np.exp(1j * angle)
-    xx, xy, yy = r.real * r.real, r.real * r.imag, r.imag * r.imag
-    of_angle, of_rate = estimate.angle_covariance[0, 0], estimate.angle_covariance[1, 1]
-    by_angle = of_angle * rate * rate
-    by_both = estimate.angle_covariance[0, 1] * rate
-    columns = (
-        position.real,
-        position.imag,
-        variance + of_angle * yy,
-        -of_angle * xy,
-        variance + of_angle * xx,
-        angle,
-        np.sqrt(of_angle),
-        velocity.real,
-        velocity.imag,
-        of_velocity + by_angle * xx + 2 * by_both * xy + of_rate * yy,
-        (by_angle - of_rate) * xy + by_both * (yy - xx),
-        of_velocity + by_angle * yy - 2 * by_both * xy + of_rate * xx,
-    )
-    for k, column in enumerate(columns):
-        numbers[..., k] = column
-
-
-@lru_cache(maxsize=8)
-def _constant_parts(frame_id: str, bodies: int, order: int) -> tuple[bytes, bytes, bytes]:
-    """Return the bytes before the stamp, between the stamp and the data, and behind the data."""
+def _template(order: int, frame_id: str, bodies: int) -> tuple[bytes, int]:
+    """A message with zeros for stamp and points, and the bytes before the points."""
     names = chain(*state_fields(order).values())
     kinds = [*_FIRST_FIELDS.items(), *((name, PointField.FLOAT64) for name in names)]
     writer = Writer()
@@ -187,9 +108,8 @@ def _constant_parts(frame_id: str, bodies: int, order: int) -> tuple[bytes, byte
     writer.data += b'\0'  # little endian
     writer.pack('II', offset, offset * bodies)
     writer.pack('I', offset * bodies)
-    data = bytes(writer.data)
     is_dense = b'\1'  # no number is NaN
-    return data[:HEAD], data[HEAD + TIME.size :], is_dense
+    return bytes(writer.data) + bytes(offset * bodies) + is_dense, len(writer.data)
 
 
 def read_state(data: bytes) -> tuple[int, dict[str, Numbers | Vectors]]:

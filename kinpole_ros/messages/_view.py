@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.messages._cdr import serialize_message
-from kinpole_ros.messages._quantities import Build, Built
+from kinpole_ros.messages._rows import Build, Built
 from kinpole_ros.messages._state import STATE, quantities_of
 from kinpole_ros.messages._types import PointCloud2, String, type_name
 from kinpole_ros.tracking.estimate import POLE_NAMES, Estimate, Numbers, Vectors

@@ -95,7 +95,7 @@ def listen(
                     f'more than {_MAX_KEPT_BYTES >> 20} MiB came on {name}; fix: listen for fewer '
                     'seconds, or record a bag and read that'
                 )
-            if messages and not has_begun:
+            if (messages or refused) and not has_begun:
                 has_begun, end = True, time.monotonic() + seconds
             if has_begun and progress is not None:
                 progress(min(1.0, 1 - (end - time.monotonic()) / seconds))

@@ -13,6 +13,7 @@ from typing import Any
 from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
@@ -87,6 +88,17 @@ def take(subscription: Subscription, count: int) -> Iterator[tuple[bytes, Mappin
             if message is None:
                 return
             yield message
+
+
+def sender(publisher: Publisher) -> Callable[[bytes], None]:
+    """
+    Return what publishes serialized messages, until the publisher is destroyed.
+
+    `Publisher.publish` asks what type a message has, and whether its node is active: a quarter of
+    the time that publishing takes.
+    """
+    send: Callable[[bytes], None] = publisher.handle.publish_raw
+    return send
 
 
 def sequence_number(info: Mapping[str, Any]) -> int | None:

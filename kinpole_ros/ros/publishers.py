@@ -1,14 +1,15 @@
 """The publishers of the topics of results, of which those with subscribers are used."""
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, TypeAlias
 
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState
 
-from kinpole_ros.messages import DRAWING, Output, deletion_of_all
+from kinpole_ros.messages import DRAWING, Output, deletion_of_all, joint_build
+from kinpole_ros.ros.private import sender
 from kinpole_ros.tracking.estimate import Estimate
 
 # Results kept for a reliable reader that is slow, such as a recorder on a busy machine: messages
@@ -31,6 +32,11 @@ class ResultPublishers:
         # which the next is due.
         self._frame_rows: list[_Row] = []
         self._display_rows: list[_Row] = []
+        self._build_frame = joint_build(())
+        self._send_frame: list[Callable[[bytes], None]] = []
+        self._frame_order: int | None = None
+        # Whether a topic of events is read.
+        self.need_events = False
         self._display_due = 0.0
         # The last estimate published since the drawing was deleted.
         self._drawn: Estimate | None = None
@@ -87,9 +93,18 @@ class ResultPublishers:
 
     def look_up_subscribers(self) -> None:
         """Find the topics with subscribers, which takes 0.6 us each."""
-        read = [row for row in self._rows if row[1].get_subscription_count()]
-        self._frame_rows = [row for row in read if not row[0].interval]
+        self.use([row for row in self._rows if row[1].get_subscription_count()])
+
+    def use(self, read: Sequence[_Row]) -> None:
+        """Publish these topics from now on."""
         self._display_rows = [row for row in read if row[0].interval]
+        frame_rows = [row for row in read if not row[0].interval]
+        if frame_rows != self._frame_rows:
+            self._frame_rows = frame_rows
+            self._build_frame = joint_build([output for output, _ in frame_rows])
+            self._send_frame = [sender(publisher) for _, publisher in frame_rows]
+            self._frame_order = max((output.order for output, _ in frame_rows), default=None)
+            self.need_events = any(output.of_events for output, _ in frame_rows)
 
     def due_displays(self, now: float) -> list[_Row]:
         """Return the topics for displays, if they are due at this monotonic time, s."""
@@ -97,28 +112,20 @@ class ResultPublishers:
 
     def highest_order(self, displays: Sequence[_Row]) -> int | None:
         """Return the highest derivative that is read; None where no topic is."""
-        return max((output.order for output, _ in (*self._frame_rows, *displays)), default=None)
-
-    @property
-    def need_events(self) -> bool:
-        """Whether a topic of events is read."""
-        return any(output.of_events for output, _ in self._frame_rows)
+        if not displays:
+            return self._frame_order
+        return max(self._frame_order or 0, *(output.order for output, _ in displays))
 
     def publish(self, estimate: Estimate) -> None:
         """Publish the topics of every frame."""
         self._drawn = estimate
-        _publish(self._frame_rows, estimate)
+        # All messages are made before the first is sent: its readers wake, and take the core.
+        for k, data in self._build_frame(estimate):
+            self._send_frame[k](data)
 
     def publish_displays(self, displays: Sequence[_Row], estimate: Estimate, now: float) -> None:
         """Publish the topics for displays that were due at this time, after all others."""
-        _publish(displays, estimate)
+        for output, publisher in displays:
+            for data in output.build(estimate)[1]:
+                publisher.publish(data)
         self._display_due = now + max(output.interval for output, _ in displays)
-
-
-def _publish(rows: Sequence[_Row], estimate: Estimate) -> None:
-    """Make all messages before the first is sent: its readers wake, and take the core."""
-    messages = [
-        (publisher, data) for output, publisher in rows for data in output.build(estimate)[1]
-    ]
-    for publisher, data in messages:
-        publisher.publish(data)

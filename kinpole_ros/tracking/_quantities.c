@@ -4,17 +4,14 @@
  * The formulas are those of planar/, and test_quantities.py compares both.
  */
 
-#include <complex.h>
 #include <math.h>
+
+#include "_quantities.h"
 
 /* Complex products that do not check for infinities take a third of the time. */
 #ifndef __clang__
 #pragma GCC optimize("O3", "cx-limited-range")
 #endif
-
-#define HIGHEST 4
-typedef double complex Number;
-enum { VELOCITY = HIGHEST + 1, CURVATURE };
 
 /* A quantity with its partial derivatives by the derivatives of position and angle. */
 typedef struct {
@@ -102,32 +99,13 @@ static const double MOVING = 1.7, STILL = 1e-6;
    size, while the body turns by more than so many standard deviations. */
 static const double CURVED = 0.3, TURNING = 1.5;
 
-/* Bits of the flags: see quantities.py. */
-enum { DETERMINED = 1, MOVES = 2 };
-
-/* The arguments of `kinpole_quantities`: see quantities.py. */
-typedef struct {
-    long long count, orders;
-    const Number *position;
-    const double *angle, *of_position, *of_angle, *size;
-    const Number *pin;
-    const double *pin_variance;
-} Motion;
-
-/* A quantity of one body at one instant: covariance xx, xy and yy. */
-typedef struct {
-    Number value;
-    double spread[3];
-    int flags;
-} Quantity;
-
 /* Adds the covariance that follows from those of position and angle. */
 static void
 add_covariance(const Motion *m, long long t, int highest, const Linear *linear, double *spread)
 {
     double by_position[3] = {0};
-    add_moments(m->of_angle + t, m->orders, m->count, highest, linear->by_angle, spread);
-    add_moments(m->of_position + t, m->orders, m->count, highest, linear->by_position, by_position);
+    add_moments(m->of_angle + t, m->orders, m->stride, highest, linear->by_angle, spread);
+    add_moments(m->of_position + t, m->orders, m->stride, highest, linear->by_position, by_position);
     /* The two coordinates of the position have independent errors of one covariance. */
     spread[0] += by_position[0] + by_position[2], spread[2] += by_position[0] + by_position[2];
 }
@@ -157,7 +135,7 @@ static void
 motion_at(const Motion *m, long long t, int highest, Number *z, double *rate)
 {
     for (int k = 0; k <= highest; k++)
-        z[k] = m->position[k * m->count + t], rate[k] = m->angle[k * m->count + t];
+        z[k] = m->position[k * m->stride + t], rate[k] = m->angle[k * m->stride + t];
 }
 
 /* The pole of an order, as it follows from the motion. */
@@ -172,7 +150,7 @@ free_pole(const Motion *m, long long t, int order)
     pole(order, z, rate, &turn, &linear);
     q.value = linear.value;
     add_covariance(m, t, order, &linear, q.spread);
-    add_moments(m->of_angle + t, m->orders, m->count, order, turn.by_angle, noise);
+    add_moments(m->of_angle + t, m->orders, m->stride, order, turn.by_angle, noise);
     int turns = cabs(turn.value) > SIGNIFICANT * sqrt(noise[0] + noise[2]);
     q.flags = turns && is_near(m, t, q.value) && is_known(&q) ? DETERMINED : 0;
     return q;
@@ -188,8 +166,8 @@ pole_at(const Motion *m, long long t, int order)
     q.value = m->pin[t];
     q.spread[0] = q.spread[2] = m->pin_variance[t], q.spread[1] = 0.0;
     for (int k = 1; k <= order; k++) {
-        double variance = m->of_angle[(k * m->orders + k) * m->count + t];
-        if (fabs(m->angle[k * m->count + t]) > SIGNIFICANT * sqrt(variance))
+        double variance = m->of_angle[(k * m->orders + k) * m->stride + t];
+        if (fabs(m->angle[k * m->stride + t]) > SIGNIFICANT * sqrt(variance))
             q.flags = DETERMINED;
     }
     return q;
@@ -211,7 +189,7 @@ velocity_at(const Motion *m, long long t)
         add_covariance(m, t, 2, &linear, q.spread);
     }
     q.flags = icr.flags & DETERMINED && is_known(&q) ? DETERMINED : 0;
-    double speed = cabs(q.value), least = STILL * fabs(m->angle[m->count + t]) * m->size[t];
+    double speed = cabs(q.value), least = STILL * fabs(m->angle[m->stride + t]) * m->size[t];
     if (is_near(m, t, icr.value) && speed > MOVING * deviation_of(&q) && speed > least)
         q.flags |= MOVES;
     return q;
@@ -234,9 +212,9 @@ curvature_at(const Motion *m, long long t)
     double slowness = (u.spread[0] + u.spread[2]) / 2 / creal(u.value * conj(u.value));
     double second = creal(q.value) * slowness, variance = q.spread[0] + 18 * second * second;
     double share = CURVED * fabs(creal(q.value)), by_size = 1 / m->size[t];
-    double most = share > by_size ? share : by_size, turned = m->angle[m->count + t];
+    double most = share > by_size ? share : by_size, turned = m->angle[m->stride + t];
     /* A body that turns by less than its noise would have a straight centrode, and that for sure. */
-    int turns = turned * turned > TURNING * TURNING * m->of_angle[(m->orders + 1) * m->count + t];
+    int turns = turned * turned > TURNING * TURNING * m->of_angle[(m->orders + 1) * m->stride + t];
     q.flags = u.flags & MOVES;
     if (u.flags & MOVES && turns && isfinite(creal(q.value)) && variance < most * most)
         q.flags |= DETERMINED;
@@ -244,10 +222,67 @@ curvature_at(const Motion *m, long long t)
     return q;
 }
 
-/* Computes quantity `what` at all instants: poles of order 1 to 4, the same by the motion alone
-   (FREE + order), or one of the enum above. `values` (count,) are complex, `spreads` (count, 2, 2),
-   and `flags` (count,) bits. */
-enum { FREE = 10 };
+Quantity
+kinpole_rate(const Motion *m, long long t, int order)
+{
+    Quantity q = {0};
+    q.value = m->angle[order * m->stride + t];
+    q.spread[0] = m->of_angle[order * (m->orders + 1) * m->stride + t];
+    q.flags = isfinite(creal(q.value)) ? DETERMINED : 0;
+    return q;
+}
+
+Quantity
+kinpole_quantity(const Motion *m, long long t, int what)
+{
+    return what == CURVATURE ? curvature_at(m, t)
+        : what == VELOCITY   ? velocity_at(m, t)
+        : what > FREE        ? free_pole(m, t, what - FREE)
+                             : pole_at(m, t, what);
+}
+
+Quantity
+kinpole_relative_rate(const Motion *m, long long j, long long i)
+{
+    Quantity q = kinpole_rate(m, j, 1), other = kinpole_rate(m, i, 1);
+    q.value -= other.value, q.spread[0] += other.spread[0];
+    q.flags = isfinite(creal(q.value)) ? DETERMINED : 0;
+    return q;
+}
+
+/* (q_j - q_i) / (i (w_j - w_i)) with q = i w z - v of each body: see `relative_pole` in planar/. */
+Quantity
+kinpole_relative_center(const Motion *m, long long j, long long i)
+{
+    Quantity q = {0}, rate = kinpole_relative_rate(m, j, i);
+    const double *w = m->angle + m->stride;
+    const Number *z = m->position, *v = z + m->stride;
+    Linear by_j = {0}, by_i = {0};
+    double inverse = 1.0 / creal(rate.value);
+    Number between = z[j] - z[i], arm = (w[j] * between + I * (v[j] - v[i])) * inverse;
+    by_j.by_position[0] = w[j] * inverse, by_j.by_position[1] = I * inverse;
+    by_i.by_position[0] = -w[i] * inverse, by_i.by_position[1] = -I * inverse;
+    by_j.by_angle[1] = (between - arm) * inverse, by_i.by_angle[1] = arm * inverse;
+    q.value = z[i] + arm;
+    add_covariance(m, j, 1, &by_j, q.spread);
+    add_covariance(m, i, 1, &by_i, q.spread);
+    int turns = fabs(creal(rate.value)) > SIGNIFICANT * sqrt(rate.spread[0]);
+    double larger = m->size[j] > m->size[i] ? m->size[j] : m->size[i];
+    int near = cabs(q.value - (z[j] + z[i]) / 2) < FARTHEST * larger;
+    q.flags = turns && near && is_known(&q) ? DETERMINED : 0;
+    return q;
+}
+
+static void
+store(const Quantity *q, long long at, Number *values, double *spreads, unsigned char *flags)
+{
+    double *spread = spreads + 4 * at;
+    values[at] = q->value, flags[at] = (unsigned char)q->flags;
+    spread[0] = q->spread[0], spread[1] = spread[2] = q->spread[1], spread[3] = q->spread[2];
+}
+
+/* Computes quantity `what` at all instants. `values` (count,) are complex, `spreads` (count, 2, 2), and
+   `flags` (count,) bits. */
 #ifdef _WIN32
 __declspec(dllexport)
 #endif
@@ -255,12 +290,23 @@ void
 kinpole_quantities(int what, const Motion *m, Number *values, double *spreads, unsigned char *flags)
 {
     for (long long t = 0; t < m->count; t++) {
-        Quantity q = what == CURVATURE ? curvature_at(m, t)
-            : what == VELOCITY         ? velocity_at(m, t)
-            : what > FREE              ? free_pole(m, t, what - FREE)
-                                       : pole_at(m, t, what);
-        double *spread = spreads + 4 * t;
-        values[t] = q.value, flags[t] = (unsigned char)q.flags;
-        spread[0] = q.spread[0], spread[1] = spread[2] = q.spread[1], spread[3] = q.spread[2];
+        Quantity q = kinpole_quantity(m, t, what);
+        store(&q, t, values, spreads, flags);
     }
+}
+
+/* Computes the relative centers of `pairs` (2, number), all j and all i, at all instants. */
+#ifdef _WIN32
+__declspec(dllexport)
+#endif
+void
+kinpole_relative_centers(const Motion *m, long long bodies, const long long *pairs, long long number,
+                         Number *values, double *spreads, unsigned char *flags)
+{
+    for (long long t = 0; t < m->count / bodies; t++)
+        for (long long k = 0; k < number; k++) {
+            long long j = t * bodies + pairs[k], i = t * bodies + pairs[number + k];
+            Quantity q = kinpole_relative_center(m, j, i);
+            store(&q, t * number + k, values, spreads, flags);
+        }
 }

@@ -16,6 +16,7 @@ from kinpole_ros import planar
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.quantities import (
+    ARRAYS,
     CURVATURE,
     DETERMINED,
     FREE,
@@ -23,6 +24,7 @@ from kinpole_ros.tracking.quantities import (
     VELOCITY,
     Motion,
     compute_quantity,
+    relative_centers,
 )
 
 # A denominator counts as known when it exceeds its standard deviation this many times. Beyond this
@@ -261,22 +263,19 @@ class Estimate:
         return self._rates[order]
 
     @cached_property
-    def _motion(self) -> Motion:
-        """The arguments of `compute_quantity`."""
-        covariances = self.position_covariance, self.angle_covariance
-        return Motion(
-            *(self.position, self.angle, *covariances, self.size, self.pin, self.pin_variance)
-        )
+    def compiled_motion(self) -> Motion:
+        """The arrays as the compiled code takes them."""
+        return Motion(*(getattr(self, name) for name in ARRAYS))
 
     def general_pole(self, order: int) -> Vectors:
         """Return the pole of order 1 to 4, m, from the motion alone, without pins."""
-        value, spread, flags = compute_quantity(FREE + order, self._motion)
+        value, spread, flags = compute_quantity(FREE + order, self.compiled_motion)
         return Vectors(value, spread, flags > 0)
 
     def pole(self, order: int) -> Vectors:
         """Return ICR, IAP, IJP or ISP, m, for order 1 to 4; the pin of a pinned body."""
         if order not in self._poles:
-            value, spread, flags = compute_quantity(order, self._motion)
+            value, spread, flags = compute_quantity(order, self.compiled_motion)
             self._poles[order] = Vectors(value, spread, flags > 0)
         return self._poles[order]
 
@@ -297,19 +296,19 @@ class Estimate:
     @cached_property
     def icr_velocity(self) -> Vectors:
         """Velocity of the ICR along both centrodes (m/s)."""
-        value, spread, flags = compute_quantity(VELOCITY, self._motion)
+        value, spread, flags = compute_quantity(VELOCITY, self.compiled_motion)
         return Vectors(value, spread, (flags & DETERMINED) > 0)
 
     @cached_property
     def centrode_curvature(self) -> Numbers:
         """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
-        value, spread, flags = compute_quantity(CURVATURE, self._motion)
+        value, spread, flags = compute_quantity(CURVATURE, self.compiled_motion)
         return Numbers(value.real, spread[..., 0, 0], (flags & DETERMINED) > 0)
 
     @property
     def icr_moves(self) -> np.ndarray:
         """Where (T, B) the velocity of the ICR exceeds its noise; nowhere for a pinned body."""
-        return (compute_quantity(VELOCITY, self._motion)[2] & MOVES) > 0
+        return (compute_quantity(VELOCITY, self.compiled_motion)[2] & MOVES) > 0
 
     @cached_property
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:
@@ -331,22 +330,8 @@ class Estimate:
 
         From the velocities as measured, pins or no: what bends both cancels between them.
         """
-        j, i = self.pairs
-        position, angle = self.position[:2], self.angle[:2]
-        covariances = self.position_covariance[:2, :2], self.angle_covariance[:2, :2]
-        by_j, by_i = planar.relative_pole(
-            position[..., j], angle[..., j], position[..., i], angle[..., i]
-        )
-        rate = self.relative_rate
-        with np.errstate(invalid='ignore', over='ignore'):
-            spread = planar.covariance(by_j, *(one[..., j] for one in covariances))
-            spread += planar.covariance(by_i, *(one[..., i] for one in covariances))
-            turning = np.abs(rate.value) > SIGNIFICANT * np.sqrt(rate.variance)
-            position, size = self.position[0], self.size
-            distance = np.abs(by_j.value - (position[..., j] + position[..., i]) / 2)
-            near = distance < FARTHEST * np.maximum(size[..., j], size[..., i])
-        finite = np.isfinite(by_j.value) & np.isfinite(spread).all(axis=(-2, -1))
-        return Vectors(by_j.value, spread, turning & near & finite)
+        value, spread, flags = relative_centers(self.compiled_motion, np.array(self.pairs))
+        return Vectors(value, spread, flags > 0)
 
     @cached_property
     def kennedy(self) -> tuple[np.ndarray, np.ndarray]:

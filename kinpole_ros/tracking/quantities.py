@@ -15,7 +15,7 @@ VELOCITY, CURVATURE, FREE = 5, 6, 10
 _NEEDED = {VELOCITY: 2, CURVATURE: 3}
 # Bits of the flags: a quantity stands out of its noise; the ICR is seen to move.
 DETERMINED, MOVES = 1, 2
-_ARRAYS = {
+ARRAYS = {
     'position': complex,
     'angle': float,
     'position_covariance': float,
@@ -23,6 +23,9 @@ _ARRAYS = {
     'size': float,
     'pin': complex,
     'pin_variance': float,
+    'reference': complex,
+    'height': float,
+    'stamp': np.int64,
 }
 
 
@@ -41,32 +44,47 @@ class Motion(Structure):
     pin, pin_variance : (...)
         Fixed points that bodies turn about, complex, m, NaN for none, and the variance of one
         coordinate, m^2.
+    reference, height, stamp : (...)
+        As in `Estimate`. Messages need them; no quantity does.
 
     """
 
     _fields_: ClassVar[Any] = [
-        *((name, c_longlong) for name in ('count', 'orders')),
-        *((name, c_void_p) for name in _ARRAYS),
+        *((name, c_longlong) for name in ('count', 'stride', 'orders')),
+        *((name, c_void_p) for name in ARRAYS),
     ]
+    shape: tuple[int, ...]
+    owners: list[np.ndarray]
 
     def __init__(self, *arrays: np.ndarray) -> None:
-        pairs = zip(arrays, _ARRAYS.values(), strict=True)
-        self._arrays = [np.asarray(array, kind, order='C') for array, kind in pairs]
-        position, angle, of_position, of_angle, *rest = self._arrays
-        self.orders, *self.shape = angle.shape
-        self.count = rest[0].size
-        square, each = (self.orders, *angle.shape), [list(array.shape) for array in rest]
-        if position.shape != angle.shape or each != 3 * [self.shape]:
+        pairs = zip(arrays, ARRAYS.values(), strict=False)
+        self.owners = [np.asarray(array, kind, order='C') for array, kind in pairs]
+        position, angle, of_position, of_angle, *rest = self.owners
+        self.orders, *shape = angle.shape
+        self.shape, self.count = tuple(shape), rest[0].size
+        self.stride = self.count
+        square, each = (self.orders, *angle.shape), {array.shape for array in rest[:5]}
+        if position.shape != angle.shape or each != {self.shape}:
             raise ValueError(f'expected arrays of one shape, got {[a.shape for a in arrays]}')
         if of_position.shape != square or of_angle.shape != square:
             raise ValueError(f'expected covariances of shape {square}, got {of_position.shape}')
-        for name, array in zip(_ARRAYS, self._arrays, strict=True):
+        for name, array in zip(ARRAYS, self.owners, strict=False):
             setattr(self, name, address_of(array))
+
+    @classmethod
+    def of_fields(cls, fields: np.ndarray, shape: tuple[int, int], owner: np.ndarray) -> 'Motion':
+        """Return the motion (T, B) with these fields, whose arrays are in the buffer `owner`."""
+        motion = cls.from_buffer(fields)
+        motion.shape, motion.owners = shape, [owner]
+        return motion
 
 
 _compute = library.kinpole_quantities
 _compute.argtypes = [c_int, POINTER(Motion), *[c_void_p] * 3]
 _compute.restype = None
+_relative_centers = library.kinpole_relative_centers
+_relative_centers.argtypes = [POINTER(Motion), c_longlong, c_void_p, c_longlong, *[c_void_p] * 3]
+_relative_centers.restype = None
 
 
 def compute_quantity(what: int, motion: Motion) -> tuple[Complex, Real, np.ndarray]:
@@ -98,7 +116,36 @@ def compute_quantity(what: int, motion: Motion) -> tuple[Complex, Real, np.ndarr
     needed = _NEEDED.get(what, what % FREE)
     if not 1 <= needed < motion.orders <= 5:
         raise ValueError(f'expected derivatives up to order {needed}, got {motion.orders - 1}')
-    value, spread = np.empty(motion.shape, complex), np.empty((*motion.shape, 2, 2))
-    flags = np.empty(motion.shape, np.uint8)
-    _compute(what, byref(motion), address_of(value), address_of(spread), address_of(flags))
-    return value, spread, flags
+    arrays = _empty(motion.shape)
+    _compute(what, byref(motion), *map(address_of, arrays))
+    return arrays
+
+
+def relative_centers(motion: Motion, pairs: np.ndarray) -> tuple[Complex, Real, np.ndarray]:
+    """
+    Compute the instant centers of bodies with respect to others.
+
+    Parameters
+    ----------
+    motion : Motion
+        Of bodies (..., B).
+    pairs : (2, P) int64
+        The bodies j, and those i with respect to which their centers are.
+
+    Returns
+    -------
+    tuple
+        Arrays (..., P) as those of `compute_quantity`.
+
+    """
+    *shape, bodies = motion.shape
+    number = pairs.shape[1]
+    arrays = _empty((*shape, number))
+    if motion.count:
+        addresses = map(address_of, arrays)
+        _relative_centers(byref(motion), bodies, address_of(pairs), number, *addresses)
+    return arrays
+
+
+def _empty(shape: tuple[int, ...]) -> tuple[Complex, Real, np.ndarray]:
+    return np.empty(shape, complex), np.empty((*shape, 2, 2)), np.empty(shape, np.uint8)

@@ -15,6 +15,7 @@ from kinpole_ros.tracking.estimate import INSTANT_AXIS, Estimate, FramePoses
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.plane import Plane
+from kinpole_ros.tracking.quantities import ARRAYS, Motion
 
 # Why a body has no result, by the numbers of _follow.c, of markers and of poses.
 _COMMON = '', 'window not full'
@@ -61,8 +62,8 @@ _FIELDS = (
 @lru_cache(maxsize=64)
 def _layout_of(
     instants: int, orders: int, bodies: int, markers: int
-) -> tuple[dict[str, _Part], np.ndarray, int]:
-    """Where the arrays of results are, the offsets of the fields of C, and the size of all."""
+) -> tuple[dict[str, _Part], np.ndarray, np.ndarray, int]:
+    """Where the arrays of results, and the fields of C and of `Motion` are; the size of all."""
     each, square = (instants, bodies), (orders, orders, instants, bodies)
     arrays: dict[str, tuple[tuple[int, ...], Any]] = {
         'stamp': ((instants,), np.int64),
@@ -86,7 +87,10 @@ def _layout_of(
     for name, (shape, dtype) in arrays.items():
         layout[name] = _Part(shape, dtype, offset)
         offset += math.prod(shape) * np.dtype(dtype).itemsize
-    return layout, np.array([layout[name].offset for name in _FIELDS]), offset
+    of_fields, of_motion = (
+        np.array([layout[name].offset for name in names]) for names in (_FIELDS, ARRAYS)
+    )
+    return layout, of_fields, of_motion, offset
 
 
 class Results:
@@ -98,12 +102,13 @@ class Results:
     """
 
     def __init__(self, instants: int, orders: int, bodies: int, markers: int) -> None:
-        self.instants, self.orders = instants, orders
-        self._layout, offsets, size = _layout_of(instants, orders, bodies, markers)
+        self.instants, self.orders, self._bodies = instants, orders, bodies
+        self._layout, offsets, self._of_motion, size = _layout_of(instants, orders, bodies, markers)
         self._buffer = np.empty(size, np.uint8)
         self.fields = np.empty(3 + len(offsets), np.int64)
         self.fields[:3] = instants, 0, FEWEST_SAMPLES
-        np.add(offsets, address_of(self._buffer), out=self.fields[3:])
+        self._address = address_of(self._buffer)
+        np.add(offsets, self._address, out=self.fields[3:])
 
     @property
     def count(self) -> int:
@@ -121,6 +126,14 @@ class Results:
         if count == self.instants:
             return array
         return array[(slice(None),) * INSTANT_AXIS.get(name, 0) + (slice(count),)]
+
+    def motion(self) -> Motion:
+        """Return the motion of the instants that have results."""
+        count = self.count
+        fields = np.empty(3 + len(self._of_motion), np.int64)
+        fields[:3] = count * self._bodies, self.instants * self._bodies, self.orders
+        np.add(self._of_motion, self._address, out=fields[3:])
+        return Motion.of_fields(fields, (count, self._bodies), self._buffer)
 
 
 def add_deformation(
@@ -198,4 +211,7 @@ def estimate_of(
         angle, position, middle, noise = map(stored, names)
         return FramePoses(angle, position, turned, placed, middle, noise)
 
-    return Estimate(column, frame_id, bodies, run, plane, frame_poses, events)
+    estimate = Estimate(column, frame_id, bodies, run, plane, frame_poses, events)
+    if len(results) == 1:
+        estimate.compiled_motion = results[0].motion()
+    return estimate

@@ -69,8 +69,9 @@ class StampHistory:
         # Stamps of the frames, in parts, and which of the frames are used.
         self._appended = [(np.zeros(0, np.int64), np.zeros(0, bool))]
         self._last = 0
-        # Whether the next frame shows that the stamps are rounded.
+        # Whether the next frame shows that the stamps are rounded, and the last stamp of such one.
         self._has_slipped = False
+        self._slipped_at: int | None = None
         # Frames since the last update, and used frames that were not compared with neighbors yet.
         self._new = self._unweighed = 0
 
@@ -94,9 +95,11 @@ class StampHistory:
         # Two frames within a tick have another rate.
         before = np.rint((self._last - clock.origin - clock.phase) / clock.interval)
         slips &= np.diff(ticks, prepend=before) > 0
+        # The clock was updated for this frame already.
+        slips &= stamps != self._slipped_at
         first = int(slips.argmax()) if slips.any() else len(stamps)
         if not first:
-            self._has_slipped, self.until_update = True, 0
+            self._has_slipped, self._slipped_at, self.until_update = True, int(stamps[0]), 0
         return first
 
     def append(self, stamps: np.ndarray, is_used: np.ndarray) -> None:

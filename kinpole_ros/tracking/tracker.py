@@ -246,10 +246,7 @@ class Tracker:
             self._counts['frames'] += len(stamps)
             first = 0
             while first < len(stamps):
-                if self._timeline.clock_update_is_due:
-                    # The clock depends on the noise, which is to be the same live and in replay.
-                    self._names_changed = self._update_if_due()
-                    self._timeline.update_clock(self.samples, self.noise())
+                self._update_clock_if_due()
                 remaining = slice(first, None)
                 is_used, end, restarts = self._timeline.accept(
                     stamps[remaining], frames.points[remaining]
@@ -358,8 +355,14 @@ class Tracker:
 
     def learn_if_due(self) -> None:
         """Learn from the history now if an update is due; otherwise the next `add` does."""
-        if self._update_if_due():
-            self._names_changed = True
+        self._names_changed = self._update_if_due()
+        self._update_clock_if_due()
+
+    def _update_clock_if_due(self) -> None:
+        if self._timeline.clock_update_is_due:
+            # The clock depends on the noise, which is to be the same live and in replay.
+            self._names_changed = self._update_if_due()
+            self._timeline.update_clock(self.samples, self.noise())
 
     def _update_if_due(self) -> bool:
         """Learn if an update is due; return whether names stand for other markers since."""

@@ -1,0 +1,202 @@
+"""
+Messages of a header and doubles, of bodies or pairs, that compiled code writes.
+
+A row is what _rows.c needs to know of a topic. The messages of all rows, of all instants of an
+estimate, are made by one call: in a node that sleeps between frames each call of numpy is dear.
+"""
+
+from collections.abc import Callable, Sequence
+from ctypes import POINTER, byref, c_longlong, c_void_p
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+import numpy as np
+
+from kinpole_ros.compiled import address_of, library
+from kinpole_ros.messages._cdr import Writer
+from kinpole_ros.tracking.estimate import Estimate, Numbers, Vectors
+from kinpole_ros.tracking.plane import Plane
+from kinpole_ros.tracking.quantities import Motion
+
+if TYPE_CHECKING:
+    from kinpole_ros.linkage.theory import Theory
+
+# The messages of an estimate: indices of its instants, in order, and a message for each.
+Built: TypeAlias = tuple[list[int], list[bytes]]
+Build: TypeAlias = Callable[[Estimate], Built]
+# For the frame_id and the number of bodies: a message with zeros for its stamp and its numbers, and
+# how many bytes precede these numbers.
+Template: TypeAlias = Callable[[str, int], tuple[bytes, int]]
+
+# Kinds of messages, quantities besides those of quantities.py, and doubles of a row, as in _rows.c.
+NORMAL, VECTOR, POINT, POSE, ODOMETRY, FRAME, STATE_POINTS = range(7)
+RATE, RELATIVE_RATE, RELATIVE_CENTER, _GIVEN = 20, 30, 31, 32
+_DOUBLES = {NORMAL: 3, VECTOR: 3, POINT: 3, POSE: 43, ODOMETRY: 85, FRAME: 7}
+_ROW_FIELDS, _GIVEN_FIELDS = 11, slice(8, 11)
+
+_UNMEASURED = 1e6  # m², rad², ...: a variance that a planar measurement says nothing about
+# The same in a plane oblique to the axes of the frame, where it adds to all cells of the matrix and
+# must not round away what is measured: standard deviations down to 1e-7 m are kept.
+_UNMEASURED_OBLIQUE = 1e2
+
+_write_rows = library.kinpole_write_rows
+_write_rows.argtypes = [
+    *(POINTER(Motion), c_longlong, c_void_p),
+    *(c_void_p, c_longlong, c_void_p, c_void_p),
+]
+_write_rows.restype = None
+
+
+class Row(NamedTuple):
+    """
+    The messages of one quantity: of `body`, or of the body `other` with respect to it.
+
+    `order` is the highest derivative it needs. `values` returns the quantity (T,), or (T, 1), where
+    no compiled code computes it.
+    """
+
+    kind: int
+    what: int
+    template: Template
+    order: int
+    body: int = 0
+    other: int = 0
+    is_deviation: bool = False
+    values: Callable[[Estimate], Numbers | Vectors] | None = None
+
+
+class Rows:
+    """Makes the messages of rows; `given` is the plane of estimates that have none."""
+
+    def __init__(self, rows: Sequence[Row], given: Plane) -> None:
+        self.rows, self.given = rows, given
+        self._order = max((row.order for row in rows), default=0)
+        self._given_rows = [(k, row.values) for k, row in enumerate(rows) if row.values]
+        self._fields = np.zeros((len(rows), _ROW_FIELDS), np.int64)
+        self._space = np.empty(10)
+        # What the fields are made for, and the slices of a single instant.
+        self._plane: Plane | None = None
+        self._layout: tuple[str, int] | None = None
+        self._slices: list[slice] = []
+
+    def __call__(self, estimate: Estimate) -> Built:
+        """Return the messages of an estimate in the order of its instants."""
+        messages = self.messages(estimate)
+        if len(self.rows) > 1:
+            messages.sort(key=lambda message: message[1])
+        return [instant for _, instant, _ in messages], [data for _, _, data in messages]
+
+    def messages(self, estimate: Estimate) -> list[tuple[int, int, bytes]]:
+        """Return the messages of an estimate with their rows and instants, row by row."""
+        if not self.rows:
+            return []
+        motion = estimate.compiled_motion
+        instants, bodies = motion.shape
+        self._bind(estimate, bodies)
+        # Keeps the arrays alive while the library uses them.
+        arrays = [self._pass_values(k, values(estimate)) for k, values in self._given_rows]
+        if motion.orders <= self._order:
+            raise ValueError(f'expected derivatives up to order {self._order}')
+        out = np.empty(self._size * instants, np.uint8)
+        made = np.empty(len(self.rows) * instants, np.uint8)
+        addresses = address_of(self._space), address_of(self._fields)
+        _write_rows(
+            *(byref(motion), bodies, *addresses, len(self.rows), address_of(out), address_of(made))
+        )
+        del arrays
+        data, is_made = out.tobytes(), made.tobytes()
+        if instants == 1:
+            return [
+                (k, 0, data[part])
+                for k, (part, is_one) in enumerate(zip(self._slices, is_made, strict=True))
+                if is_one
+            ]
+        return [
+            (k, t, data[first : first + part.stop - part.start])
+            for k, part in enumerate(self._slices)
+            for t, first in enumerate(
+                range(part.start * instants, part.stop * instants, part.stop - part.start)
+            )
+            if is_made[k * instants + t]
+        ]
+
+    def _bind(self, estimate: Estimate, bodies: int) -> None:
+        """Update the fields for another plane, frame_id or number of bodies."""
+        plane = estimate.plane or self.given
+        if plane is not self._plane:
+            self._plane = plane
+            self._space[:9] = plane.basis.ravel()
+            self._space[9] = _UNMEASURED if plane.axes else _UNMEASURED_OBLIQUE
+        layout = estimate.frame_id, bodies
+        if layout == self._layout:
+            return
+        if any(max(row.body, row.other) >= bodies for row in self.rows):
+            raise ValueError(f'expected an estimate of all bodies, got {bodies}')
+        templates = [row.template(*layout) for row in self.rows]
+        self._templates = np.frombuffer(b''.join(data for data, _ in templates), np.uint8)
+        start, address = 0, address_of(self._templates)
+        self._slices = []
+        for fields, row, (data, head) in zip(self._fields, self.rows, templates, strict=True):
+            what = _GIVEN if row.values else row.what
+            about = row.kind, what, row.body, row.other, row.is_deviation, head, len(data)
+            fields[: len(about) + 1] = *about, address + start
+            self._slices.append(slice(start, start + len(data)))
+            start += len(data)
+        self._size, self._layout = start, layout
+
+    def _pass_values(self, k: int, values: Numbers | Vectors) -> list[np.ndarray]:
+        """Pass the quantity of a row, and return the arrays that the row refers to."""
+        value, spread, determined = (np.asarray(array) for array in values)
+        if isinstance(values, Numbers):
+            spread = spread[:, None] * np.ones(4)
+        arrays = [
+            np.array(array, kind, order='C')
+            for array, kind in ((value, complex), (spread, float), (determined, np.uint8))
+        ]
+        self._fields[k, _GIVEN_FIELDS] = [address_of(array) for array in arrays]
+        return arrays
+
+
+def stamped(kind: int, child: str | None = None, before: int = 0, after: int = 0) -> Template:
+    """
+    Return the template of messages of a header and doubles.
+
+    `child` is the second string of messages that have one, the child_frame_id of Odometry. So many
+    doubles before and after those of the row are 0.
+    """
+    return partial(_stamped, kind, child, before, after)
+
+
+def _stamped(
+    kind: int, child: str | None, before: int, after: int, frame_id: str, _: int
+) -> tuple[bytes, int]:
+    writer = Writer()
+    if kind == FRAME:
+        # A TFMessage is a list, of this one item.
+        writer.pack('I', 1)
+    writer.header(0, frame_id)
+    if child is not None:
+        writer.string(child)
+    writer.align(8)
+    head = len(writer.data) + 8 * before
+    return bytes(writer.data) + bytes(8 * (before + _DOUBLES[kind] + after)), head
+
+
+def balance_rows(theory: 'Theory', given: Plane) -> tuple[Rows, Rows]:
+    """Return what makes the wrench that balances the loads of the scene, and its deviation."""
+    from kinpole_ros.linkage.theory import balance, balance_direction
+
+    def force(estimate: Estimate) -> Vectors:
+        value, variance, determined = balance(theory, estimate)
+        direction = balance_direction(theory, estimate)
+        assert direction is not None
+        along = np.stack((direction.real, direction.imag), axis=-1)
+        covariance = variance[:, None, None] * along[:, :, None] * along[:, None, :]
+        return Vectors(value * direction, covariance, determined)
+
+    holder = theory.scene.held_by
+    if holder is None or holder.point is None:
+        row = Row(NORMAL, 0, stamped(NORMAL, before=3), 1, values=partial(balance, theory))
+    else:
+        row = Row(VECTOR, 0, stamped(VECTOR, after=3), 1, values=force)
+    return Rows([row], given), Rows([row._replace(is_deviation=True)], given)
