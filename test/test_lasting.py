@@ -12,9 +12,9 @@ from kinpole_ros.messages import SMOOTHED, DiagnosticsMaker
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.learn import NOISE_FRAMES
 from kinpole_ros.tracking.noise import correlated_noise, white_noise
 from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.thresholds import MEMORY_FRAMES
 from kinpole_ros.tracking.tracker import Tracker
 
 RATE = 200
@@ -122,7 +122,7 @@ def levels(
 ) -> tuple[float, float, bool]:
     """Noise of single frames over SIGMA, as it lasts, which may be the same, and if for longer."""
     gaps = np.zeros(len(noise), bool) if gaps is None else gaps
-    rows = slice(-NOISE_FRAMES - 2, None)
+    rows = slice(-MEMORY_FRAMES - 2, None)
     fits = *(part[rows] for part in residuals(noise)), ~gaps[rows]
     level, _ = white_noise(*fits)
     lasting, longer = correlated_noise(*fits, window * 1e-9 * rate, level)

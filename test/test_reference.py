@@ -9,7 +9,7 @@ from kinpole_ros import planar
 from kinpole_ros.messages import result_outputs
 from kinpole_ros.tracking import center
 from kinpole_ros.tracking.bodies import Bodies
-from kinpole_ros.tracking.center import UNSETTLED, find_hubs
+from kinpole_ros.tracking.center import find_hubs
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.history import History
@@ -223,8 +223,9 @@ def hubs_of(angle: np.ndarray, position: np.ndarray, of_angle: float = 1e-6) -> 
     """The hubs (B,) found from poses (N, B), with that standard deviation of the angles."""
     bodies, history = Bodies(angle.shape[1], 2), History(angle.shape[1], 2)
     bodies.misfit[:] = of_angle**2
-    for _ in range(len(angle) + UNSETTLED):
-        history.append()
+    for _ in range(len(angle)):
+        history.reserve(1)
+        history.end += 1
     history['time'][...] = STEP * np.arange(len(history))
     for name, values in (('angle', angle), ('position', position)):
         history[name][...] = np.nan

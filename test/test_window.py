@@ -28,7 +28,8 @@ def test_the_history_is_a_queue(actions: list[int | float]) -> None:
         if isinstance(action, int):
             for _ in range(action):
                 appended += 1
-                history.append()
+                history.reserve(1)
+                history.end += 1
                 history['stamp'][-1], history['angle'][-1] = appended, (appended, -appended)
                 model.append(appended)
         else:
@@ -43,7 +44,8 @@ def test_the_history_is_a_queue(actions: list[int | float]) -> None:
 def test_the_history_does_not_grow_with_what_goes_through() -> None:
     history = History(1, 2)
     for k in range(10_000):
-        history.append()
+        history.reserve(1)
+        history.end += 1
         history['stamp'][-1] = k
         if len(history) > 60:
             history.drop(1)

@@ -63,39 +63,95 @@ number_before(const Frames *f, long long at)
     return low - f->first;
 }
 
-/* Takes the next frame, if it is usual. */
+/* Whether the next frame follows the newest without a gap. */
+static int
+next_goes_on(const Frames *f)
+{
+    return f->end == f->first || f->interval == 0 ||
+        f->new_time[f->frame] - f->time[f->end - 1] <= f->gap * f->interval;
+}
+
+/* Fits `markers` (B, n) of the next frame into the row after the newest; what is unusual. */
+int
+kinpole_try_frame(Frames *f, const Number *markers)
+{
+    int goes_on = next_goes_on(f);
+    f->end++;
+    int found = kinpole_fit_frame(f, markers, goes_on);
+    f->end--;
+    return found;
+}
+
+/* How far a body turned about the normal beyond the change of its heading, rad, between two tilts at
+   the begin and the end of a rotation with constant angular velocity. The heading is the twist about
+   the normal in the swing-twist decomposition. While a body is tilted, its rate is not the angular
+   velocity along the normal, and the integral of the difference depends on the path: it does not
+   return to zero with the pose. The result is 0 where either tilt is not known. */
+static double
+extra_turn(Number before, Number after, double heading)
+{
+    double rest = 1.0 - square_of(before), cosine = sqrt(rest > 0.0 ? rest : 0.0);
+    double rest_after = 1.0 - square_of(after), after_cosine = sqrt(rest_after > 0.0 ? rest_after : 0.0);
+    double turn = heading - TURN * floor(heading / TURN + 0.5);
+    /* The quaternion of the rotation has the parts w + i z, `along`, and |x + i y|, `across`. */
+    Number ahead = cosine * after_cosine + after * conj(before);
+    Number along = ahead * unit_at(0.5 * turn);
+    double across = cabs(cosine * after - after_cosine * before), sine = hypot(cimag(along), across);
+    double half = atan2(sine, creal(along)) * (cimag(along) / sine);
+    double extra = 2.0 * carg(ahead) + 2.0 * (half - carg(along));
+    return isnan(extra) ? 0.0 : extra;
+}
+
+/* Adds what tilting bodies turn beyond their headings to the newest row; only poses that are certainly
+   right count for the rows after it. */
+static void
+follow_tilts(const Frames *f, const Number *tilts)
+{
+    for (long long b = 0; b < f->bodies; b++) {
+        long long at = (f->end - 1) * f->bodies + b;
+        double angle = f->angle[at];
+        double turned = extra_turn(f->sure_tilt[b], tilts[b], angle - f->sure_angle[b]);
+        f->extra_turn[at] = f->total_turn[b] + turned;
+        if (!isnan(angle) && f->newest[b] == 0)
+            f->total_turn[b] = f->extra_turn[at], f->sure_angle[b] = angle, f->sure_tilt[b] = tilts[b];
+    }
+}
+
+/* Takes the next frame, if it is usual or was corrected. */
 static int
 take_frame(Frames *f)
 {
-    long long all = f->bodies * f->markers, row = f->end, k = f->frame;
-    const Number *points = f->points + k * all;
+    long long all = f->bodies * f->width, row = f->end, k = f->frame;
+    const Number *points = f->points + k * all, *fitted = f->corrected ? f->corrected : points;
     const double *heights = f->point_heights + k * all;
-    if (f->hidden_is_unusual)
+    if (f->hidden_is_unusual && !f->corrected)
         for (long long i = 0; i < all; i++)
             if (isnan(creal(points[i])))
                 return UNUSUAL;
-    int goes_on = row == f->first || f->interval == 0 ||
-        f->new_time[k] - f->time[row - 1] <= f->gap * f->interval;
+    int goes_on = next_goes_on(f);
     f->end++;
-    if (kinpole_fit_frame(f, points, goes_on, f->unusual)) {
+    if (kinpole_fit_frame(f, fitted, goes_on && !f->corrected) && !f->corrected) {
         f->end--;
         return UNUSUAL;
     }
+    f->corrected = NULL;
     f->stamp[row] = f->new_stamp[k], f->time[row] = f->new_time[k], f->count[row] = f->new_count[k];
     f->goes_on[row] = goes_on;
-    memcpy(f->marker + row * all, points, all * sizeof *points);
+    memcpy(f->markers + row * all, points, all * sizeof *points);
     memcpy(f->heights + row * all, heights, all * sizeof *heights);
     int again = 0;
     for (long long b = 0; b < f->bodies; b++) {
         double sum = 0.0;
         long long seen = 0;
-        for (long long i = b * f->markers; i < (b + 1) * f->markers; i++)
-            if (!isnan(creal(points[i])))
+        for (long long i = b * f->width; i < (b + 1) * f->width; i++)
+            if (!isnan(creal(fitted[i])))
                 sum += heights[i], seen++;
         f->height[row * f->bodies + b] = seen ? sum / seen : NAN;
         f->extra_turn[row * f->bodies + b] = 0.0;
     }
-    kinpole_follow_paths(f, f->wrong, f->newest);
+    kinpole_follow_paths(f);
+    if (f->tilts)
+        follow_tilts(f, f->tilts + k * f->bodies);
     for (long long b = 0; b < f->bodies; b++) {
         if (isnan(f->angle[row * f->bodies + b]))
             continue;
@@ -169,10 +225,10 @@ middle_of_used(const Frames *f, long long row, long long b)
 {
     Number sum = 0.0;
     double total = 0.0;
-    for (long long k = 0; k < f->markers; k++)
-        if (f->used[(row * f->bodies + b) * f->markers + k]) {
-            double weight = f->weights[b * f->markers + k];
-            sum += weight * f->shape[b * f->markers + k], total += weight;
+    for (long long k = 0; k < f->width; k++)
+        if (f->used[(row * f->bodies + b) * f->width + k]) {
+            double weight = f->weights[b * f->width + k];
+            sum += weight * f->shape[b * f->width + k], total += weight;
         }
     return total > 0.0 ? sum / total : NAN;
 }
@@ -256,8 +312,8 @@ compute_result(const Frames *f, Call *call, Results *r, Workspace *work, long lo
         deformed |= r->missing[to] == KNOWN && f->freedom[b] > 0.0;
     }
     copy_derivatives(f, call, r);
-    memcpy(r->shape + t * bodies * f->markers, f->known_shape,
-           bodies * f->markers * sizeof *r->shape);
+    memcpy(r->shape + t * bodies * f->width, f->known_shape,
+           bodies * f->width * sizeof *r->shape);
     r->stamp[t] = f->stamp[now], r->due[t] = f->frame - 1;
     r->count++;
     return deformed ? DEFORMED : DONE;

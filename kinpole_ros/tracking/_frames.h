@@ -8,11 +8,11 @@
 
 typedef double complex Number;
 
-/* Rows `first` to `end` of the history are in use. The next result is that of row `due`, counted from
-   `first`. The new frames `frame` to `frames` are still to be taken, at most `until_update` of them
-   before the next update. */
+/* Of bodies with up to `width` markers. Rows `first` to `end` of the history are in use. The next
+   result is that of row `due`, counted from `first`. The new frames `frame` to `frames` are still to be
+   taken, at most `until_update` of them before the next update. */
 typedef struct {
-    long long bodies, markers, first, end, due;
+    long long bodies, width, first, end, due;
     long long frame, frames, until_update, hidden_is_unusual;
     /* Length of the window and lag, ns; number of frames in the window, and their mean interval, ns;
        whether the input are poses. */
@@ -24,7 +24,7 @@ typedef struct {
     long long *stamp, *time, *count;
     unsigned char *goes_on, *used;
     double *angle, *turns, *information, *height, *heights, *extra_turn;
-    Number *position, *residual, *marker;
+    Number *position, *residual, *markers;
     /* What is known of the bodies. */
     Number *shape, *hub, *middle, *pin, *pin_arm, *known_shape;
     double *weights, *largest, *doubtful, *spread, *loosest, *last_angle, *jump_scale, *size;
@@ -34,10 +34,15 @@ typedef struct {
     /* The state of the bodies: see step.py. */
     unsigned char *unusual;
     long long *wrong, *newest, *seen_last;
-    /* The new frames. */
+    double *total_turn, *sure_angle;
+    Number *sure_tilt;
+    /* The new frames; `tilts` (T, B) of poses, see `MarkerAssignment.tilts`, else NULL. */
     const long long *new_stamp, *new_time, *new_count;
     const Number *points;
     const double *point_heights;
+    const Number *tilts;
+    /* The markers (B, n) to fit to in the next frame, whatever is unusual; NULL for those that came. */
+    const Number *corrected;
 } Frames;
 
 /* What is unusual of a body in a frame. */
@@ -49,5 +54,5 @@ square_of(Number z)
     return creal(z) * creal(z) + cimag(z) * cimag(z);
 }
 
-int kinpole_fit_frame(const Frames *f, const Number *markers, int goes_on, unsigned char *unusual);
-void kinpole_follow_paths(const Frames *f, long long *wrong, long long *newest);
+int kinpole_fit_frame(const Frames *f, const Number *markers, int goes_on);
+void kinpole_follow_paths(const Frames *f);

@@ -1,7 +1,7 @@
 /*
  * The usual frame: poses fitted to markers, and poses that leave the path of their body found.
  *
- * Everything unusual is reported to step.py, which decides and calls again. Arrays are those of
+ * Everything unusual is reported to tracker.py, which decides and calls again. Arrays are those of
  * History and Bodies; names and shapes are given there. All are row-major.
  */
 
@@ -26,7 +26,7 @@ wrapped(Number angle)
 static int
 fit(const Frames *f, long long b, const Number *points, int goes_on)
 {
-    long long n = f->markers, newest = f->end - 1, at = newest * f->bodies + b;
+    long long n = f->width, newest = f->end - 1, at = newest * f->bodies + b;
     const Number *shape = f->shape + b * n;
     const double *weights = f->weights + b * n;
     Number *residual = f->residual + at * n, middle = 0.0, mean = 0.0, cross = 0.0;
@@ -73,8 +73,9 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
     f->angle[at] = known ? angle : NAN;
     f->position[at] = known ? middle - turn * mean : NAN;
     double *information = f->information + 2 * newest * f->bodies + b;
-    information[0] = known ? spread : 0.0;
-    information[f->bodies] = known ? 1.0 / (1.0 / total + square_of(mean) / spread) : 0.0;
+    information[0] = !known ? 0.0 : f->posed ? 1.0 : spread;
+    information[f->bodies] = !known ? 0.0 : f->posed ? 1.0 :
+        1.0 / (1.0 / total + square_of(mean) / spread);
     return found;
 }
 
@@ -94,14 +95,13 @@ unwrap(const Frames *f)
     }
 }
 
-/* Fits a frame of markers (B, n) into the newest row. `unusual` (B,) gets what is, of each body;
-   the return value is all of it. */
+/* Fits a frame of markers (B, n) into the newest row; what is unusual of any body. */
 int
-kinpole_fit_frame(const Frames *f, const Number *markers, int goes_on, unsigned char *unusual)
+kinpole_fit_frame(const Frames *f, const Number *markers, int goes_on)
 {
     int found = 0;
     for (long long b = 0; b < f->bodies; b++)
-        found |= unusual[b] = fit(f, b, markers + b * f->markers, goes_on);
+        found |= f->unusual[b] = fit(f, b, markers + b * f->width, goes_on);
     return found;
 }
 
@@ -230,8 +230,9 @@ doubtful_newest(const Path *p, const double *most)
 /* Completes the newest row. Poses that it shows to be wrong get no information, and are added to
    `wrong` (B,); `newest` (B,) gets how many of the newest cannot be told from wrong ones yet. */
 void
-kinpole_follow_paths(const Frames *f, long long *wrong, long long *newest)
+kinpole_follow_paths(const Frames *f)
 {
+    long long *wrong = f->wrong, *newest = f->newest;
     unwrap(f);
     for (long long b = 0; b < f->bodies; b++) {
         double least[2] = {f->near, f->near * f->size[b]}, most[2], more[2];

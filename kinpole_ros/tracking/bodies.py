@@ -6,7 +6,7 @@ import numpy as np
 
 from kinpole_ros.planar import Fit, fit_pose_with_factors, procrustes_factors
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
-from kinpole_ros.tracking.thresholds import ROUNDED
+from kinpole_ros.tracking.thresholds import MIN_SAMPLES, ROUNDED
 
 # A marker farther off than this is an outlier, in standard deviations of residuals.
 OUTLIER_SIGMAS = 6.0
@@ -14,8 +14,6 @@ OUTLIER_SIGMAS = 6.0
 YOUNG_OUTLIER = 0.03
 # rad. Errors of an angle with more noise are not small, and its whole turns are not known.
 MAX_ANGLE_NOISE = 0.15
-# Fewer fits, or degrees of freedom, than these give no usable variance.
-MIN_FITS = 20
 # The place of a marker is kept after so many frames.
 SETTLED_FRAMES = 1000
 
@@ -68,7 +66,7 @@ class Bodies:
     hub : (B,) complex
         Hub in the frame of the body, m, 0 for none.
     extra_turn, last_angle : (B,) float
-        See `TiltedTurns`, and the angle of the last pose, rad.
+        See `Step.total_turn`, and the angle of the last pose, rad.
 
     """
 
@@ -120,7 +118,7 @@ class Bodies:
         self.weights = self.frames / (self.frames + 1.0) / self.relative
         self.factors = procrustes_factors(self.shape, self.weights)
         self.middle = self.factors.mean
-        self.mature = self.fits >= MIN_FITS
+        self.mature = self.fits >= MIN_SAMPLES
         usual = OUTLIER_SIGMAS * np.sqrt(np.maximum(self.misfit, ROUNDED**2 * self.spread))
         young = np.maximum(YOUNG_OUTLIER * self.size, 2 * usual)
         self.limit = np.where(self.mature, usual, young)

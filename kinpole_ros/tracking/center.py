@@ -42,8 +42,6 @@ _MIN_EXPLAINED, _MIN_SIGNAL = 0.9, N_SIGMA**2
 _MIN_WINDOWS = 2.9
 # Windows whose residuals exceed those of the others by this factor are down-weighted.
 _MAX_RESIDUAL_RATIO = 100.0
-# Counts of newer frames may still change, where stamps are late.
-UNSETTLED = 20
 
 
 class Pins:
@@ -225,7 +223,7 @@ def find_hubs(bodies: Bodies, history: History, window: int, before: Complex) ->
         The hubs in the frames of the bodies, m, 0 for a body that has none.
 
     """
-    time = history['time'][: len(history) - UNSETTLED]
+    time = history['time']
     ends = [len(time)]
     while ends[-1] and time[ends[-1] - 1] - time[0] >= window:
         ends.append(int(time.searchsorted(time[ends[-1] - 1] - window)))

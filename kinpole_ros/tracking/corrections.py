@@ -17,7 +17,7 @@ from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.identity import find_candidates, fit_points
 from kinpole_ros.tracking.statistics import bulk_maximum, mean_square
-from kinpole_ros.tracking.thresholds import RECENT_FRAMES
+from kinpole_ros.tracking.thresholds import MIN_SAMPLES, RECENT_FRAMES
 
 EXCHANGED = 'markers_exchanged'
 LEFT_OUT = 'markers_left_out'
@@ -35,8 +35,6 @@ _REVERSED, _SLOW_STEP = 0.75 * np.pi, 0.25 * np.pi
 # Mean square residual of a corrected body over that of the body; 0.1% of chi-squares of three
 # degrees exceed it.
 _MAX_SQUARE_RATIO = 5.4
-# Frames that show whether a body turns slowly.
-_MIN_STEPS = 20
 _NOWHERE = complex(np.nan, np.nan)
 
 
@@ -67,7 +65,7 @@ def correct_frame(
     bodies, history : Bodies, History
         What is known; the order of exchanged markers is updated in place.
     markers : (B, n) complex
-        Markers in the plane, m, NaN for those not seen; changed in place.
+        Markers in the plane, m, NaN for those not seen; put into their slots in place.
     odd : (B,) bool
         Bodies that do not fit.
     counts : Counter
@@ -76,14 +74,14 @@ def correct_frame(
     Returns
     -------
     (B, n) complex
-        The markers in their slots, m, with those that were left out.
+        The same, with NaN for those left out.
 
     """
-    original = markers.copy()
+    fitted = markers.copy()
     for b in np.flatnonzero(odd).tolist():
-        angles = history['angle'][-2 * _MIN_STEPS - 1 : -1, b]
-        original[b] = _correct_body(bodies, angles, markers, original[b], b, counts)
-    return original
+        angles = history['angle'][-2 * MIN_SAMPLES :, b]
+        markers[b] = _correct_body(bodies, angles, fitted, markers[b].copy(), b, counts)
+    return fitted
 
 
 def _correct_body(
@@ -133,7 +131,7 @@ def _predict_angle(angles: Real) -> tuple[float, bool]:
         step = _wrap(angles[last] - angles[seen[-2]]) / (last - seen[-2])
         predicted += step * (len(angles) - last)
     steps = np.abs(_wrap(np.diff(angles)))
-    is_slow = np.isfinite(steps).sum() >= _MIN_STEPS // 2 and not (steps > _SLOW_STEP).any()
+    is_slow = np.isfinite(steps).sum() >= MIN_SAMPLES // 2 and not (steps > _SLOW_STEP).any()
     return predicted, bool(is_slow and np.abs(predicted - angles[last]) < _SLOW_STEP)
 
 

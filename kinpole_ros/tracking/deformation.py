@@ -17,6 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.statistics import chi_square, student
+from kinpole_ros.tracking.thresholds import N_SIGMA
 
 # The cause of slow residuals, as `Tracker.causes` returns it.
 TISSUE = 'tissue'
@@ -26,8 +27,6 @@ INDEPENDENT_SHARE, STEP_SHARE, EARLIER_WINDOWS = 1 / 2, 1 / 8, 1 / 2
 # Lengths of stencils are powers of this, and their degrees in this range.
 LENGTH_RATIO = 1 + STEP_SHARE
 DEGREES = 2, 8
-# A body is deformed if its residuals change more than noise by this many standard deviations.
-SIGMAS = 4.0
 
 
 def hold_hidden(residual: Complex) -> Complex:
@@ -81,8 +80,8 @@ def deformed_freedom(
     frames = visible.sum(axis=0)
     with np.errstate(divide='ignore', invalid='ignore'):
         factor = np.where(frames > 0, 2 * frames / share.sum(axis=0) - 1, 1.0)
-        quantile = chi_square(free * frames / (INDEPENDENT_SHARE * count), SIGMAS)
-        quantile = quantile / chi_square(degrees, -SIGMAS)
+        quantile = chi_square(free * frames / (INDEPENDENT_SHARE * count), N_SIGMA)
+        quantile = quantile / chi_square(degrees, -N_SIGMA)
         limit = frames * free * (row @ row) * factor * noise**2 * quantile
         deformed = np.where(visible, squares, 0.0).sum(axis=0) > limit
     return np.where(deformed, free, 0.0), factor

@@ -22,7 +22,7 @@ class History:
     information : (2, B). Inverse variances of angle and position, over that of one coordinate of a
         marker; 0 where the pose is not known.
     height : (B,), m. Mean height of the markers that were seen.
-    extra_turn : (B,), rad. Of poses of tilted bodies: see `posed.TiltedTurns`.
+    extra_turn : (B,), rad. Of poses of tilted bodies: see `Step.total_turn`.
     heights : (B, n), m. Heights of the markers over the plane.
     """
 
@@ -65,12 +65,6 @@ class History:
             self.columns[name] = moved
         self.first, self.end = 0, count
         return True
-
-    def append(self) -> int:
-        """Add a row, and return its number in the columns; its values are those of some old row."""
-        self.reserve(1)
-        self.end += 1
-        return self.end - 1
 
     def widen(self, markers: int) -> None:
         """Make room for up to `markers` markers per body, not seen up to now."""

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.thresholds import N_SIGMA, RECENT_FRAMES
 
@@ -299,19 +300,11 @@ def fit_points(
 
     """
     used = indices >= 0
-    target = np.where(used, points[np.where(used, indices, 0)], 0) if len(points) else 0 * shape
-    target = np.where(np.isnan(target), 0, target)
-    count = np.maximum(used.sum(axis=-1), 1)
-    source = np.where(used, shape, 0)
-    mean, middle = target.sum(axis=-1) / count, source.sum(axis=-1) / count
-    target = np.where(used, target - mean[..., None], 0)
-    source = np.where(used, source - middle[..., None], 0)
-    cross = (source.conj() * target).sum(axis=-1)
-    with np.errstate(invalid='ignore', divide='ignore'):
-        turn = cross / np.abs(cross)
-    residual = np.abs(target - turn[..., None] * source)
+    target = np.append(points, np.nan)[np.where(used, indices, -1)]
+    fit = fit_pose(target, shape, used.astype(float))
+    residual = np.where(used, np.abs(fit.residual), 0.0)
     worst = np.where(np.isnan(residual), np.inf, residual).max(axis=-1)
-    return mean - turn * middle, turn, worst
+    return fit.position, np.exp(1j * fit.angle), np.where(np.isfinite(fit.angle), worst, np.inf)
 
 
 def _add_hidden(

@@ -6,7 +6,7 @@ import numpy as np
 
 from kinpole_ros.planar import procrustes_factors
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
-from kinpole_ros.tracking.bodies import MIN_FITS, OUTLIER_SIGMAS, SETTLED_FRAMES, Bodies
+from kinpole_ros.tracking.bodies import OUTLIER_SIGMAS, SETTLED_FRAMES, Bodies
 from kinpole_ros.tracking.corrections import consensus_shape
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.noise import (
@@ -16,11 +16,16 @@ from kinpole_ros.tracking.noise import (
     marker_variances,
     white_noise,
 )
-from kinpole_ros.tracking.statistics import bulk_maximum, mean_square, medians
-from kinpole_ros.tracking.thresholds import MIN_DOF, ROUNDED
+from kinpole_ros.tracking.statistics import (
+    bulk_maximum,
+    divided_differences,
+    mean_square,
+    medians,
+)
+from kinpole_ros.tracking.thresholds import MEMORY_FRAMES, MIN_DOF, MIN_SAMPLES, ROUNDED
 
-# Frames for the noise, and for the misfit, which has to follow changes faster.
-NOISE_FRAMES, MISFIT_FRAMES = 512, 200
+# Frames for the misfit, which has to follow changes faster than the noise.
+MISFIT_FRAMES = 200
 # `bulk_maximum` is a 70% quantile, which is 1.08 to 1.22 times the mean of a chi-square.
 MISFIT_RATIO = 1.15
 # A marker has moved if it was seen in half of so many frames and fitted in none.
@@ -29,6 +34,8 @@ MOVED_FRAMES = 100
 MAX_MEAN_RESIDUAL = 0.25
 # Variances of single markers are estimated if the largest mean square exceeds the median so often.
 MIN_SUSPICIOUS_RATIO = 1.4
+# Poses for the scale of the residuals about the path of a body.
+PATH_FRAMES = 256
 
 
 def refit(bodies: Bodies, history: History) -> None:
@@ -94,7 +101,7 @@ def _restart_with_outliers(bodies: Bodies, history: History, counts: Counter[str
     """Start bodies again from the first frames that agree, if some of these have outliers."""
     restarted = np.zeros(bodies.count, bool)
     fits = np.isfinite(history['angle']).sum(axis=0)
-    due = ~bodies.begun & (fits >= MIN_FITS)
+    due = ~bodies.begun & (fits >= MIN_SAMPLES)
     bodies.begun |= due
     for b in np.flatnonzero(due).tolist():
         if bodies.given[b]:
@@ -129,7 +136,7 @@ def _relearn_moved_markers(bodies: Bodies, history: History) -> bool:
         local = (history['markers'][rows][at, b, k] - history['position'][rows][at, b]) * turn
         middle = np.median(local.real) + 1j * np.median(local.imag)
         near = np.abs(local - middle) < bodies.limit[b]
-        if near.sum() < MIN_FITS:
+        if near.sum() < MIN_SAMPLES:
             continue
         bodies.shape[b, k] = local[near].mean()
         bodies.frames[b, k] = near.sum()
@@ -146,13 +153,13 @@ def _update_shapes(bodies: Bodies, history: History) -> bool:
     mean = np.where(used, residual, 0).sum(axis=0) / np.maximum(count, 1)
     # A settled place moves only if recent residuals contradict it.
     is_settled = bodies.frames >= SETTLED_FRAMES
-    recent = slice(-NOISE_FRAMES, None)
+    recent = slice(-MEMORY_FRAMES, None)
     recent_count = used[recent].sum(axis=0)
     recent_mean = np.where(used[recent], residual[recent], 0).sum(axis=0)
     recent_mean = recent_mean / np.maximum(recent_count, 1)
     limit = MAX_MEAN_RESIDUAL * np.sqrt(np.maximum(bodies.misfit, ROUNDED**2 * bodies.spread))
     contradicted = np.abs(recent_mean) > limit[:, None]
-    contradicted &= is_settled & (recent_count >= NOISE_FRAMES // 2)
+    contradicted &= is_settled & (recent_count >= MEMORY_FRAMES // 2)
     step = np.where(contradicted, recent_mean, np.where(is_settled, 0, mean))
     # A new marker is at its mean place in the frame of its body.
     is_new = (bodies.frames == 0) & (bodies.learned_count >= 2)[:, None]
@@ -203,7 +210,7 @@ def _update_misfit(bodies: Bodies, history: History) -> None:
 
 def _update_noise(bodies: Bodies, history: History, window: int, given: float) -> None:
     """Estimate the noise of a coordinate of a marker."""
-    rows = slice(-NOISE_FRAMES - 2, None)
+    rows = slice(-MEMORY_FRAMES - 2, None)
     residual = _without_noisy(bodies, history['residual'][rows])
     freedom = freedom_of(bodies, history['residual'][rows])
     goes_on, time = history['goes_on'][rows], history['time'][rows]
@@ -227,7 +234,7 @@ def _update_weights(bodies: Bodies, history: History) -> bool:
     """Weight markers by their noise; whether weights have changed."""
     if bodies.width > MAX_MARKERS or len(history) < MIN_FRAMES:
         return False
-    rows = slice(-NOISE_FRAMES, None)
+    rows = slice(-MEMORY_FRAMES, None)
     residual, goes_on = history['residual'][rows], history['goes_on'][rows]
     squares = residual.real**2 + residual.imag**2
     seen = ~np.isnan(squares)
@@ -247,3 +254,26 @@ def _update_weights(bodies: Bodies, history: History) -> bool:
             bodies.relative[b] = relative
             changed = True
     return changed
+
+
+def path_scale(history: History) -> Real:
+    """
+    Return the standard deviations (2, B) of angles, rad, and positions, m, about their cubics.
+
+    A tracker that confuses two bodies, or sees one mirrored in a window, gives markers that fit the
+    shape at a wrong place, for one to three frames. Such poses are far from the cubic through the
+    two poses before and the two after them. Infinite with fewer than MIN_SAMPLES poses.
+    """
+    rows = slice(-PATH_FRAMES, None)
+    time = history['time'][rows]
+    has_pose = history['information'][rows, 0] > 0
+    if len(time) < MIN_SAMPLES + 4:
+        return np.full((2, has_pose.shape[1]), np.inf)
+    angle = history['angle'][rows] + 2 * np.pi * history['turns'][rows]
+    poses = np.stack((angle + 0j, history['position'][rows]), axis=1)
+    poses = np.where(has_pose[:, None], poses, np.nan)
+    off = np.abs(divided_differences((time - time[0]) * 1e-9, poses, 4)).reshape(
+        -1, 2 * len(angle[0])
+    )
+    scale = np.where(np.isfinite(off).sum(axis=0) >= MIN_SAMPLES, 1.4826 * medians(off.T), np.inf)
+    return scale.reshape(2, -1)

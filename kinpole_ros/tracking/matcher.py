@@ -106,7 +106,6 @@ class Matcher:
         self._next_regrouping, self._regroupings = MIN_SAMPLES, 0
         # Residual variances, m^2, of the recent best fits by `match`, right or wrong.
         self._variances: deque[float] = deque(maxlen=MEMORY_FRAMES)
-        self._frame = 0
         self._arranged_this_frame = False
 
     @property
@@ -186,10 +185,6 @@ class Matcher:
         # Frames before the disorder was noticed did not show the bodies they were taken for.
         return restarts or (was_in_order and self.disordered)
 
-    def fits_next(self, k: int) -> None:
-        """Set the frame that `is_doubtful` and `correct_names` refer to."""
-        self._frame = k
-
     def assign_again(self, first: int) -> None:
         """Assign the frames from `first` on again, since the names of markers were corrected."""
         assigned = self._assignment.assign_again(first)
@@ -197,12 +192,14 @@ class Matcher:
         if self.withheld.any():
             self._points[first:, self.withheld] = np.nan
 
-    def is_doubtful(self, fit: Fit, hidden: np.ndarray) -> bool:
+    def is_doubtful(self, k: int, fit: Fit, hidden: np.ndarray) -> bool:
         """
-        Return whether the frame has an unassigned point that may be one of the hidden markers.
+        Return whether frame `k` has an unassigned point that may be one of the hidden markers.
 
         Parameters
         ----------
+        k : int
+            Its index among the last frames.
         fit : Fit
             Poses of the bodies in the frame, of shape (B,).
         hidden : (B, n) bool
@@ -211,7 +208,7 @@ class Matcher:
         """
         if not len(self._layout.unassigned) or self._by_shape or self._arranged_this_frame:
             return False
-        points = self._assignment.project_unassigned(self._frame)
+        points = self._assignment.project_unassigned(k)
         points = points[~np.isnan(points)]
         if not len(points):
             return False
@@ -224,13 +221,13 @@ class Matcher:
         lost = np.isnan(fit.angle) & (self._bodies.learned_count >= 2) & ~self.withheld
         return bool((lost & (len(points) + (~hidden).sum(axis=1) >= 2)).any())
 
-    def correct_names(self) -> bool:
-        """Correct the names in a frame, and in those that follow; return whether any was wrong."""
+    def correct_names(self, k: int) -> bool:
+        """Correct the names from frame `k` on; return whether any was wrong."""
         # One body that has all points, and poses, cannot be confused.
         is_alone = len(self._names) == 1 and not len(self._layout.unassigned)
         if self._by_shape or self._arranged_this_frame or is_alone or self._assignment.posed:
             return False
-        k, layout = self._frame, self._layout
+        layout = self._layout
         points, _ = self._assignment.project_all(k)
         assigned = np.where(layout.rows < len(points), layout.rows, -1)
         hidden = (assigned >= 0) & np.isnan(np.append(points, np.nan)[assigned])
@@ -414,13 +411,8 @@ class Matcher:
 
     def _predict(self, k: int) -> tuple[Complex, Complex]:
         """Poses (B,) of the bodies in a frame, predicted from those before."""
-        # The newest row may be that of this very frame.
-        count = len(self._history)
-        if count and self._history['stamp'][-1] == self._stamps[k]:
-            count -= 1
-        rows = slice(max(count - RECENT_FRAMES, 0), count)
         stamps, position, angle = (
-            self._history[name][rows] for name in ('stamp', 'position', 'angle')
+            self._history[name][-RECENT_FRAMES:] for name in ('stamp', 'position', 'angle')
         )
         return predict_poses(stamps, position, angle, int(self._stamps[k]))
 

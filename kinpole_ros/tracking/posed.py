@@ -9,13 +9,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.statistics import trimmed_mean
-from kinpole_ros.tracking.thresholds import MIN_SAMPLES, N_SIGMA
+from kinpole_ros.tracking.statistics import divided_differences, trimmed_mean
+from kinpole_ros.tracking.thresholds import MEMORY_FRAMES, MIN_SAMPLES, N_SIGMA
 
 # Order of the differences that measure the noise, and a lower one, which motion would enlarge.
 _ORDER = 6
@@ -24,36 +23,11 @@ _LOWER_ORDER = _ORDER - 2
 _MAX_RATIO = 1.25
 # Frames in a block.
 _BLOCKS = 2, 4, 8
-# Gaps of so many median intervals separate frames.
-_MAX_GAP = 3.0
-# Frames for the noise.
-NOISE_FRAMES = 512
-
-
-class TiltedTurns:
-    """
-    Turns of B tilting bodies about the normal, beyond the turns of their headings.
-
-    `total` (B,), rad, is the sum up to the last frame with a confirmed pose.
-    """
-
-    def __init__(self, bodies: int) -> None:
-        self.total = np.zeros(bodies)
-        self._heading = np.full(bodies, np.nan)
-        self._tilt = np.full(bodies, complex(np.nan, np.nan))
-
-    def follow(self, heading: np.ndarray, tilt: np.ndarray, confirmed: np.ndarray) -> np.ndarray:
-        """Return the turns (B,), rad, up to a frame; only confirmed poses (B,) are kept."""
-        turns = self.total + extra_turns(self._tilt, tilt, heading - self._heading)
-        self.total = np.where(confirmed, turns, self.total)
-        self._heading = np.where(confirmed, heading, self._heading)
-        self._tilt = np.where(confirmed, tilt, self._tilt)
-        return turns
 
 
 def learn_poses(bodies: Bodies, history: History, given: float) -> None:
     """Update the noise of the poses; the parameters may give that of a position, m."""
-    rows = slice(-NOISE_FRAMES, None)
+    rows = slice(-MEMORY_FRAMES, None)
     has_pose = history['information'][rows, 0] > 0
     measured = pose_noise(
         history['time'][rows],
@@ -72,40 +46,6 @@ def learn_poses(bodies: Bodies, history: History, given: float) -> None:
     bodies.misfit = np.nan_to_num(bodies.noise**2)
     bodies.update()
     bodies.middle, bodies.size = measured.middle, 2 * arm
-
-
-def extra_turns(before: np.ndarray, after: np.ndarray, heading: np.ndarray) -> np.ndarray:
-    """
-    Compute how far bodies turned about the normal beyond the turn of their headings.
-
-    The heading is the twist about the normal in the swing-twist decomposition. While a body is
-    tilted, its rate is not the angular velocity along the normal, and the integral of the
-    difference depends on the path: it does not return to zero with the pose.
-
-    Parameters
-    ----------
-    before, after : array, shape (T, B), complex
-        The tilts at the begin and the end of a rotation with constant angular velocity, as
-        `MarkerAssignment.tilts` returns them; NaN where not known.
-    heading : array, shape (T, B), rad
-        The change of the heading.
-
-    Returns
-    -------
-    array, shape (T, B), rad
-        The rotation vector along the normal less the change of the heading; 0 where not known.
-    """
-    # The quaternion of the rotation has the parts w + i z, `along`, and |x + i y|, `across`.
-    cosines = [np.sqrt(np.maximum(1 - np.abs(tilt) ** 2, 0.0)) for tilt in (before, after)]
-    ahead = cosines[0] * cosines[1] + after * before.conj()
-    across = np.abs(cosines[0] * after - cosines[1] * before)
-    turn = (heading + np.pi) % (2 * np.pi) - np.pi
-    along = ahead * np.exp(0.5j * turn)
-    sine = np.hypot(along.imag, across)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        half = np.arctan2(sine, along.real) * (along.imag / sine)
-        extra = 2 * np.angle(ahead) + 2 * (half - np.angle(along))
-    return np.asarray(np.nan_to_num(extra))
 
 
 class PoseNoise(NamedTuple):
@@ -153,8 +93,8 @@ def _measure_noise(
     """Measure the noise of the poses (N,) of one body."""
     time = (stamps - stamps[0]) * 1e-9
     turn = np.exp(1j * angle)
-    off, turned, about = _differences(time, _ORDER, angle, turn, position)
-    if len(off) < MIN_SAMPLES:
+    turned, about = (divided_differences(time, part, _ORDER) for part in (turn, position))
+    if len(turned) < MIN_SAMPLES:
         return
     squares = float((turned.real**2 + turned.imag**2).sum())
     if squares > 0:
@@ -195,31 +135,9 @@ def _means(block: int, time: Real, values: np.ndarray) -> tuple[Real, np.ndarray
 
 def _deviation(time: Real, values: np.ndarray, order: int) -> float:
     """Standard deviation of white noise of one coordinate, by differences of an order."""
-    (differences,) = _differences(time, order, values)
+    differences = divided_differences(time, values, order)
     squares = differences.real**2 + differences.imag**2
     coordinates = 2 if np.iscomplexobj(differences) else 1
     if not len(squares):
         return math.nan
     return math.sqrt(trimmed_mean(squares, coordinates) / coordinates)
-
-
-def _differences(time: Real, order: int, *series: np.ndarray) -> list[np.ndarray]:
-    """
-    Divided differences of series (N,) at `time` (N,), s, of frames without gaps.
-
-    They are scaled so that those of white noise have its standard deviation.
-    """
-    rows = sliding_window_view(time, order + 1)
-    length = rows[:, -1] - rows[:, 0]
-    has_no_gap = length < _MAX_GAP * np.median(length)
-    rows = rows[has_no_gap]
-    between = (rows[:, :, None] - rows[:, None]) / length[has_no_gap, None, None]
-    between += np.eye(order + 1)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        weights = 1 / between.prod(axis=2)
-        weights /= np.sqrt((weights**2).sum(axis=1, keepdims=True))
-    good = np.isfinite(weights).all(axis=1)
-    return [
-        (weights * sliding_window_view(values, order + 1)[has_no_gap]).sum(axis=1)[good]
-        for values in series
-    ]

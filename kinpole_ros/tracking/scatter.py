@@ -1,18 +1,19 @@
 """
 Scatter of markers in space, as sums over blocks of the recent frames.
 
-The blocks do not depend on how many frames come at once, so live and replay agree. They grow with
-time up to a largest length; then the oldest blocks are dropped.
+Blocks are of groups of frames, which do not depend on how many frames come at once, so live and
+replay agree.
 """
 
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
 
 # Frames of a group, the smallest unit.
 GROUP = 16
-# Most blocks, and most groups of each: the last 4096 frames.
-_MAX_BLOCKS, _MAX_GROUPS = 32, 8
+# Groups that are kept: the last 4096 frames; most blocks of these.
+_MAX_GROUPS, _MAX_BLOCKS = 256, 32
 # A second difference of so many times the median of its marker is an outlier.
 _OUTLIER_RATIO = 10.0
 
@@ -46,42 +47,21 @@ class Scatter:
     def __init__(self, bodies: int, width: int) -> None:
         self._center = np.full((bodies, width, 3), np.nan)
         self._distance = np.full((bodies, _pairs(width)[0].size), np.nan)
-        self._blocks: Sums | None = None
-        # Groups that do not fill a block yet.
-        self._pending: Sums | None = None
-        self._length = 1
+        self._groups: deque[Sums] = deque(maxlen=_MAX_GROUPS)
 
     def add(self, points: np.ndarray) -> None:
-        """Add groups of markers (k, GROUP, B, w, 3), m, NaN for none, to the blocks."""
-        groups = self._sums_of(points)
-        pending = groups if self._pending is None else _concatenate(self._pending, groups)
-        blocks = self._blocks
-        while len(pending.count) >= self._length:
-            number = 0 if blocks is None else len(blocks.count)
-            if number == _MAX_BLOCKS and self._length < _MAX_GROUPS:
-                assert blocks is not None
-                blocks, self._length = _merge(blocks, 2), 2 * self._length
-                continue
-            complete = len(pending.count) // self._length
-            if self._length < _MAX_GROUPS:
-                complete = min(complete, _MAX_BLOCKS - number)
-            count = complete * self._length
-            new = _merge(Sums(*(part[:count] for part in pending)), self._length)
-            pending = Sums(*(part[count:] for part in pending))
-            blocks = new if blocks is None else _concatenate(blocks, new)
-            blocks = Sums(*(part[-_MAX_BLOCKS:] for part in blocks))
-        self._blocks, self._pending = blocks, pending
+        """Add groups of markers (k, GROUP, B, w, 3), m, NaN for none."""
+        sums = self._sums_of(points)
+        self._groups.extend(Sums(*group) for group in zip(*sums, strict=True))
 
     def update(self) -> bool:
-        """Update `sums` with all blocks, also the incomplete one; whether there are any."""
-        blocks = []
-        if self._blocks is not None:
-            blocks.append(self._blocks)
-        if self._pending is not None and len(self._pending.count):
-            blocks.append(_merge(self._pending, len(self._pending.count)))
-        if blocks:
-            self.sums = blocks[0] if len(blocks) == 1 else _concatenate(*blocks)
-        return bool(blocks)
+        """Update `sums` with all groups; return whether there are any."""
+        count = len(self._groups)
+        if count:
+            begins = np.arange(0, count, -(-count // _MAX_BLOCKS))
+            parts = zip(*self._groups, strict=True)
+            self.sums = Sums(*(np.add.reduceat(np.stack(part), begins) for part in parts))
+        return count > 0
 
     def about_means(self) -> np.ndarray:
         """Return the scatter (k, B, 3, 3) of the markers about their means over all blocks."""
@@ -181,11 +161,3 @@ def _squares(vectors: np.ndarray) -> np.ndarray:
     rows = vectors.swapaxes(1, 2)
     rows = rows.reshape(*rows.shape[:2], -1, 3)
     return np.asarray(rows.swapaxes(-1, -2) @ rows)
-
-
-def _merge(sums: Sums, by: int) -> Sums:
-    return Sums(*(part.reshape(-1, by, *part.shape[1:]).sum(axis=1) for part in sums))
-
-
-def _concatenate(first: Sums, second: Sums) -> Sums:
-    return Sums(*(np.concatenate(arrays) for arrays in zip(first, second, strict=True)))

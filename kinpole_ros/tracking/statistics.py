@@ -5,6 +5,7 @@ from functools import lru_cache
 from statistics import NormalDist
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -12,6 +13,8 @@ from kinpole_ros.planar._plane import Complex, Real
 OUTLIER_SHARE = 0.1
 # A square is an outlier if it is this many times the maximum of the bulk, the lowest 70%.
 OUTLIER_RATIO, BULK_SHARE = 9.0, 0.7
+# Samples in a row that take so many times the median time have a gap between them.
+_MAX_GAP = 3.0
 
 
 def bulk_maximum(values: Real) -> Real:
@@ -74,3 +77,25 @@ def chi_square(freedom: Real, deviations: float) -> Real:
     """
     part = 2 / (9 * np.maximum(freedom, 1.0))
     return np.asarray(np.maximum(1 - part + deviations * np.sqrt(part), 0.0) ** 3)
+
+
+def divided_differences(time: Real, values: Real | Complex, order: int) -> Real | Complex:
+    """
+    Return divided differences (M, ...) of values (N, ...) at `time` (N,), of samples without gaps.
+
+    They are scaled so that those of white noise have its standard deviation.
+    """
+    rows = sliding_window_view(time, order + 1)
+    length = rows[:, -1] - rows[:, 0]
+    usable = length < _MAX_GAP * np.median(length)
+    rows = rows[usable]
+    between = (rows[:, :, None] - rows[:, None]) / length[usable, None, None]
+    between += np.eye(order + 1)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        weights = 1 / between.prod(axis=2)
+        weights /= np.sqrt((weights**2).sum(axis=1, keepdims=True))
+    good = np.isfinite(weights).all(axis=1)
+    usable[usable] = good
+    weights = weights[good].reshape(-1, *(1,) * (values.ndim - 1), order + 1)
+    windows = sliding_window_view(values, order + 1, axis=0)[usable]
+    return np.asarray((weights * windows).sum(axis=-1))

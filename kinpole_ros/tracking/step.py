@@ -28,7 +28,7 @@ ODD, NAME_DOUBTFUL = 1, 2
 DONE, TABLE_LACKING, UNUSUAL, SEEN_AGAIN, DEFORMED, FULL = 0, 1, 2, 3, 4, 5
 
 _SCALARS = (
-    *('bodies', 'markers', 'first', 'end', 'due', 'frame', 'frames', 'until_update'),
+    *('bodies', 'width', 'first', 'end', 'due', 'frame', 'frames', 'until_update'),
     *('hidden_is_unusual', 'window', 'samples', 'posed'),
 )
 _REALS = 'lag', 'interval', 'far', 'newest_factor', 'near', 'gap', 'n_sigma'
@@ -41,32 +41,32 @@ _LEARNED = (
     *('spread', 'loosest', 'last_angle', 'jump_scale', 'size', 'error', 'scale', 'noise'),
     *('freedom', 'pin_variance', 'tilt_turn', 'pin_since', 'reason'),
 )
-_STATES = 'unusual', 'wrong', 'newest', 'seen_last'
-_NEW_FRAMES = 'new_stamp', 'new_time', 'new_count', 'points', 'point_heights'
+_STATES = (
+    *('unusual', 'wrong', 'newest', 'seen_last'),
+    *('total_turn', 'sure_angle', 'sure_tilt'),
+)
+_NEW_FRAMES = 'new_stamp', 'new_time', 'new_count', 'points', 'point_heights', 'tilts'
 
 
 class _Frames(Structure):
-    """`Frames` of _frames.h, where the column `markers` is `marker`."""
+    """`Frames` of _frames.h."""
 
     _fields_: ClassVar[Any] = [
         *((name, c_longlong) for name in _SCALARS),
         *((name, c_double) for name in _REALS),
-        *(('marker' if name == 'markers' else name, c_void_p) for name in _COLUMNS),
-        *((name, c_void_p) for name in (*_LEARNED, *_STATES, *_NEW_FRAMES)),
+        *((name, c_void_p) for name in (*_COLUMNS, *_LEARNED, *_STATES, *_NEW_FRAMES, 'corrected')),
     ]
 
 
-_fit_frame = library.kinpole_fit_frame
-_fit_frame.argtypes = [POINTER(_Frames), c_void_p, c_longlong, c_void_p]
-_follow_paths = library.kinpole_follow_paths
-_follow_paths.argtypes = [POINTER(_Frames), c_void_p, c_void_p]
+_try_frame = library.kinpole_try_frame
+_try_frame.argtypes = [POINTER(_Frames), c_void_p]
 _follow = library.kinpole_follow
 _follow.argtypes = [POINTER(_Frames), POINTER(Call), c_void_p]
 
 
 class Step:
     """
-    Takes usual frames into a history, and computes the results that are due.
+    Takes frames into a history, and computes the results that are due.
 
     Attributes
     ----------
@@ -80,6 +80,9 @@ class Step:
         How many of the newest poses may be wrong, and are not used yet.
     seen_last : (B,) int64
         Stamp of the last frame with a pose of each body, ns, -1 for none.
+    total_turn : (B,) float
+        Turns of tilting bodies about the normal, beyond those of their headings, up to the last
+        pose that is certainly right, rad; its angle is `sure_angle`, and its tilt `sure_tilt`.
 
     """
 
@@ -90,6 +93,9 @@ class Step:
         self.unusual = np.zeros(bodies.count, np.uint8)
         self.wrong, self.newest = np.zeros((2, bodies.count), np.int64)
         self.seen_last = np.full(bodies.count, -1, np.int64)
+        self.total_turn = np.zeros(bodies.count)
+        self.sure_angle = np.full(bodies.count, np.nan)
+        self.sure_tilt = np.full(bodies.count, complex(np.nan, np.nan))
         self.fields = _Frames(
             window=round(settings.window * 1e9),
             lag=settings.lag * 1e9,
@@ -105,13 +111,13 @@ class Step:
             setattr(self.fields, name, address_of(getattr(self, name)))
         self._call = new_call(settings.window, 0, settings.effort)
         self._arrays: dict[str, np.ndarray] = {}
-        self._new_frames: tuple[np.ndarray, ...] = ()
+        self._new_frames: list[np.ndarray | None] = []
         self.bind(bodies, history)
 
     def bind(self, bodies: Bodies, history: History) -> None:
         """Use these arrays, after an update of the bodies or growth of the history."""
         fields, self._history = self.fields, history
-        fields.bodies, fields.markers = bodies.shape.shape
+        fields.bodies, fields.width = bodies.shape.shape
         hub, observable = bodies.hub, bodies.noise**2 < MAX_ANGLE_NOISE**2 * bodies.spread
         if self._posed:
             # The derivatives assume independent errors of position and angle: so at the middle.
@@ -143,26 +149,29 @@ class Step:
     def bind_history(self) -> None:
         """Use the columns of the history, after they have grown."""
         for name in _COLUMNS:
-            column = self._history.columns[name]
-            setattr(self.fields, 'marker' if name == 'markers' else name, address_of(column))
+            setattr(self.fields, name, address_of(self._history.columns[name]))
 
-    def pass_frames(self, new_frames: tuple[np.ndarray, ...], hidden_is_unusual: bool) -> None:
+    def pass_frames(
+        self, number: int, new_frames: tuple[np.ndarray | None, ...], hidden_is_unusual: bool
+    ) -> None:
         """
         Pass the next frames to the compiled code.
 
         Parameters
         ----------
-        new_frames : tuple of ndarray
-            Stamps, times and counts (T,), int64, points in the plane (T, B, n), complex, and their
-            heights.
+        number : int
+            How many there are.
+        new_frames : tuple of ndarray or None
+            Stamps, times and counts (T,), int64, points in the plane (T, B, n), complex, their
+            heights, and the tilts (T, B) of poses, None for markers.
         hidden_is_unusual : bool
             Whether a frame with a hidden marker is unusual.
 
         """
-        self._new_frames = tuple(map(np.ascontiguousarray, new_frames))
+        self._new_frames = [a if a is None else np.ascontiguousarray(a) for a in new_frames]
         for name, array in zip(_NEW_FRAMES, self._new_frames, strict=True):
-            setattr(self.fields, name, address_of(array))
-        self.fields.frame, self.fields.frames = 0, len(new_frames[0])
+            setattr(self.fields, name, None if array is None else address_of(array))
+        self.fields.frame, self.fields.frames = 0, number
         self.fields.hidden_is_unusual = hidden_is_unusual
 
     def follow(self, until_update: int, results: Results) -> int:
@@ -183,13 +192,15 @@ class Step:
         history.end = fields.end
         return int(code)
 
-    def fit(self, markers: np.ndarray, goes_on: bool) -> int:
-        """Fit markers (B, n), complex, into the row appended last; return what is unusual."""
+    def try_next(self, markers: np.ndarray) -> int:
+        """Fit markers (B, n), complex, of the next frame; return what is unusual."""
         history = self._history
+        if history.reserve(1):
+            self.bind_history()
         self.fields.first, self.fields.end = history.first, history.end
-        unusual = address_of(self.unusual)
-        return int(_fit_frame(self._frames, address_of(markers), goes_on, unusual))
+        return int(_try_frame(self._frames, address_of(markers)))
 
-    def follow_paths(self) -> None:
-        """Complete the row appended last: count whole turns, and leave out poses seen as wrong."""
-        _follow_paths(self._frames, address_of(self.wrong), address_of(self.newest))
+    def correct_next(self, markers: np.ndarray) -> None:
+        """Fit the next frame to these markers (B, n), complex, whatever is unusual of it."""
+        self._corrected = markers
+        self.fields.corrected = address_of(markers)

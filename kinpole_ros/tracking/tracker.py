@@ -7,7 +7,7 @@ stamps of the frames only, never on the clock of the machine.
 
 import itertools
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -20,27 +20,25 @@ from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.events import BodyEvent, EventSearch
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.learn import MOVED_FRAMES, NOISE_FRAMES, freedom_of, learn
+from kinpole_ros.tracking.learn import MOVED_FRAMES, freedom_of, learn, path_scale
 from kinpole_ros.tracking.matcher import Matcher
 from kinpole_ros.tracking.outages import Outage, one_more
-from kinpole_ros.tracking.outliers import path_scale
 from kinpole_ros.tracking.parameters import Settings, of_poses
 from kinpole_ros.tracking.plane import Plane
-from kinpole_ros.tracking.posed import TiltedTurns, learn_poses
+from kinpole_ros.tracking.posed import learn_poses
 from kinpole_ros.tracking.results import Results, add_deformation, estimate_of
 from kinpole_ros.tracking.space import Space, SpaceReport
 from kinpole_ros.tracking.stamps import StampState
 from kinpole_ros.tracking.step import (
     DEFORMED,
     FULL,
-    GAP,
     NAME_DOUBTFUL,
     ODD,
     SEEN_AGAIN,
     UNUSUAL,
     Step,
 )
-from kinpole_ros.tracking.thresholds import N_SIGMA, NEGLIGIBLE, ROUNDED
+from kinpole_ros.tracking.thresholds import MEMORY_FRAMES, N_SIGMA, NEGLIGIBLE, ROUNDED
 from kinpole_ros.tracking.timeline import Timeline
 
 # The history has at least this many frames, and this many windows.
@@ -82,8 +80,10 @@ class Tracker:
         self._assignment = MarkerAssignment(settings, self._posed)
         self._space = Space(self.settings.plane, count, self._assignment.width)
         self._assignment.plane = self._space.plane
-        # Stamps, times and markers of the frames before the plane was known.
-        self._before_plane: deque[tuple[int, int, MarkerFrames]] = deque(maxlen=MIN_HISTORY_FRAMES)
+        # Frames before the plane was known, with their times and counts.
+        self._before_plane: deque[tuple[MarkerFrames, list[np.ndarray]]] = deque(
+            maxlen=MIN_HISTORY_FRAMES
+        )
         self._run_number = next(_run_numbers)
         self._start_bodies()
         self._timeline = Timeline(self.settings, self._counts, self._history, before)
@@ -96,7 +96,6 @@ class Tracker:
         self._history = History(len(self.bodies), self._assignment.width)
         self._pins = Pins(self._calibration)
         settings = of_poses(self.settings) if self._posed else self.settings
-        self._turns = TiltedTurns(len(self.bodies))
         self.matcher = Matcher(
             settings, self._assignment, self._calibration, self._history, self._counts
         )
@@ -275,7 +274,7 @@ class Tracker:
         if self._calibration.width > width:
             estimates += self._flush_results()
         times = self._timeline.enter(frames.stamps)
-        self._pass_frames(frames.stamps, times)
+        self._pass_frames(frames, times)
         results = self._reserve_results(len(frames.stamps), order)
         first, count = 0, len(frames.stamps)
         while first < count:
@@ -288,27 +287,15 @@ class Tracker:
                 estimates += self._flush_results()
                 self._replay_in_plane()
                 in_space = self._assign(frames)
-                self._pass_frames(frames.stamps, times)
+                self._pass_frames(frames, times)
                 self._step.fields.frame = first
                 results = self._reserve_results(count - first, order)
-            usual = (
-                not self._posed
-                and self._assignment.plane is not None
-                and not self._calibration.exchanged
-            )
-            if not (usual and self.matcher.in_order):
-                code = UNUSUAL
-            else:
+            code, is_known = UNUSUAL, self._assignment.plane is not None
+            if is_known and self.matcher.in_order and not self._calibration.exchanged:
                 code = self._follow(self._next_update - self._frame_count, results)
-            first = self._step.fields.frame
             if code == UNUSUAL:
-                self._take_unusual(
-                    int(frames.stamps[first]), int(times[0][first]), first, in_space[first]
-                )
-                self._history['count'][-1] = times[1][first]
-                first += 1
-                self._step.fields.frame = first
-                self._follow(0, results)
+                self._take_unusual(in_space, results)
+            first = self._step.fields.frame
         self._search_events(first, numbers)
         self._keep_results(results, numbers)
         if self._posed and self._assignment.plane is not None:
@@ -324,10 +311,11 @@ class Tracker:
         for event in self._event_search.search(self._history, bodies, hub, first - 1):
             self._events.append(event._replace(due=int(numbers[max(event.due, 0)])))
 
-    def _pass_frames(self, stamps: np.ndarray, times: tuple[np.ndarray, ...]) -> None:
-        """Pass the last frames to the compiled step."""
-        new_frames = stamps, *times, self._points, self._heights
-        self._step.pass_frames(new_frames, self.matcher.has_unassigned)
+    def _pass_frames(self, frames: MarkerFrames, times: Sequence[np.ndarray]) -> None:
+        """Pass the last frames, with their times and counts, to the compiled step."""
+        self._frames_in_hand = frames, times
+        new_frames = frames.stamps, *times, self._points, self._heights, self._tilts
+        self._step.pass_frames(len(frames.stamps), new_frames, self.matcher.has_unassigned)
 
     def _follow(self, until_update: int, results: Results) -> int:
         """Take usual frames and compute the results that are due; return why the loop ended."""
@@ -397,12 +385,11 @@ class Tracker:
         in_space = self._assignment.assign(frames)
         if self._assignment.width > self._calibration.width:
             self._widen()
-        self._frames_in_hand = frames
         # The matcher corrects both in place.
         points, heights = self._assignment.project(in_space)
         self._points, self._heights = np.ascontiguousarray(points), np.ascontiguousarray(heights)
-        if self._posed and self._assignment.plane is not None:
-            self._tilts = self._assignment.tilts(in_space)
+        has_tilts = self._posed and self._assignment.plane is not None
+        self._tilts = self._assignment.tilts(in_space) if has_tilts else None
         self.matcher.begin(np.asarray(frames.stamps), self._points, self._heights)
         return in_space
 
@@ -424,74 +411,48 @@ class Tracker:
         self._counts['resets'] += 1
         self._start(self._timeline)
 
-    def _take_unusual(self, stamp: int, time: int, k: int, in_space: np.ndarray) -> None:
-        """Fit the poses of frame `k` in Python, and append them to the history."""
-        bodies, history, matcher = self._calibration, self._history, self.matcher
-        markers, interval = self._points[k], self._step.fields.interval
-        newest = history['time'][-1] if len(history) else time
-        goes_on = bool(interval == 0 or time - newest <= GAP * interval)
+    def _take_unusual(self, in_space: np.ndarray, results: Results) -> None:
+        """Take the next frame, one of those `in_space`, after correcting its markers."""
+        k = self._step.fields.frame
         if self._assignment.plane is None:
-            self._before_plane.append((stamp, time, part_of(self._frames_in_hand, slice(k, k + 1))))
-            if matcher.is_incomplete_cloud():
-                in_space = np.full_like(in_space, np.nan)
-            self._append(stamp, time, goes_on)
-            for name in ('markers', 'residual', 'angle', 'position', 'heights', 'height'):
-                history[name][-1] = np.nan
-            history['used'][-1] = False
-            history['information'][-1] = history['turns'][-1] = 0.0
-            self._space.add(in_space[None])
-            return
+            frames, times = self._frames_in_hand
+            part = slice(k, k + 1)
+            self._before_plane.append((part_of(frames, part), [array[part] for array in times]))
+            unusable = self.matcher.is_incomplete_cloud()
+            self._space.add(np.full_like(in_space[part], np.nan) if unusable else in_space[part])
+            self._step.correct_next(self._points[k])
+        else:
+            self._step.correct_next(self._corrected(k))
+        self._follow(1, results)
+
+    def _corrected(self, k: int) -> np.ndarray:
+        """Return the markers (B, n) that frame `k` is fitted to, NaN for those left out."""
+        bodies, matcher = self._calibration, self.matcher
         if matcher.is_nameless and matcher.arrange(k):
             self._restart_bodies(np.ones(bodies.count, bool))
+        markers = self._points[k]
         if len(bodies.unseen):
             bodies.begin(markers)
-            self._step.bind(bodies, history)
+            self._step.bind(bodies, self._history)
         if bodies.incomplete and (bodies.unknown_slots & ~np.isnan(markers)).any():
             # New markers are learned as soon as they are seen.
             self._next_update = min(self._next_update, self._frame_count + 1)
         if bodies.exchanged:
             markers[...] = np.take_along_axis(markers, bodies.order, axis=1)
-        row = self._append(stamp, time, goes_on)
-        matcher.fits_next(k)
-        unusual = self._step.fit(markers, goes_on)
+        unusual = self._step.try_next(markers)
         if (unusual & NAME_DOUBTFUL or matcher.has_unassigned) and self._correct_names(k, unusual):
-            unusual = self._step.fit(markers, goes_on)
-        came = markers
+            unusual = self._step.try_next(markers)
+        fitted = markers
         if unusual & ODD:
             odd = (self._step.unusual & ODD) > 0
-            came = correct_frame(bodies, history, markers, odd, self._counts)
-            self._step.fit(markers, False)
+            fitted = correct_frame(bodies, self._history, markers, odd, self._counts)
         if bodies.exchanged:
             # Names that stay exchanged were wrong before.
             recent = bodies.exchanged_for < MOVED_FRAMES
             moved = bodies.order[recent] != np.arange(bodies.width)
             self._counts[EXCHANGED] += int(np.count_nonzero(moved))
             bodies.exchanged_for += 1
-        columns = history.columns
-        columns['markers'][row] = came
-        columns['heights'][row] = self._heights[k]
-        columns['height'][row] = mean_heights(markers, self._heights[k])
-        self._step.follow_paths()
-        if self._posed:
-            known = np.isfinite(columns['angle'][row])
-            columns['information'][row] = known
-            sure = known & (self._step.newest == 0)
-            heading, tilt = columns['angle'][row], self._tilts[k]
-            columns['extra_turn'][row] = self._turns.follow(heading, tilt, sure)
-        self._note_outages(stamp)
-
-    def _append(self, stamp: int, time: int, goes_on: bool) -> int:
-        """Append a frame without poses to the history; return its row."""
-        history = self._history
-        if history.reserve(1):
-            self._step.bind_history()
-        row = history.append()
-        columns = history.columns
-        columns['stamp'][row], columns['time'][row] = stamp, time
-        columns['goes_on'][row] = goes_on
-        self._new_frames += 1
-        self._frame_count += 1
-        return row
+        return fitted
 
     def _correct_names(self, k: int, unusual: int) -> bool:
         """Correct wrong names of markers in the frame; return whether there were any."""
@@ -499,12 +460,12 @@ class Tracker:
             unseen = np.isnan(self._points[k])
             if not unseen.any():
                 return False
-            if not self.matcher.is_doubtful(self._calibration.fit(self._points[k]), unseen):
+            if not self.matcher.is_doubtful(k, self._calibration.fit(self._points[k]), unseen):
                 return False
         # Bodies that are not rigid are doubtful in every frame, and a search takes long.
         if self._frame_count < self._next_search:
             return False
-        corrected = self.matcher.correct_names()
+        corrected = self.matcher.correct_names(k)
         self._futile_searches = 0 if corrected else self._futile_searches + 1
         self._next_search = self._frame_count + min(
             2 ** max(self._futile_searches - 1, 0), MAX_SEARCH_INTERVAL
@@ -542,9 +503,11 @@ class Tracker:
         assert self._assignment.plane is not None
         self._start_bodies()
         self._timeline.history = self._history
-        for stamp, time, frame in early:
+        for frame, times in early:
             self._update_if_due()
-            self._take_unusual(stamp, time, 0, self._assign(frame)[0])
+            in_space = self._assign(frame)
+            self._pass_frames(frame, times)
+            self._take_unusual(in_space, self._reserve_results(0, None))
         self._step.fields.due = max(due, 0)
         self._step.seen_last[:] = seen_last
 
@@ -560,7 +523,7 @@ class Tracker:
         self._count_new_frames()
         if self._posed:
             learn_poses(bodies, history, self.settings.noise)
-            bodies.extra_turn = self._turns.total
+            bodies.extra_turn = self._step.total_turn.copy()
         else:
             restarts = learn(bodies, history, self._window, self.settings.noise, self._counts)
             self._pins.forget(restarts)
@@ -568,7 +531,7 @@ class Tracker:
         self._new_frames = self._counted_frames = 0
         self._drop_old_frames()
         bodies.hub = find_hubs(bodies, history, self._window, bodies.hub)
-        bodies.jump_scale = path_scale(history, bodies)
+        bodies.jump_scale = path_scale(history)
         if not self._posed:
             self._find_deformed()
         changed = False
@@ -583,7 +546,7 @@ class Tracker:
     def _find_deformed(self) -> None:
         """Find the bodies whose markers move against each other by more than their noise."""
         bodies, history = self._calibration, self._history
-        rows = slice(-NOISE_FRAMES - 2, None)
+        rows = slice(-MEMORY_FRAMES - 2, None)
         time, residual = history['time'][rows], history['residual'][rows]
         interval = float(np.median(np.diff(time))) if len(time) > 1 else self._window / 2
         free = freedom_of(bodies, residual).sum(axis=-1)
@@ -616,10 +579,3 @@ class Tracker:
         if drop > 0:
             history.drop(drop)
             fields.due = max(0, fields.due - drop)
-
-
-def mean_heights(markers: np.ndarray, heights: np.ndarray) -> np.ndarray:
-    """Return the mean heights (B,) of the visible markers (B, n)."""
-    seen = ~np.isnan(markers)
-    with np.errstate(invalid='ignore'):
-        return np.asarray(np.where(seen, heights, 0.0).sum(axis=-1) / seen.sum(axis=-1))
