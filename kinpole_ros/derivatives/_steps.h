@@ -322,7 +322,8 @@ estimate_sizes(const Models *m, const Screen *screen, Set *set, int order, doubl
             left = 0.0;
         for (int j = 0; j <= c; j++)
             size += along[j][k] * along[j][k] / (c + 1);
-        root[k] = left > 0.0 ? sqrt(size) / left : 0.0;
+        /* A smaller one than its standard deviation is not estimated: it might be rounding. */
+        root[k] = left > 0.0 ? sqrt(larger(size, left)) / left : 0.0;
         if (each == order - 1) {
             double known = root[0] * sqrt((c + 1) * left);
             if (known > 0.0)

@@ -413,8 +413,8 @@ def _extended(
         for k, (each, column) in enumerate(zip(orders, columns, strict=True)):
             some = column @ left @ column
             if each >= order and some > 0:
-                along = np.sqrt(((column @ left @ own) ** 2).sum() / (c + 1))
-                roots[c, k] = along / some
+                square = ((column @ left @ own) ** 2).sum() / (c + 1)
+                roots[c, k] = np.sqrt(max(square, some)) / some
             elif each == order - 1:
                 known = roots[c, 0] * np.sqrt((c + 1) * max(some, 0.0))
                 off = min(max(1 / known, _PLACE[0]), _PLACE[1]) if known > 0 else _PLACE[0]
