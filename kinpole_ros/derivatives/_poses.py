@@ -111,14 +111,12 @@ def derive_poses(
     noise: Real,
     window: float,
     order: int,
-    effort: str = 'normal',
 ) -> Derivatives:
     """
     Differentiate poses at the instants of `windows`, up to `order`.
 
     `left_out` (T, B) is how many of the newest frames of each window do not count, `noise` (T, B)
-    the deviation of a sample with information of 1, and `window`, s, the longest there is. `effort`
-    makes no difference any more.
+    the deviation of a sample with information of 1, and `window`, s, the longest there is.
     """
     (instants, bodies), (frames,), orders = noise.shape, poses.time.shape, order + 1
     shapes = [array.shape for array in (*poses[1:], *windows, left_out)]

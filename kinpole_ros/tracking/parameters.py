@@ -374,6 +374,7 @@ NODE_PARAMETERS = {
 }
 # Parameters that no user needs: accepted with a warning, and the reason.
 DEPRECATED = {
+    'effort': 'it makes no difference',
     'method': 'it makes no difference',
 }
 # The name of the ground in a joint.
