@@ -2,13 +2,11 @@
  * The arguments and the return values of `kinpole_derive`, which other parts of the library call too.
  */
 
-enum { LOW_EFFORT, NORMAL_EFFORT, HIGH_EFFORT };
-
 /* What is made once for a kind of window, of so many samples each the mean of a block: models if
    `orders` is 0, slopes if it is -1, or stencils of an instant so many samples from the middle.
-   `flags` are 1 for samples that are all but exact and 2 for twice as many processes. */
+   `exact` says that samples are all but exact. */
 typedef struct {
-    long long count, block, flags, orders;
+    long long count, block, exact, orders;
     double at;
     const long long *integers;
     const double *numbers;
@@ -19,7 +17,7 @@ typedef struct {
    oldest and newest frames. Signals before `next` are done; `lacking` is the table to make before
    the next call. */
 typedef struct {
-    long long frames, bodies, instants, next, orders, effort, table_count;
+    long long frames, bodies, instants, next, orders, table_count;
     double window, flat; /* s; logarithm of the deviation of a flat prior */
     const long long *time, *windows, *left_out;
     const double *angle, *turns, *position, *angle_information, *position_information, *noise;

@@ -15,12 +15,13 @@
 #define WIDTH 2
 #endif
 #include "_evidence.h"
+#include "_steps.h"
 #include "_window.h"
 
 /* The kind of a window, and the instant in it. */
 typedef struct {
     long long block, orders;
-    int exact, dense, parts;
+    int exact;
     double at; /* the instant, samples from the middle */
 } Window;
 
@@ -28,8 +29,7 @@ typedef struct {
 static const Table *
 find_table(Call *call, const Window *window, long long count, long long orders, double at)
 {
-    long long flags = window->exact + 2 * window->dense;
-    call->lacking = (Table){count, window->block, flags, orders, at, NULL, NULL};
+    call->lacking = (Table){count, window->block, window->exact, orders, at, NULL, NULL};
     for (const Table *t = call->tables; t < call->tables + call->table_count; t++)
         if (!memcmp(t, &call->lacking, offsetof(Table, integers)))
             return t;
@@ -40,7 +40,7 @@ static void
 unpack_models(const Table *table, Models *m)
 {
     const long long *head = table->integers;
-    m->count = table->count, m->half = (m->count + 1) / 2, m->exact = table->flags & 1;
+    m->count = table->count, m->half = (m->count + 1) / 2, m->exact = table->exact;
     m->processes = head[0], m->chunks = head[1], m->kinds = head[2], m->odd = head[3];
     m->rows = head[4], m->groups = m->processes * m->chunks;
     m->first = head + 5, m->kind = m->first + 2 * (m->processes + 1);
@@ -49,170 +49,161 @@ unpack_models(const Table *table, Models *m)
     if (m->exact)
         m->left = m->share + m->chunks * m->rows;
     m->chances = m->left + m->chunks * m->rows, m->freedom = m->chances + 2 * m->groups;
+    m->unexplained = (const double *)(m->freedom + m->groups);
 }
 
-/* Lay out the arrays for a window, and list the cells with a weight below 1. */
+/* Lay out the arrays for a window, and list the cells with a weight below 1 in a set without steps.
+   The arrays of `w` have room for sets with steps. */
 static int
-prepare(const Models *m, long long orders, const Samples *s, Work *w)
+prepare(const Models *m, long long orders, const Samples *s, Work *w, Set *set)
 {
-    w->cells = 0, w->parts = 1, w->known = KNOWN, w->seen[0] = w->seen[1] = 0.0;
+    long long cells = 0;
+    int parts = 1;
+    w->known = KNOWN, w->seen[0] = w->seen[1] = 0.0;
     for (long long k = 0; k < s->count; k++) {
         double a = s->weight[0][k], p = s->weight[1][k];
         w->seen[0] += a, w->seen[1] += p;
-        w->cells += a < 1.0 || p < 1.0;
+        cells += a < 1.0 || p < 1.0;
         if (a != p)
-            w->parts = 2;
+            parts = 2;
     }
-    long long number = w->cells, pairs = number * (number + 1) / 2, half = m->half + LANES;
-    long long columns = pairs > 3 * orders ? pairs : 3 * orders;
-    columns = (3 + orders) * number > columns ? (3 + orders) * number : columns;
-    long long of_models = m->groups * (8 + 3 * orders + w->parts * pairs + 3 * number);
-    long long of_lanes = of_models + pairs + (4 + 2 * orders) * number + 6 * SLOPES * half / LANES;
-    long long of_numbers = (6 + number) * m->rows + (columns + 6) * half + pairs + 9 * number;
-    char *data = buffer(OF_MODELS, 8 * (of_lanes * LANES + of_numbers + m->groups));
+    long long most = cells + (m->exact ? 0 : MOST_STEPS), pairs = most * (most + 1) / 2;
+    long long half = m->half + LANES, terms = pairs + (3 + orders) * most + 3 * orders + 6;
+    long long of_lanes = 3 * m->groups + pairs + 3 * most + half + (3 * orders + 1) * most +
+                         6 * SLOPES * (half / LANES);
+    long long of_numbers = 6 * m->rows + terms * half;
+    size_t of_set = size_of_set(m, orders, cells, 0, parts);
+    char *data = buffer(OF_MODELS, of_set + 8 * (of_lanes * LANES + of_numbers));
     if (!data)
         return NO_MEMORY;
-#define TAKE(array, size) (array = (void *)data, data += (size) * sizeof *array)
-    TAKE(w->evidence, 2 * m->groups), TAKE(w->variance, 2 * m->groups);
-    TAKE(w->likely, 2 * m->groups), TAKE(w->counting, 2 * m->groups);
-    TAKE(w->apart, 3 * orders * m->groups);
-    TAKE(w->factors, w->parts * pairs * m->groups), TAKE(w->errors, 3 * number * m->groups);
-    TAKE(w->off, pairs + 3 * number), TAKE(w->reach, orders * number);
-    TAKE(w->scaled, (orders + 1) * number), TAKE(w->along, 6 * SLOPES * (half / LANES));
-    TAKE(w->modes, 3 * m->rows), TAKE(w->squares, 3 * m->rows), TAKE(w->vectors, number * m->rows);
-    TAKE(w->terms, (columns + 6) * half), TAKE(w->base, pairs + 3 * number);
-    TAKE(w->weight, 2 * number), TAKE(w->root, 2 * number), TAKE(w->at, number);
-    TAKE(w->counts, m->groups);
-#undef TAKE
+    data = lay_out_set(m, orders, cells, 0, parts, data, set);
+    TAKE(w->left, 3 * m->groups), TAKE(w->off, pairs + 3 * most + half);
+    TAKE(w->reach, 2 * orders * most), TAKE(w->scaled, (orders + 1) * most);
+    TAKE(w->along, 6 * SLOPES * (half / LANES));
+    TAKE(w->modes, 3 * m->rows), TAKE(w->squares, 3 * m->rows), TAKE(w->terms, terms * half);
+    set->cells = cells;
     for (long long k = 0, x = 0; k < s->count; k++)
         if (s->weight[0][k] < 1.0 || s->weight[1][k] < 1.0) {
-            w->at[x] = k;
-            for (long long part = 0; part < w->parts; part++) {
-                w->weight[part * number + x] = s->weight[part][k];
-                w->root[part * number + x] = sqrt(1.0 - s->weight[part][k]);
+            set->at[x] = k;
+            for (int part = 0; part < parts; part++) {
+                set->weight[part * cells + x] = s->weight[part][k];
+                set->root[part * cells + x] = sqrt(1.0 - s->weight[part][k]);
             }
             x++;
         }
+    find_modes_of_cells(m, set);
     return DONE;
 }
 
-/* Compute the evidence of samples, and derivatives at an instant if these are wanted. */
+/* Search a window for up to two events, and evaluate the models with them. The first of `sets` has
+   no events, and its evidence is known. `number` is the number of sets. See _steps.h. */
 static int
-find_derivatives(Call *call, const Window *window, const Samples *s, double at, int wanted,
-                 Found *out)
+search_events(const Models *m, const Stencils *by, const Samples *s, const Work *w,
+              long long orders, long long block, Set *sets, int *number)
+{
+    long long cells = sets[0].cells, most = cells + MOST_STEPS, n = m->count;
+    Screens screens[2];
+    size_t of_set = size_of_set(m, orders, most, MOST_STEPS, 2);
+    size_t of_screens = (2 * ((2 + 4 * ORDERS + most) * n + most) + ORDERS * n + 2 * orders * n) *
+        sizeof(double);
+    size_t of_spare = (1 + ORDERS * MOST_ORDERS) * n * sizeof(double);
+    char *data = buffer(OF_SETS, of_spare + 2 * of_screens + (MOST_SETS - 1) * of_set);
+    if (!data)
+        return NO_MEMORY;
+    double *spare;
+    TAKE(spare, (1 + ORDERS * MOST_ORDERS) * n);
+    for (int k = 0; k < 2; k++) {
+        TAKE(screens[k].gain, ORDERS * n), TAKE(screens[k].reach, 2 * orders * n);
+        for (int c = 0; c < 2; c++) {
+            Screen *screen = screens[k].of + c;
+            screen->c = c;
+            TAKE(screen->residual, 2 * n), TAKE(screen->sums, 2 * ORDERS * n);
+            TAKE(screen->explained, ORDERS * n), TAKE(screen->left, ORDERS * n);
+            TAKE(screen->removed, most * n), TAKE(screen->factor, most);
+        }
+    }
+    Candidate found[ORDERS], next[ORDERS];
+    for (int k = 0; k < ORDERS; k++)
+        found[k].value = next[k].value = -INFINITY;
+    for (int slow = 0; slow < 2; slow++) {
+        double value = 0.0;
+        long long model[2];
+        for (int c = 0; c < 2; c++) {
+            model[c] = find_likeliest(m, sets, c, slow);
+            value += ((const double *)(sets->evidence + c * m->groups))[model[c]];
+        }
+        if (slow && model[0] == screens->of[0].model && model[1] == screens->of[1].model)
+            break;
+        for (int c = 0; c < 2; c++) {
+            begin_screen(m, s, w, model[c], screens[slow].of + c);
+            screen_steps(m, s, w, sets, screens[slow].of + c, spare);
+        }
+        screens[slow].has_sample_weights = 0;
+        find_candidates(m, w, value, screens + slow, found);
+    }
+    int first = best_candidate(found);
+    if (!(found[first].gain >= MIN_GAIN))
+        return DONE;
+    for (int k = 0; k < ORDERS; k++) {
+        if (!(found[k].gain >= MIN_GAIN) ||
+            found[k].value < found[first].value - MAX_EVIDENCE_BEHIND)
+            continue;
+        Set *set = sets + ++*number - 1;
+        data = add_event(m, sets, found + k, k, orders, block, data, set, spare);
+        add_place_covariance(m, by, sets, found + k, k, w->off, spare, set);
+        if (k != first)
+            find_evidence(m, s, w, set);
+        else
+            found[k].sample = *number - 1;
+    }
+    /* Another event is looked for by the same models, before all models are asked. */
+    Set *one = sets + found[first].sample, *two = sets + *number;
+    Screens *both = found[first].screens;
+    for (int c = 0; c < 2; c++)
+        screen_steps(m, s, w, one, both->of + c, spare);
+    both->has_sample_weights = 0;
+    find_candidates(m, w, 0.0, both, next);
+    int second = best_candidate(next);
+    if (next[second].gain >= MIN_GAIN) {
+        add_event(m, one, next + second, second, orders, block, data, two, spare);
+        add_place_covariance(m, by, one, next + second, second, w->off, spare, two);
+        find_evidence(m, s, w, two);
+        ++*number;
+    }
+    if (next[second].gain < CERTAIN_GAIN)
+        find_evidence(m, s, w, one);
+    else
+        sets[found[first].sample] = sets[--*number];
+    return DONE;
+}
+
+/* Differentiate samples at the instant of a window, with all steps there may be. */
+static int
+derive_even(Call *call, const Window *window, const Samples *s, Found *out)
 {
     Models m;
     Work w;
-    const Table *table = find_table(call, window, s->count, 0, 0.0), *stencils = NULL;
-    if (!table || (wanted && !(stencils = find_table(call, window, s->count, window->orders, at))))
+    Set sets[MOST_SETS];
+    int number = 1, code = DONE;
+    const Table *table = find_table(call, window, s->count, 0, 0.0);
+    const Table *stencils =
+        table ? find_table(call, window, s->count, window->orders, window->at) : NULL;
+    if (!stencils)
         return LACKING;
     unpack_models(table, &m);
-    if (prepare(&m, window->orders, s, &w))
+    if (prepare(&m, window->orders, s, &w, sets))
         return NO_MEMORY;
-    if (!wanted) {
-        weigh_models(&m, s, &w, out->evidence);
-        out->seen[0] = w.seen[0], out->seen[1] = w.seen[1];
-        return DONE;
-    }
+    find_squares(&m, s, &w);
+    find_evidence(&m, s, &w, sets);
     long long modes = window->orders * m.rows;
-    Stencils by = {window->orders, stencils->numbers, (const Lanes *)(stencils->numbers + modes)};
-    differentiate(&m, &by, s, &w, out);
-    return DONE;
-}
-
-/* The logarithm of how probable samples are by all models: their evidence is relative to a line
-   with a flat prior, and to so many samples. */
-static double
-chance_of(const Call *call, const Found *found, int c)
-{
-    double number = KNOWN + found->seen[c] * (c + 1);
-    return found->evidence[c] - 2 * call->flat * (c + 1) - log(number) / 2 + log(KNOWN) / 2;
-}
-
-/* Average the results of whole and divided windows by the logarithms of their chances. */
-static void
-mix(const Found *all, double (*chances)[2], int number, long long orders, Found *out)
-{
-    for (int c = 0; c < 3; c++) {
-        double most = -INFINITY, sum = 0.0, share[NEWER_PARTS + 1];
-        int d = c > 0;
-        for (int f = 0; f < number; f++)
-            most = larger(most, chances[f][d]);
-        for (int f = 0; f < number; f++)
-            sum += share[f] = exp(chances[f][d] - most);
-        for (int f = 0; f < number; f++)
-            share[f] /= sum;
-        for (long long k = 0; k < orders; k++)
-            out->mean[c][k] = 0.0;
-        if (c < 2) {
-            out->freedom[d] = 0.0;
-            memset(out->covariance[d], 0, sizeof out->covariance[d]);
-        }
-        for (int f = 0; f < number; f++)
-            for (long long k = 0; k < orders; k++)
-                out->mean[c][k] += share[f] * all[f].mean[c][k];
-        for (int f = 0; f < number; f++) {
-            if (c < 2)
-                out->freedom[d] += share[f] * all[f].freedom[d];
-            for (long long k = 0; k < orders; k++)
-                for (long long j = 0; j < orders; j++) {
-                    double off = (all[f].mean[c][k] - out->mean[c][k]) *
-                                 (all[f].mean[c][j] - out->mean[c][j]) / (d + 1);
-                    out->covariance[d][k][j] += share[f] *
-                        (off + (c < 2 ? all[f].covariance[d][k][j] : 0.0));
-                }
-        }
-    }
-}
-
-/* Differentiate a window as a whole, or as two parts with motions of their own. The chance of a
-   division follows from the evidence of both parts, each with its own mean and slope. Derivatives
-   are those of the part with the instant in it. */
-static int
-derive_parts(Call *call, const Window *window, const Samples *s, Found *out)
-{
-    Found all[NEWER_PARTS + 1];
-    double chances[NEWER_PARTS + 1][2];
-    int number = 1, code = find_derivatives(call, window, s, window->at, 1, out);
-    /* With more evidence than that no division can pay. */
-    if (code || window->exact || !window->parts || !(out->evidence[0] < -WORTH * call->flat ||
-                                                     out->evidence[1] < -WORTH * call->flat * 2))
-        return code;
-    all[0] = *out;
-    for (int c = 0; c < 2; c++)
-        chances[0][c] = chance_of(call, out, c);
-    for (int n = 0; n < NEWER_PARTS; n++) {
-        long long cut = s->count - (long long)rint(newer_parts[n] * s->count);
-        Samples halves[2] = {*s, *s};
-        Found found[2];
-        int enough = 1, later = window->at + (s->count - 1) / 2.0 >= cut - 0.5;
-        halves[0].count = cut, halves[1].count = s->count - cut;
-        for (int c = 0; c < 3; c++)
-            halves[1].x[c] += cut;
-        for (int c = 0; c < 2; c++) {
-            halves[1].weight[c] += cut;
-            for (int half = 0; half < 2; half++) {
-                double seen = 0.0;
-                for (long long k = 0; k < halves[half].count; k++)
-                    seen += halves[half].weight[c][k];
-                enough &= seen >= FEWEST_OF_PART;
-            }
-        }
-        for (int half = 0; half < 2 && enough && !code; half++) {
-            double at = window->at + (half ? -cut : s->count - cut) / 2.0;
-            code = find_derivatives(call, window, halves + half, at, half == later, found + half);
-        }
-        if (code)
-            return code;
-        if (!enough)
-            continue;
-        for (int c = 0; c < 2; c++)
-            chances[number][c] = chance_of(call, found, c) + chance_of(call, found + 1, c) +
-                log(PARTS_PRIOR / (1 - PARTS_PRIOR) / NEWER_PARTS);
-        all[number++] = found[later];
-    }
-    mix(all, chances, number, window->orders, out);
-    return DONE;
+    Stencils by = {window->orders, window->at + (s->count - 1) / 2.0, stencils->numbers,
+                   (const Lanes *)(stencils->numbers + modes)};
+    if (!window->exact && (sets[0].best[0] < -SEARCH_BELOW * call->flat ||
+                           sets[0].best[1] < -SEARCH_BELOW * call->flat * 2))
+        code = search_events(&m, &by, s, &w, window->orders, window->block, sets, &number);
+    if (!code)
+        differentiate(&m, &by, &w, sets, number, out);
+    return code;
 }
 
 /* Move samples to the even grid along the estimated motion, and estimate it again until they
@@ -222,12 +213,13 @@ put_in_place(Call *call, const Window *window, Samples *s, double *spare, double
 {
     Models m;
     Work w;
+    Set set;
     const Table *table = find_table(call, window, s->count, 0, 0.0);
     const Table *slopes = table ? find_table(call, window, s->count, -1, 0.0) : NULL;
     if (!slopes)
         return LACKING;
     unpack_models(table, &m);
-    if (prepare(&m, 1, s, &w))
+    if (prepare(&m, 1, s, &w, &set))
         return NO_MEMORY;
     Samples placed = *s;
     double *moved[3], left[2] = {0.0};
@@ -238,7 +230,7 @@ put_in_place(Call *call, const Window *window, Samples *s, double *spare, double
     /* Samples that are off by little settle in the first round. */
     for (int round = 0; round < rounds + 3 && !(settled[0] && settled[1]); round++) {
         w.known = round == 0 || round > rounds ? KNOWN : KNOWN_MEANWHILE;
-        move(&m, (const Lanes *)slopes->numbers, s, &placed, &w, moved);
+        move(&m, (const Lanes *)slopes->numbers, s, &placed, &w, &set, moved);
         /* Of both coordinates, whichever way the axes lie. */
         double square[2] = {0.0};
         for (int c = 0; c < 3; c++)
@@ -301,7 +293,7 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sp
         fill_missing(&s);
     int code = late ? put_in_place(call, window, &s, spare + 6 * n, more) : DONE;
     if (!code)
-        code = derive_parts(call, window, &s, out);
+        code = derive_even(call, window, &s, out);
     if (code)
         return code;
     for (int c = 0; c < 2; c++)
@@ -378,8 +370,7 @@ derive_signal(Call *call, long long instant, long long body, const Grid *grid)
         s.x[c] = data + c * size;
     s.weight[0] = data + 3 * size, s.weight[1] = data + 4 * size, s.off = data + 5 * size;
     average(&cells, block, &s, coarser);
-    Window window = {block, call->orders, exact, call->effort == HIGH_EFFORT,
-                     call->effort != LOW_EFFORT, 0.0};
+    Window window = {block, call->orders, exact, 0.0};
     window.at = (size - 1) / 2.0 - (ahead - (block - 1) / 2.0) / block;
     int code = derive_uneven(call, &window, &s, spare, &found);
     if (code)

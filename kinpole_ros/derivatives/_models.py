@@ -3,10 +3,11 @@ What kinds of motion there may be within a window, and how each differentiates i
 
 A signal is a line, a process of zero mean on top of it, and white noise. A process is known by its
 spectrum, exp(-(w l)^p): a longer `l` is a slower motion, and the power `p` says how fast harmonics
-fall. Low polynomials are processes too. On the samples of a window the singular vectors of a
-process, its modes, make each of its amplitudes diagonal: evidence and derivatives of all amplitudes
-are sums over modes (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006: 2.7 for
-the line with a flat prior, 5.4 for the evidence).
+fall. Low polynomials are processes too. For covariances alone there is a rough spectrum, that of a
+motion with four derivatives only (Matern 9/2: Rasmussen and Williams, Gaussian Processes for
+Machine Learning, 2006, 4.2.1). On the samples of a window the singular vectors of a process, its
+modes, make each of its amplitudes diagonal: evidence and derivatives of all amplitudes are sums
+over modes (there, 2.7 for the line with a flat prior, 5.4 for the evidence).
 
 Times are in samples from the middle of the window here, and signals in deviations of the noise. All
 is made once for each kind of window, as arrays that _evidence.h reads.
@@ -22,9 +23,10 @@ from kinpole_ros.planar._plane import Real
 FEWEST_SAMPLES = 7
 """Samples of the shortest window there is."""
 # Powers of the spectra, and the shortest length of each, samples.
-SPECTRA = ((2.0, 1.0), (1.4, 1.0), (1.0, 4.0))
-# The longest length, windows. The next one is half as long, or shorter by the root of 2 if lengths
-# are dense.
+SPECTRA = ((2.0, 2.0), (1.4, 2.0), (1.0, 4.0))
+# Smoothness of the rough spectrum (7/2 gives snap no finite variance), and its shortest length.
+_ROUGH = ((4.5, 4.0),)
+# The longest length, windows. The next one is half as long, a quarter in the rough spectrum.
 _LONGEST = 1.25
 # A line is all there is of degree 1.
 _DEGREES = (1, 2)
@@ -43,6 +45,8 @@ _PROCESSES = 0.5
 _LANES = 8
 # A function smaller than this part of the largest is rounding.
 _ROUNDING = 1e-13
+# A step of which models leave a smaller part is not looked for.
+_ROUNDING_OF_STEPS = 1e-9
 
 
 class Process(NamedTuple):
@@ -67,16 +71,20 @@ class _Functions(NamedTuple):
     along: Real
 
 
-def _processes(count: int, dense: bool) -> list[Process]:
-    """All processes on a window of so many samples."""
-    octaves = 0.5 if dense else 1.0
+def _processes(count: int, exact: bool) -> list[Process]:
+    """
+    All processes on a window of so many samples, those of a spectrum from the slowest on.
+
+    The rough spectrum is the last. Exact samples have none, and lengths half as short: where their
+    noise is larger than said, it is a motion too.
+    """
     found = []
-    for k, (_, shortest) in enumerate(SPECTRA):
-        longest = _LONGEST * count
-        number = max(1, int(np.log2(longest / shortest) / octaves) + 1)
-        lengths = longest / 2.0 ** (octaves * np.arange(number))
-        prior = _PROCESSES / len(SPECTRA) / len(lengths)
-        found += [Process(k, float(length), prior) for length in lengths]
+    for k, (_, shortest) in enumerate(SPECTRA if exact else SPECTRA + _ROUGH):
+        longest, factor = _LONGEST * count, 2.0 if k < len(SPECTRA) else 4.0
+        least = shortest / 2 if exact else shortest
+        number = max(1, int(np.log(longest / least) / np.log(factor)) + 1)
+        prior = _PROCESSES / len(SPECTRA) / number
+        found += [Process(k, longest / factor**i, prior) for i in range(number)]
     return found + [Process(-1, degree, _simple()) for degree in _DEGREES]
 
 
@@ -106,10 +114,14 @@ def _values(process: Process, count: int, time: Real, orders: range) -> list[tup
             found.append((values[:, ::2], values[:, 1::2]))
         return found
     # Waves of a sum that repeats itself, but not within a window.
-    power, _ = SPECTRA[process.spectrum]
     step = 2 * np.pi / (count + 10 * process.length)
     frequency = step * np.arange(int(np.pi / step) + 1)
-    weight = np.exp(-((frequency * process.length) ** power) / 2)
+    if process.spectrum < len(SPECTRA):
+        power, _ = SPECTRA[process.spectrum]
+        weight = np.exp(-((frequency * process.length) ** power) / 2)
+    else:
+        smoothness, _ = _ROUGH[0]
+        weight = (1 + (frequency * process.length) ** 2) ** -((smoothness + 0.5) / 2)
     weight[0] /= np.sqrt(2)
     weight /= np.sqrt((weight**2).sum())
     kept = weight > _ROUNDING
@@ -182,11 +194,11 @@ class _Member(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def _members(count: int, block: int, exact: bool, dense: bool) -> list[_Member]:
+def _members(count: int, block: int, exact: bool) -> list[_Member]:
     """All processes on a window, and what of them is seen; of exact samples there are all modes."""
     largest = _amplitudes(exact)[-1]
     found = []
-    for process in _processes(count, dense):
+    for process in _processes(count, exact):
         even, odd = _functions(process, count, block)
         sizes = [
             np.pad(one.sizes, (0, one.vectors.shape[1] - len(one.sizes)))
@@ -222,15 +234,15 @@ def _join(lines: list[Real], parts: list[tuple[Real, Real]], exact: bool) -> tup
     return np.concatenate(found, axis=-1), np.array(first)
 
 
-def models_of(count: int, block: int, exact: bool, dense: bool) -> tuple[np.ndarray, Real]:
+def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
     """
     Make the models of a window of `count` samples, each the mean of `block`.
 
     The largest motion is 1e7 deviations of the noise, and 1e13 if the samples are `exact`: then
-    each process has as many modes as there are samples. Lengths of processes are twice as many if
-    they are `dense`. Returns the integers and the numbers of `Models` of _evidence.h.
+    each process has as many modes as there are samples. Returns the integers and the numbers of
+    `Models` of _evidence.h.
     """
-    members, amplitudes = _members(count, block, exact, dense), _amplitudes(exact)
+    members, amplitudes = _members(count, block, exact), _amplitudes(exact)
     _, root, lines = _half_window(count)
     vectors = [
         tuple(one.vectors[:, : len(own)] for one, own in zip(*member[1:], strict=True))
@@ -261,16 +273,47 @@ def models_of(count: int, block: int, exact: bool, dense: bool) -> tuple[np.ndar
         *(_fill(part, -np.inf) for part in chances),
         _fill(freedom),
     ]
-    # The last kind is of all spectra.
-    kind = np.array([*(one.process.spectrum % (len(SPECTRA) + 1) for one in members), len(SPECTRA)])
-    kinds = _fill(np.tile(kind[:, None], len(amplitudes)), len(SPECTRA))
-    head = [len(less), kinds.shape[1] // _LANES, len(SPECTRA), first[1, 0], len(sizes)]
+    if not exact:
+        numbers.append(_unexplained_steps(count, members, amplitudes))
+    # The spectra, the rough one, and the kind that belongs to all spectra.
+    last = len(SPECTRA) + 1
+    kind = np.array([*(one.process.spectrum % (last + 1) for one in members), last])
+    kinds = _fill(np.tile(kind[:, None], len(amplitudes)), last)
+    head = [len(less), kinds.shape[1] // _LANES, last, first[1, 0], len(sizes)]
     integers = np.concatenate((head, first.ravel(), kinds.ravel())).astype(np.int64)
     return integers, np.concatenate([part.ravel() for part in numbers])
 
 
+def _unexplained_steps(count: int, members: list[_Member], amplitudes: Real) -> Real:
+    """
+    How much of steps the models leave: b' P b (P + 1, amplitudes, 3, n), inf where it is rounding.
+
+    A step b of the motion, or of its first or second derivative, lies half a sample before a sample
+    (n,), and P is the inverse of a model's covariance. Rest, the last process, leaves no steps to
+    be seen.
+    """
+    time = np.arange(count)
+    since = np.maximum(time - time[:, None] + 0.5, 0.0)
+    steps = np.concatenate((since > 0, since, since**2 / 2)).T
+    square = (steps**2).sum(axis=0)
+    _, root, lines = _half_window(count)
+    opposite = steps[::-1][: len(root)]
+    halves = [root[:, None] / 2 * (steps[: len(root)] + sign * opposite) for sign in (1, -1)]
+    left = square - sum((line @ half) ** 2 for line, half in zip(lines, halves, strict=True))
+    lanes = len(amplitudes) + -len(amplitudes) % _LANES
+    found = np.full((len(members) + 1, lanes, len(square)), np.inf)
+    for p, member in enumerate(members):
+        found[p, : len(amplitudes)] = left
+        for one, sizes, half in zip(member.functions, member.sizes, halves, strict=True):
+            large = (amplitudes[:, None] * sizes) ** 2
+            seen = (one.vectors[:, : len(sizes)].T @ half) ** 2
+            found[p, : len(amplitudes)] -= large / (1 + large) @ seen
+    found[found < _ROUNDING_OF_STEPS * square] = np.inf
+    return found
+
+
 def _derivatives(
-    count: int, block: int, exact: bool, dense: bool, time: Real, orders: range
+    count: int, block: int, exact: bool, time: Real, orders: range
 ) -> tuple[list[Real], list[tuple[Real, Real]], list[Real]]:
     """
     Derivatives (T, K, m) of mean and slope at times (T,), and of the modes of each process.
@@ -279,7 +322,7 @@ def _derivatives(
     """
     lines = np.stack([_lines(count, time, order) for order in orders], axis=1)  # (T, K, 2)
     found, unseen = [], []
-    for member in _members(count, block, exact, dense):
+    for member in _members(count, block, exact):
         values = _values(member.process, count, time, orders)
         more = np.zeros((len(time), len(orders), len(orders)))
         pair = []
@@ -291,22 +334,22 @@ def _derivatives(
             seen = np.count_nonzero(sizes)
             own[..., :seen] = by[..., :seen] / sizes[:seen]
             pair.append(own)
-            left -= by @ one.right
+            left -= by[..., :seen] @ one.right[:seen]
             more += left @ left.swapaxes(1, 2)
         found.append((pair[0], pair[1]))
         unseen.append(more)
     return [lines[..., :1], lines[..., 1:]], found, unseen
 
 
-def slopes_of(count: int, block: int, exact: bool, dense: bool) -> Real:
+def slopes_of(count: int, block: int, exact: bool) -> Real:
     """Derivatives (orders, panels, rows, _LANES), 1 to 4, of the modes at the first samples."""
     time, _, _ = _half_window(count)
-    lines, found, _ = _derivatives(count, block, exact, dense, time, range(1, 5))
+    lines, found, _ = _derivatives(count, block, exact, time, range(1, 5))
     slopes = _fill(np.moveaxis(_join(lines, found, exact)[0], 0, 2))  # (K, rows, half)
     return slopes.reshape(*slopes.shape[:2], -1, _LANES).swapaxes(1, 2).ravel()
 
 
-def stencils_of(count: int, block: int, exact: bool, dense: bool, orders: int, at: float) -> Real:
+def stencils_of(count: int, block: int, exact: bool, orders: int, at: float) -> Real:
     """
     Make the numbers of `Stencils` of _evidence.h, of an instant so many samples from the middle.
 
@@ -315,8 +358,8 @@ def stencils_of(count: int, block: int, exact: bool, dense: bool, orders: int, a
     process which looks like that: of a parabola the slowest of each spectrum, of the same amplitude
     up to the largest that may look like one, of a line and rest the slowest and least of the first.
     """
-    members, amplitudes = _members(count, block, exact, dense), _amplitudes(exact)
-    lines, found, unseen = _derivatives(count, block, exact, dense, np.array([at]), range(orders))
+    members, amplitudes = _members(count, block, exact), _amplitudes(exact)
+    lines, found, unseen = _derivatives(count, block, exact, np.array([at]), range(orders))
     spread = np.empty((orders, orders, len(members) + 1, len(amplitudes)))
     for p, member in enumerate(members):
         own = np.concatenate((*lines, *found[p]), axis=-1)[0]

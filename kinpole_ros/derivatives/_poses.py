@@ -13,7 +13,6 @@ from kinpole_ros.compiled import library, pass_array
 from kinpole_ros.derivatives._models import FLAT, models_of, slopes_of, stencils_of
 from kinpole_ros.planar._plane import Complex, Real
 
-_EFFORTS = 'low', 'normal', 'high'
 _ARRAYS = (
     *('time', 'windows', 'left_out', 'angle', 'turns', 'position', 'angle_information'),
     *('position_information', 'noise', 'tables', 'results'),
@@ -71,7 +70,7 @@ class _Table(Structure):
     """`Table` of _call.h."""
 
     _fields_: ClassVar[Any] = [
-        *((name, c_longlong) for name in ('count', 'block', 'flags', 'orders')),
+        *((name, c_longlong) for name in ('count', 'block', 'exact', 'orders')),
         ('at', c_double),
         *((name, c_void_p) for name in ('integers', 'numbers')),
     ]
@@ -82,7 +81,7 @@ class Call(Structure):
 
     _fields_: ClassVar[Any] = [
         *((name, c_longlong) for name in ('frames', 'bodies', 'instants', 'next', 'orders')),
-        *((name, c_longlong) for name in ('effort', 'table_count')),
+        ('table_count', c_longlong),
         ('window', c_double),
         ('flat', c_double),
         *((name, POINTER(c_char)) for name in _ARRAYS),
@@ -112,21 +111,19 @@ def derive_poses(
     noise: Real,
     window: float,
     order: int,
-    effort: str = 'normal',
 ) -> Derivatives:
     """
     Differentiate poses at the instants of `windows`, up to `order`.
 
     `left_out` (T, B) is how many of the newest frames of each window do not count, `noise` (T, B)
-    the deviation of a sample with information of 1, and `window`, s, the longest there is. With low
-    `effort` no window is taken for two parts, with high effort there are twice as many processes.
+    the deviation of a sample with information of 1, and `window`, s, the longest there is.
     """
     (instants, bodies), (frames,), orders = noise.shape, poses.time.shape, order + 1
     shapes = [array.shape for array in (*poses[1:], *windows, left_out)]
     if shapes != [(frames, bodies)] * 5 + [(instants,)] * 3 + [(instants, bodies)] or order > 4:
         raise ValueError(f'shapes do not fit to {frames} frames and noise {noise.shape}: {shapes}')
     results = np.empty((3 * orders + 2 * orders**2 + 2, instants, bodies))
-    call = new_call(window, order, effort)
+    call = new_call(window, order)
     call.frames, call.bodies, call.instants = frames, bodies, instants
     call.time = pass_array(poses.time, np.int64)
     call.windows = pass_array(np.array(windows), np.int64)
@@ -150,9 +147,9 @@ def derive_poses(
     )
 
 
-def new_call(window: float, order: int, effort: str) -> Call:
+def new_call(window: float, order: int) -> Call:
     """Begin the arguments of the library."""
-    return Call(orders=order + 1, effort=_EFFORTS.index(effort), window=window, flat=FLAT)
+    return Call(orders=order + 1, window=window, flat=FLAT)
 
 
 def pass_tables(call: Call) -> _Tables:
@@ -172,7 +169,7 @@ def go_on(call: Call, code: int) -> _Tables:
     if code < 0:
         raise MemoryError if code < -1 else IndexError('windows lie beyond the frames')
     lacking = call.lacking
-    window = lacking.count, lacking.block, bool(lacking.flags & 1), bool(lacking.flags & 2)
+    window = lacking.count, lacking.block, bool(lacking.exact)
     none = np.empty(0, np.int64)
     if lacking.orders > 0:
         made = none, stencils_of(*window, lacking.orders, lacking.at)

@@ -41,15 +41,6 @@
 #define SETTLED 0.05
 /* While samples are moved the noise counts for so many samples: it is more than was measured. */
 #define KNOWN_MEANWHILE 1.0
-/* How much of a window is the newer part, if it is of two motions. */
-static const double newer_parts[] = {0.3, 0.46, 0.7};
-#define NEWER_PARTS 3
-/* How probable it is that a window is of two motions. */
-#define PARTS_PRIOR 0.5
-/* Another part has to be worth so many flat priors of a parameter. */
-#define WORTH 4
-/* A part needs so many samples, one more than a window. */
-#define FEWEST_OF_PART (FEWEST_SAMPLES + 1)
 
 #include "_call.h"
 
@@ -61,7 +52,7 @@ typedef struct {
 } Grid;
 
 /* A buffer of a thread that lives as long as it does. */
-enum { OF_GRID, OF_CELLS, OF_WINDOW, OF_MODELS, BUFFERS };
+enum { OF_GRID, OF_CELLS, OF_WINDOW, OF_MODELS, OF_SETS, BUFFERS };
 static void *
 buffer(int which, size_t size)
 {

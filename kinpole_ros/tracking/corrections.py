@@ -315,9 +315,12 @@ def consensus_shape(
     if worst.max() <= _SPOILING_LIMITS * limit:
         return None
     points, counts = points.copy(), Counter[str]()
+    angles = np.where(worst > limit, np.nan, fits.angle[best])
     for frame in np.flatnonzero(worst > limit):
         weights = (~np.isnan(shape)).astype(float)
-        correction = correct_markers(points[frame], shape, weights, limit)
+        is_after = np.isfinite(angles[:frame]).any()
+        predicted, _ = _predict_angle(angles[:frame] if is_after else angles[:frame:-1])
+        correction = correct_markers(points[frame], shape, weights, limit, predicted)
         points[frame] = correction.points
         counts.update(correction.counts)
     weights = (~np.isnan(points) & ~np.isnan(shape)).astype(float)
@@ -338,7 +341,8 @@ def _best_fit(
     """
     The row (m, n) that fits the shape best, and its largest residual, m, over the noise ratio.
 
-    A row near the predicted angle goes first, if its residuals are within the limit, m.
+    A row near the predicted angle goes first, if its residuals are within the limit, m. Of rows
+    with two markers it is the nearest, since a wrong marker may be as far from another as its slot.
     """
     fit = fit_pose(points, np.broadcast_to(shape, points.shape), weights)
     residual = np.abs(fit.residual) / noise_ratio
@@ -346,5 +350,8 @@ def _best_fit(
     worst = np.where(np.isnan(residual).all(axis=-1), np.inf, worst)
     with np.errstate(invalid='ignore'):
         near = (np.cos(fit.angle - angle) > np.cos(_NEAR_ANGLE)) & (worst <= limit)
-    best = int(np.where(near | ~near.any(), worst, np.inf).argmin())
+    rank = worst
+    if near.any() and np.count_nonzero(weights, axis=-1).max() == 2:
+        rank = 1 - np.cos(fit.angle - angle)
+    best = int(np.where(near | ~near.any(), rank, np.inf).argmin())
     return best, float(worst[best])

@@ -55,6 +55,16 @@ def refit(bodies: Bodies, history: History) -> None:
     history['information'][...] = np.where(is_used, (fit.spread, fit.weight), 0.0).swapaxes(0, 1)
 
 
+def _count_turns(bodies: Bodies, history: History, restarted: np.ndarray) -> None:
+    """Count the whole turns of restarted bodies (B,) again, back from their newest poses."""
+    for b in np.flatnonzero(restarted):
+        rows = np.flatnonzero(np.isfinite(history['angle'][:, b]))
+        angle, turns = history['angle'][rows, b], history['turns'][:, b]
+        more = np.rint((np.unwrap(angle) - angle) / (2 * np.pi))
+        turns[rows] = turns[rows[-1]] + more - more[-1]
+        bodies.last_angle[b] = angle[-1]
+
+
 def learn(
     bodies: Bodies, history: History, window: int, given: float, counts: Counter[str]
 ) -> np.ndarray:
@@ -83,6 +93,7 @@ def learn(
     if restarted.any() or has_moved:
         bodies.update()
         refit(bodies, history)
+        _count_turns(bodies, history, restarted)
     if _update_shapes(bodies, history):
         bodies.update()
         refit(bodies, history)

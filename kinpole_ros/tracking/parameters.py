@@ -279,8 +279,7 @@ PARAMETERS: Mapping[str, Parameter] = {
     ),
     'effort': _choices(
         'normal',
-        'How much is computed for each figure. low: motions that stop or set in all at once are '
-        'followed later; high: twice as many models, less error where it is largest.',
+        'Makes no difference any more: events are searched for wherever the evidence asks for it.',
         'low',
         'normal',
         'high',
@@ -375,6 +374,7 @@ NODE_PARAMETERS = {
 }
 # Parameters that no user needs: accepted with a warning, and the reason.
 DEPRECATED = {
+    'effort': 'it makes no difference',
     'method': 'it makes no difference',
 }
 # The name of the ground in a joint.

@@ -109,7 +109,7 @@ class Step:
         self._frames = byref(self.fields)
         for name in _STATES:
             setattr(self.fields, name, address_of(getattr(self, name)))
-        self._call = new_call(settings.window, 0, settings.effort)
+        self._call = new_call(settings.window, 0)
         self._arrays: dict[str, np.ndarray] = {}
         self._new_frames: list[np.ndarray | None] = []
         self.bind(bodies, history)

@@ -4,7 +4,8 @@ What the compiled kernel does of even samples, with numpy: to read, and to test 
 Derivatives of poses within a window are the mean over all models, by how probable each is.
 
 What the models disagree about is part of the covariance. There each spectrum counts as much as the
-others: how the harmonics of a motion fall below its noise is what the samples cannot tell.
+others: how the harmonics of a motion fall below its noise is what the samples cannot tell. The
+rough spectrum counts in the covariance alone, and less.
 """
 
 from typing import NamedTuple
@@ -16,8 +17,12 @@ from kinpole_ros.planar._plane import Real
 
 # The noise as it was measured counts for so many samples.
 KNOWN = 300.0
-# Models with less weight than this do not count.
-_LEAST = 1e-5
+# Models with less weight in covariances, or less probable than this do not count.
+_LEAST, _LEAST_PROBABLE = 1e-5, 1e-8
+# Models with so much less evidence than others do not count.
+_FAR = 80.0
+# The weight of the rough spectrum in covariances, over that of another, is at most this.
+_ROUGH_SHARE = 0.1
 # Of angle and position: how many components, and which of both each component is of.
 _COMPONENTS = np.array((1, 2))
 _SIGNAL = [0, 1, 1]
@@ -28,8 +33,7 @@ class Found(NamedTuple):
     Of S bodies: derivatives `mean` (K, 3, S) of angle and both coordinates.
 
     `covariance` (K, K, 2, S) is that of the angle and of one coordinate, `freedom` (2, S) how many
-    parameters their motions have, and `evidence` (2, S) the logarithm of how probable the samples
-    are by all models, up to a constant for so many samples.
+    parameters their motions have, and `evidence` (2, S) that of the likeliest model.
     """
 
     mean: Real
@@ -147,7 +151,9 @@ def derive(
     """
     rows, variance, evidence, lacks = evidence_of(modes, samples, seen, lacking)
     orders, bodies = len(stencils.modes), samples.shape[2]
-    likely, weights, total = _weights(evidence.reshape(len(evidence), -1), modes.kinds)
+    best = evidence[modes.kinds[-1] == 0].max(axis=0)
+    likely, weights = weights_of(evidence.reshape(1, len(evidence), -1), np.zeros(1), modes.kinds)
+    likely, weights = likely[0], weights[0]
     noisy = weights * variance.reshape(len(variance), -1)
     # How much of each mode is motion in the mean, and how well that is known. That it is a low
     # polynomial, or rests, is known no better than that it is a process which looks like that.
@@ -160,13 +166,14 @@ def derive(
     covariance = stencils.products @ mixed[:, 2 * bodies :] + stencils.unseen @ spread
     covariance = covariance.reshape(orders, orders, 2, bodies)
     # What the models disagree about.
-    counting, off = by_models(modes, weights, stencils.modes, rows)
+    counts = weights + likely
+    counting, off = by_models(modes, counts, stencils.modes, rows)
     off = off.reshape(-1, orders, 3, bodies)
     result = result.reshape(orders, 3, bodies)
     if lacks is not None:
         assert lacking is not None
         vectors = modes.vectors[:-1, lacking.cells].reshape(len(rows), -1)
-        _, reach = by_models(modes, weights, stencils.modes, vectors)
+        _, reach = by_models(modes, counts, stencils.modes, vectors)
         less, more = lacks.correct(counting, reach.reshape(len(reach), orders, -1, bodies))
         off -= less
         result -= np.einsum(
@@ -180,7 +187,7 @@ def derive(
     covariance[:, :, 0] += between[:, :, 0]
     covariance[:, :, 1] += (between[:, :, 1] + between[:, :, 2]) / 2
     freedom = (modes.freedom @ likely).reshape(2, bodies)
-    return Found(result, covariance, freedom, total.reshape(2, bodies))
+    return Found(result, covariance, freedom, best)
 
 
 def move(
@@ -222,7 +229,8 @@ def move(
 
 def probabilities(modes: Modes, found: Evidence) -> Real:
     """How probable (M, 2 S) models are."""
-    return _weights(found.evidence.reshape(len(found.evidence), -1), modes.kinds)[0]
+    evidence = found.evidence.reshape(1, len(found.evidence), -1)
+    return np.asarray(weights_of(evidence, np.zeros(1), modes.kinds)[0][0])
 
 
 def mixture(modes: Modes, weights: Real) -> Real:
@@ -259,25 +267,35 @@ def by_models(modes: Modes, weights: Real, stencils: Real, rows: Real) -> tuple[
     return np.concatenate(numbers), np.concatenate(found)
 
 
-def _weights(evidence: Real, kinds: Real) -> tuple[Real, Real, Real]:
+def weights_of(evidence: Real, prior: Real, kinds: Real) -> tuple[Real, Real]:
     """
-    Probabilities (M, S) of models of the `evidence` (M, S), and their weights in covariances.
+    Probabilities (N, M, S) of models of the `evidence` (N, M, S), and their weights in covariances.
 
-    And the evidence (S,) of all of them.
+    With N sets of steps, the logarithms of whose `prior` (N,) are part of the evidence.
     """
+    smooth = kinds[-1] == 0
+    best = evidence[:, smooth].max(axis=(0, 1))
+    likely = np.exp(evidence - best)
+    likely[:, ~smooth] = 0.0
+    likely[evidence < best - _FAR] = 0.0
     # For covariances evidence counts to the power of 1/2: the likeliest model is not the only one.
-    best = evidence.max(axis=0)
-    weights = np.exp((evidence - best) / 2)
-    likely = weights * weights
-    # Of each spectrum beside the low polynomials and rest, unless it is out of the question.
-    total = kinds @ weights
+    # So does half of the prior of steps.
+    up = evidence - prior[:, None, None] / 2
+    top = up[:, smooth].max(axis=(0, 1))
+    rough = up[:, ~smooth].max(axis=(0, 1), initial=-np.inf)
+    highest = np.maximum(top, rough)
+    weights = np.exp((up - top) / 2)
+    weights[:, ~smooth] = np.exp((up[:, ~smooth] - highest) / 2)
+    # Of each spectrum beside the line and rest, unless it is out of the question.
+    total = np.einsum('km,nms->ks', kinds, weights)
     inverse = np.divide(1.0, total, out=np.zeros_like(total), where=total > 1e-300)
+    part = total[-1] / total[:-1].max(axis=0) * np.exp((highest - top) / 2)
+    inverse[-1] *= _ROUGH_SHARE * np.sqrt(np.minimum(part, 1.0))
     weights *= kinds.T @ inverse
-    weights /= weights.sum(axis=0)
-    least = weights < _LEAST
-    weights[least] = likely[least] = 0.0
-    total = likely.sum(axis=0)
-    return likely / total, weights, best + np.log(total)
+    weights /= weights.sum(axis=(0, 1))
+    weights[weights < _LEAST] = 0.0
+    likely[likely < _LEAST_PROBABLE] = 0.0
+    return likely / likely.sum(axis=(0, 1)), weights
 
 
 def lacks_of(modes: Modes, rows: Real, samples: Real, lacking: Lacking) -> Lacks:

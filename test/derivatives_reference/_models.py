@@ -49,7 +49,8 @@ class Modes(NamedTuple):
     zeros is none. M models are the processes, each with its amplitudes, and then rest: `chances`
     (M, 2, 1) are the logarithm of a model's prior less half of that of its determinant, for one and
     for two components, `freedom` (M,) is how many parameters it has for the samples, and `kinds`
-    (spectra, M) is 1 for those of a spectrum, and for low polynomials and rest.
+    (spectra, M) is 1 for those of a spectrum, and for low polynomials and rest. The last spectrum
+    is the rough one, without these.
 
     Model by model `place` (M, m) says which rows, of R and one more of zeros, it has, and `share`
     (M, m) how much of them is motion; `vectors` (R + 1, n) are the modes on all samples.
@@ -96,16 +97,14 @@ class _Member(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def _layout(
-    count: int, block: int, exact: bool, dense: bool
-) -> tuple[tuple[int, list[_Member]], ...]:
+def _layout(count: int, block: int, exact: bool) -> tuple[tuple[int, list[_Member]], ...]:
     """Processes by how many pairs of modes they have at most."""
     whole = (count + 1) // 2 - 1
     limits = [max(int(part * whole), 1) for part in _WIDTHS]
     # Of these functions so much is seen.
     largest = _models._amplitudes(exact)[-1]
     found: dict[int, list[_Member]] = {}
-    for process in _models._processes(count, dense):
+    for process in _models._processes(count, exact):
         functions = even, odd = _models._functions(process, count, block)
         seen = [
             len(one.sizes) if exact else int(np.count_nonzero(one.sizes * largest > _models._SEEN))
@@ -117,12 +116,11 @@ def _layout(
 
 
 @lru_cache(maxsize=64)
-def modes_of(count: int, block: int = 1, exact: bool = False, dense: bool = False) -> Modes:
+def modes_of(count: int, block: int = 1, exact: bool = False) -> Modes:
     """
     The models of a window of `count` samples, a few or more, each the mean of `block`.
 
     The largest motion is 1e7 deviations of the noise, and `MOST_EXACT` if the samples are `exact`.
-    Lengths of processes are twice as many if they are `dense`.
     """
     _, root, lines = _half_window(count)
     amplitudes = _models._amplitudes(exact)
@@ -130,7 +128,7 @@ def modes_of(count: int, block: int = 1, exact: bool = False, dense: bool = Fals
     parts, priors, occam, freedom = [], [], [], []
     by_model: list[Process] = []
     first = models = 0
-    for width, members in _layout(count, block, exact, dense):
+    for width, members in _layout(count, block, exact):
         processes = [member.process for member in members]
         sizes = np.zeros((len(members), width, 2))
         for p, member in enumerate(members):
@@ -166,7 +164,13 @@ def modes_of(count: int, block: int = 1, exact: bool = False, dense: bool = Fals
         tuple(parts),
         np.stack((prior + less, prior + 2 * less), axis=1)[..., None],
         np.concatenate([*freedom, [1.0]]),
-        np.array([(kind == k) | (kind < 0) for k in range(len(_models.SPECTRA))], float),
+        np.array(
+            [
+                *((kind == k) | (kind < 0) for k in range(len(_models.SPECTRA))),
+                kind == len(_models.SPECTRA),
+            ],
+            float,
+        ),
         *_by_model(parts, len(kind), 2 * len(even)),
         _whole(count, even, odd),
         *_hardly_others(by_model, len(amplitudes)),
@@ -217,7 +221,7 @@ def _whole(count: int, even: Real, odd: Real) -> Real:
 
 
 def _derivatives(
-    count: int, block: int, exact: bool, dense: bool, time: Real, orders: range
+    count: int, block: int, exact: bool, time: Real, orders: range
 ) -> tuple[Real, list[tuple[Real, Real]]]:
     """
     Derivatives (T, K, R) of the modes at times (T,).
@@ -226,7 +230,7 @@ def _derivatives(
     """
     lines = np.stack([_lines(count, time, order) for order in orders], axis=1)  # (T, K, 2)
     found, functions = [lines], []
-    for width, members in _layout(count, block, exact, dense):
+    for width, members in _layout(count, block, exact):
         for member in members:
             values = _values(member.process, count, time, orders)
             rows = np.zeros((len(time), len(orders), width, 2))
@@ -242,22 +246,20 @@ def _derivatives(
 
 
 @lru_cache(maxsize=256)
-def stencils_of(
-    count: int, at: float, block: int, orders: int, exact: bool = False, dense: bool = False
-) -> Stencils:
+def stencils_of(count: int, at: float, block: int, orders: int, exact: bool = False) -> Stencils:
     """
     Those of a window, as in `modes_of`, at an instant so many samples from its middle.
 
     Of so many `orders`, from 0.
     """
-    found, functions = _derivatives(count, block, exact, dense, np.array([at]), range(orders))
+    found, functions = _derivatives(count, block, exact, np.array([at]), range(orders))
     modes = found[0]
-    members = [member for _, some in _layout(count, block, exact, dense) for member in some]
+    members = [member for _, some in _layout(count, block, exact) for member in some]
     unseen = []
     for member, pair in zip(members, functions, strict=True):
         total = np.zeros((orders, orders))
-        for one, (left,) in zip(member.functions, pair, strict=True):
-            left = left - (left @ one.right.T) @ one.right
+        for one, seen, (left,) in zip(member.functions, member.seen, pair, strict=True):
+            left = left - (left @ one.right[:seen].T) @ one.right[:seen]
             total += left @ left.T
         unseen.append(_models._amplitudes(exact)[:, None] ** 2 * total.ravel())
     unseen.append(np.zeros((1, orders * orders)))
@@ -266,8 +268,8 @@ def stencils_of(
 
 
 @lru_cache(maxsize=24)
-def slopes_of(count: int, block: int = 1, exact: bool = False, dense: bool = False) -> Real:
+def slopes_of(count: int, block: int = 1, exact: bool = False) -> Real:
     """Derivatives (orders, R, n) of the modes of a window at its samples, the first four."""
     time = np.arange(count) - (count - 1) / 2
-    found, _ = _derivatives(count, block, exact, dense, time, range(1, 5))
+    found, _ = _derivatives(count, block, exact, time, range(1, 5))
     return np.ascontiguousarray(np.moveaxis(found, 0, 2))

@@ -18,9 +18,9 @@ from derivatives_reference._cells import (
     usual_of,
 )
 from derivatives_reference._evidence import Found
-from derivatives_reference._parts import derive_parts
 from derivatives_reference._samples import Window, place, total
 from derivatives_reference._sizes import LACKING, Group, groups_of
+from derivatives_reference._steps import derive_even
 from kinpole_ros.derivatives import Derivatives, Poses, Windows
 from kinpole_ros.planar._plane import Real, complex_of
 
@@ -39,14 +39,12 @@ def derive_poses(
     noise: Real,
     window: float,
     order: int,
-    effort: str = 'normal',
 ) -> Derivatives:
     """
     Differentiate poses at the instants of `windows`, up to `order`.
 
     `left_out` (T, B) is how many of the newest frames of each window do not count, `noise` (T, B)
-    the deviation of a sample with information of 1, and `window`, s, the longest there is. With low
-    `effort` no window is taken for two parts, with high effort there are twice as many processes.
+    the deviation of a sample with information of 1, and `window`, s, the longest there is.
     """
     instants, bodies = noise.shape
     step = max(1, _AT_ONCE // bodies)
@@ -61,7 +59,7 @@ def derive_poses(
     for first in range(0, instants, step):
         part = slice(first, first + step)
         for some, cells in cells_of(poses, part_of(windows, part), left_out[part], noise[part]):
-            found = _derive_all(cells, window, order + 1, effort)
+            found = _derive_all(cells, window, order + 1)
             for array, values in zip(result, found, strict=True):
                 array[..., first + some, :] = values.reshape(*values.shape[:-1], -1, bodies)
     # What was found is about the poses at the instants.
@@ -70,11 +68,11 @@ def derive_poses(
     return result
 
 
-def _derive_all(cells: Cells, window: float, orders: int, effort: str) -> Derivatives:
+def _derive_all(cells: Cells, window: float, orders: int) -> Derivatives:
     """Derivatives (..., S) of all signals, per s, NaN for those of which there is too little."""
     groups = groups_of(cells, window)
     if groups and isinstance(groups[0].which, slice):
-        return _derive(cells, groups[0], orders, effort)
+        return _derive(cells, groups[0], orders)
     shape, square = (orders, len(cells.ahead)), (orders, orders, len(cells.ahead))
     result = Derivatives(
         np.empty(shape, complex),
@@ -86,12 +84,12 @@ def _derive_all(cells: Cells, window: float, orders: int, effort: str) -> Deriva
     for array in result:
         array.fill(np.nan)
     for group in groups:
-        for array, found in zip(result, _derive(cells, group, orders, effort), strict=True):
+        for array, found in zip(result, _derive(cells, group, orders), strict=True):
             array[..., group.which] = found
     return result
 
 
-def _derive(cells: Cells, group: Group, orders: int, effort: str) -> Derivatives:
+def _derive(cells: Cells, group: Group, orders: int) -> Derivatives:
     """Derivatives (..., S) of a group, per s."""
     which, size, block, ahead, exact = group
     count = size * block
@@ -115,9 +113,9 @@ def _derive(cells: Cells, group: Group, orders: int, effort: str) -> Derivatives
     if off is not None and not np.count_nonzero(off):
         off = None
     at = (size - 1) / 2 - (ahead - (block - 1) / 2) / block
-    window = Window(size, at, block, orders, bool(exact), effort == 'high', effort != 'low')
+    window = Window(size, at, block, orders, bool(exact))
     if weight is None and off is None:
-        found = derive_parts(window, samples, None)
+        found = derive_even(window, samples, None)
     else:
         found = _derive_uneven(window, samples, weight, off)
     scale = interval ** -np.arange(float(orders))[:, None]  # (K, S)
@@ -168,7 +166,7 @@ def _derive_uneven(window: Window, samples: Real, weight: Real | None, off: Real
             samples = samples / noise[[0, 1, 1]]
     samples, more = place(window, samples, weight, off)
     more = more * noise
-    found = derive_parts(window, samples, weight)
+    found = derive_even(window, samples, weight)
     mean, covariance = found.mean * more[[0, 1, 1]], found.covariance * more**2
     found = found._replace(mean=mean, covariance=covariance)
     if window.exact:

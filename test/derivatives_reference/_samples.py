@@ -23,26 +23,18 @@ _SIGNAL = [0, 1, 1]
 
 
 class Window(NamedTuple):
-    """The arguments of `stencils_of`, and whether the window may be in two `parts`."""
+    """The arguments of `stencils_of`."""
 
     size: int
     at: float
     block: int
     orders: int
     exact: bool
-    dense: bool
-    parts: bool
-
-    def part(self, rows: slice, orders: int) -> 'Window':
-        """The same of some of the samples."""
-        first, last, _ = rows.indices(self.size)
-        at = self.at + (self.size - last - first) / 2
-        return self._replace(size=last - first, at=at, orders=orders)
 
     @property
-    def models(self) -> tuple[int, int, bool, bool]:
+    def models(self) -> tuple[int, int, bool]:
         """The arguments of `modes_of`."""
-        return self.size, self.block, self.exact, self.dense
+        return self.size, self.block, self.exact
 
 
 class Placed(NamedTuple):

@@ -1,0 +1,429 @@
+"""
+Windows in which derivatives step, as an impact or a drive makes them.
+
+An event is a few columns: the step, what it is if its place is somewhat earlier or later, and a
+step of the next derivative. With these all models are a regression more; those with events and
+those without are averaged by their evidence. Models are matrices of all samples here, and signals
+come one by one.
+"""
+
+from functools import lru_cache
+from math import factorial
+from typing import NamedTuple
+
+import numpy as np
+
+from derivatives_reference._evidence import KNOWN, Found, derive, weights_of
+from derivatives_reference._models import FLAT, _layout, modes_of, stencils_of
+from derivatives_reference._samples import Window, seen_of
+from kinpole_ros.planar._plane import Real
+
+# Steps of the motion itself, of its first and of its second derivative are looked for.
+_ORDERS = (0, 1, 2)
+# Flat priors of a parameter by which the likeliest model has less evidence than a line, or more.
+_WORTH = 3
+# How probable an event is, and the logarithm of the part of all sizes that is as large.
+_PRIOR, _SIZE_COST = 0.05, 2.4
+# Evidence that a candidate gains, by which it is at most behind another, and with which a second
+# event makes the set without it not count.
+_GAIN, _BEHIND, _SURE_GAIN = 8.0, 3.0, 25.0
+# Evidence after the loss of which shorter lengths of a spectrum are left out.
+_DROP = 8.0
+# Samples on either side of an event.
+_EDGE = 3
+# Standard deviation of the place of an event, samples, at least and at most.
+_PLACE = 0.5, 3.0
+# Steps are screened with the likeliest of the slowest processes of each spectrum, too.
+_SLOWEST = 2
+# The power of the evidence of other places, the logarithm of the least chance, and how near to the
+# instant one of them is, samples.
+_POWER, _LEAST_CHANCE, _NEAR = 0.25, 7.0, 12
+_LEFT_OF_STEP = 1e-6
+_ROUNDING = 1e-9
+
+
+class _Bank(NamedTuple):
+    """
+    M models of a window of n samples as matrices: `left` (M, n, n) is what they leave of samples,
+    `stencil` (M, K, n) how samples make derivatives, and `spread` (M, K, K) their covariance.
+    """
+
+    left: Real
+    stencil: Real
+    spread: Real
+
+
+class _Set(NamedTuple):
+    """
+    Steps by their `columns` (C, n), `here` (C, K), what they are at the instant, and the `roots`
+    (2, C) of the variances of their sizes. `prior` is the logarithm of that of all `events`, and
+    `spread` (2, K, K) the covariance that is due to their places. By models: `evidence` (M, 2),
+    `variance` (M, 2) of the noise, and of both components, `gain` (M, C, C) and `size` (M, C, c),
+    what is found of sizes, and their covariance.
+    """
+
+    columns: Real
+    here: Real
+    roots: Real
+    prior: float
+    events: int
+    spread: Real
+    evidence: Real
+    variance: Real
+    gain: tuple[Real, Real]
+    size: tuple[Real, Real]
+
+
+class _Screen(NamedTuple):
+    """What `model` with the columns of a set leaves of samples (n, n), and its `stencil` (K, n)."""
+
+    model: int
+    left: Real
+    stencil: Real
+
+
+class _Candidate(NamedTuple):
+    """An event before the sample `at`, and what one gains at all places (n,), ranked."""
+
+    value: float
+    gain: float
+    at: int
+    rank: Real
+    screens: list[_Screen]
+
+
+def derive_even(window: Window, samples: Real, weights: Real | None) -> Found:
+    """
+    The derivatives of `samples` (n, 3, S), with all events there may be in the window.
+
+    With `weights` (n, 2, S) of angle and position unless they are all 1.
+    """
+    modes, stencils = modes_of(*window.models), stencils_of(*window)
+    seen, lacking = seen_of(weights, samples)
+    whole = derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking)
+    if window.exact:
+        return whole
+    some = (whole.evidence < -_WORTH * FLAT * np.array((1, 2))[:, None]).any(axis=0).nonzero()[0]
+    for k in some:
+        weight = np.ones((window.size, 2)) if weights is None else weights[..., k]
+        found = _derive_signal(window, samples[..., k], weight)
+        for all_, part in zip(whole, found, strict=True):
+            all_[..., k] = part
+    return whole
+
+
+@lru_cache(maxsize=16)
+def _bank_of(window: Window) -> _Bank:
+    modes, stencils = modes_of(*window.models), stencils_of(*window)
+    orders = len(stencils.modes)
+    rows = np.pad(stencils.modes, ((0, 0), (0, 1)))
+    left, stencil, spread = [], [], []
+    for place, share in zip(modes.place, modes.share, strict=True):
+        vectors, own = modes.vectors[place], rows[:, place] * share
+        left.append(np.eye(window.size) - (vectors.T * share) @ vectors)
+        stencil.append(own @ vectors)
+        spread.append(own @ rows[:, place].T)
+    all_ = np.array(spread) + stencils.unseen.T.reshape(-1, orders, orders)
+    all_[modes.simple] = all_[modes.slowest].mean(axis=1)
+    return _Bank(np.array(left), np.array(stencil), all_)
+
+
+def _step(window: Window, order: int, place: float) -> Real:
+    """What a step adds to the samples (n,), each the mean of a block."""
+    offsets = (np.arange(window.block) - (window.block - 1) / 2) / window.block
+    since = np.arange(window.size)[:, None] + offsets - place
+    return np.asarray((_power(since, order)).mean(axis=1))
+
+
+def _power(since: Real, order: int) -> Real:
+    return np.where(since > 0, np.maximum(since, 0) ** order / factorial(max(order, 0)), 0.0)
+
+
+def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
+    """The derivatives of one signal, `samples` (n, 3), as of `derive_even` but without the S."""
+    modes, bank = modes_of(*window.models), _bank_of(window)
+    seen = weight.sum(axis=0)
+    cells = np.flatnonzero((weight < 1).any(axis=1))
+    none = np.zeros((len(cells), window.orders))
+    empty = _evaluate(
+        window, samples, seen, weight[cells].T, np.eye(window.size)[cells], none,
+        np.sqrt(1 - weight[cells].T), 0.0, 0, np.zeros((2, window.orders, window.orders)),
+        len(cells),
+    )  # fmt: skip
+    sets = _sets(window, samples, seen, weight[cells].T, empty)
+    mean, freedom = np.zeros((window.orders, 3)), np.zeros(2)
+    covariance = np.zeros((window.orders, window.orders, 2))
+    for c in range(2):
+        own = samples[:, [0]] if c == 0 else samples[:, 1:]
+        likely, weights = weights_of(
+            np.array([one.evidence[:, c, None] for one in sets]),
+            np.array([one.prior for one in sets]),
+            modes.kinds,
+        )
+        derived = []
+        for one, by in zip(sets, weights[..., 0], strict=True):
+            reach = one.here.T - bank.stencil @ one.columns.T  # (M, K, C)
+            derived.append(bank.stencil @ own + reach @ one.size[c])
+            noisy = by * one.variance[:, c]
+            covariance[:, :, c] += np.tensordot(noisy, bank.spread, 1)
+            covariance[:, :, c] += np.einsum(
+                'm,mkc,mcd,mjd->kj', noisy, reach, one.gain[c], reach, optimize=True
+            )
+        all_ = np.array(derived)  # (N, M, K, c)
+        mean[:, [0] if c == 0 else [1, 2]] = total = np.einsum('nm,nmkc->kc', likely[..., 0], all_)
+        off = all_ - total
+        covariance[:, :, c] += np.einsum('nm,nmkc,nmjc->kj', weights[..., 0], off, off) / (c + 1)
+        for one, by in zip(sets, weights[..., 0], strict=True):
+            covariance[:, :, c] += by.sum() * one.spread[c]
+        events = np.array([one.events for one in sets])
+        freedom[c] = np.sum(likely[..., 0] * (modes.freedom + events[:, None]))
+    return Found(mean, covariance, freedom, np.zeros(2))
+
+
+def _evaluate(
+    window: Window,
+    samples: Real,
+    seen: Real,
+    lacking: Real,
+    columns: Real,
+    here: Real,
+    roots: Real,
+    prior: float,
+    events: int,
+    spread: Real,
+    cells: int,
+) -> _Set:
+    """What models say of a window with such columns, the first of which are cells that lack."""
+    modes, bank = modes_of(*window.models), _bank_of(window)
+    left = bank.left @ columns.T  # (M, n, C)
+    between = columns @ left
+    found = []
+    for c in range(2):
+        own = samples[:, [0]] if c == 0 else samples[:, 1:]
+        square = (own * (bank.left @ own)).sum(axis=(1, 2))
+        root = roots[c]
+        system = between * root * root[:, None]
+        system[:, np.arange(len(root)), np.arange(len(root))] += np.concatenate(
+            (lacking[c], np.ones(len(root) - cells))
+        )
+        inverse = np.linalg.inv(system) * root * root[:, None]
+        along = left.swapaxes(1, 2) @ own
+        size = inverse @ along
+        square = np.maximum(square - np.einsum('mcj,mcj->m', along, size), 0.0)
+        number = KNOWN + seen[c] * (c + 1)
+        variance = (square + KNOWN) / number
+        log = np.linalg.slogdet(system)[1] / 2
+        evidence = modes.chances[:, c, 0] - number / 2 * np.log(variance) - (c + 1) * log + prior
+        found.append((evidence, variance, inverse, size))
+    evidence, variance, gain, size = zip(*found, strict=True)
+    all_ = np.stack(evidence, 1)
+    if events:
+        all_[_left_out(window, all_)] = -np.inf
+    return _Set(
+        columns, here, roots, prior, events, spread, all_, np.stack(variance, 1),
+        (gain[0], gain[1]), (size[0], size[1]),
+    )  # fmt: skip
+
+
+def _processes(window: Window) -> list[tuple[int, float, slice]]:
+    """The spectrum and the length of processes, and their models."""
+    layout = _layout(window.size, window.block, window.exact)
+    processes = [member.process for _, members in layout for member in members]
+    amplitudes = (len(modes_of(*window.models).freedom) - 1) // len(processes)
+    return [
+        (one.spectrum, one.length, slice(k * amplitudes, (k + 1) * amplitudes))
+        for k, one in enumerate(processes)
+    ]
+
+
+def _left_out(window: Window, evidence: Real) -> np.ndarray:
+    """Which models (M,) with steps are left out: rough ones, and lengths beyond much worse ones."""
+    out = modes_of(*window.models).kinds[-1] > 0
+    processes = _processes(window)
+    for spectrum in {one for one, _, _ in processes if one >= 0}:
+        top, dropped = np.full(2, -np.inf), False
+        for _, _, models in sorted(
+            (one for one in processes if one[0] == spectrum), key=lambda one: -one[1]
+        ):
+            out[models] |= dropped
+            most = evidence[models].max(axis=0)
+            dropped |= bool((most < top - _DROP).all())
+            top = np.maximum(top, most)
+    return np.asarray(out)
+
+
+def _derivatives(order: int, since: float, orders: int) -> Real:
+    """Derivatives (K,) of a step so many samples after it."""
+    each = [_power(np.float64(since), order - k) if order >= k else 0.0 for k in range(orders)]
+    return np.array(each, float)
+
+
+def _sets(window: Window, samples: Real, seen: Real, lacking: Real, empty: _Set) -> list[_Set]:
+    """All sets of steps that count: the empty one, and those that explain samples better."""
+    found: dict[int, _Candidate] = {}
+    before = None
+    for allowed in (modes_of(*window.models).kinds[-1] == 0, _slow(window)):
+        evidence = np.where(allowed[:, None], empty.evidence, -np.inf)
+        models = evidence.argmax(axis=0)
+        if before is not None and (models == before).all():
+            break
+        before = models
+        screens = [_screen(window, empty, lacking, c, models[c]) for c in range(2)]
+        value = evidence.max(axis=0).sum()
+        for order, one in _candidates(window, samples, seen, screens, value).items():
+            if order not in found or one.value > found[order].value:
+                found[order] = one
+    first = max(found, key=lambda order: found[order].value)
+    if found[first].gain < _GAIN:
+        return [empty]
+    sets = {
+        order: _extended(window, samples, seen, lacking, empty, order, one)
+        for order, one in found.items()
+        if one.gain >= _GAIN and one.value >= found[first].value - _BEHIND
+    }
+    models = [screen.model for screen in found[first].screens]
+    screens = [_screen(window, sets[first], lacking, c, models[c]) for c in range(2)]
+    others = _candidates(window, samples, seen, screens, 0.0)
+    second = max(others, key=lambda order: others[order].value)
+    all_ = [empty, *(one for order, one in sets.items() if order != first)]
+    if others[second].gain < _SURE_GAIN:
+        all_.append(sets[first])
+    if others[second].gain >= _GAIN:
+        all_.append(_extended(window, samples, seen, lacking, sets[first], second, others[second]))
+    return all_
+
+
+def _slow(window: Window) -> np.ndarray:
+    """Which models (M,) are of the slowest processes of the smooth spectra."""
+    modes, processes = modes_of(*window.models), _processes(window)
+    slow = np.zeros(len(modes.freedom), bool)
+    for spectrum, length, models in processes:
+        longer = sum(one == spectrum and other > length for one, other, _ in processes)
+        slow[models] = longer < _SLOWEST and 0 <= spectrum < len(modes.kinds) - 1
+    return slow
+
+
+def _screen(window: Window, base: _Set, lacking: Real, c: int, model: int) -> _Screen:
+    """What a model with the columns of a set leaves of samples, and how it makes derivatives."""
+    cells = lacking.shape[1]
+    weight = np.concatenate((lacking[c], np.ones(len(base.columns) - cells)))
+    bank = _bank_of(window)
+    left, stencil = bank.left[model], bank.stencil[model]
+    for column, here, root, own in zip(base.columns, base.here, base.roots[c], weight, strict=True):
+        removed = left @ column
+        factor = root**2 / (own + root**2 * (column @ removed))
+        stencil = stencil + np.outer(here - stencil @ column, factor * removed)
+        left = left - factor * np.outer(removed, removed)
+    return _Screen(model, left, stencil)
+
+
+def _removed(left: Real, column: Real, root: float, weight: float) -> Real:
+    """What is left with another column."""
+    own = left @ column
+    return np.asarray(left - root**2 / (weight + root**2 * (column @ own)) * np.outer(own, own))
+
+
+def _square(window: Window, order: int, screen: _Screen, own: Real) -> tuple[Real, Real]:
+    """
+    Of steps before each sample (n,): the squares of their sizes over the variances of these, and
+    their sizes (n, c), as a screen estimates them.
+    """
+    bank, steps = _bank_of(window), _steps(window.size, order)
+    whole = ((steps @ bank.left[screen.model]) * steps).sum(axis=1)
+    whole[whole < _ROUNDING * (steps**2).sum(axis=1)] = np.inf
+    if screen.model == len(bank.left) - 1:
+        whole[:] = np.inf
+    left = ((steps @ screen.left) * steps).sum(axis=1)
+    left = np.where(left > _LEFT_OF_STEP * whole, left, np.inf)
+    along = steps @ screen.left @ own
+    square = (along**2).sum(axis=1) / left / own.shape[1]
+    return square, along * (square / (1 + square) / left)[:, None]
+
+
+def _candidates(
+    window: Window, samples: Real, seen: Real, screens: list[_Screen], value: float
+) -> dict[int, _Candidate]:
+    """The best step of each order."""
+    found = {}
+    for order in _ORDERS:
+        rank, gain = np.zeros(window.size), np.zeros(window.size)
+        for c in range(2):
+            own = samples[:, [0]] if c == 0 else samples[:, 1:]
+            squares = max(float((own * (screens[c].left @ own)).sum()), 0.0) + KNOWN
+            number = KNOWN + seen[c] * (c + 1)
+            square, _ = _square(window, order, screens[c], own)
+            explained = (c + 1) * square**2 / (1 + square)
+            part = np.minimum(explained / squares, 1.0)
+            rank += number / 2 * part * (6 - part) / (6 - 4 * part)
+            after = np.maximum(squares - explained, KNOWN)
+            gain += np.maximum(
+                number / 2 * np.log(squares / after) - (c + 1) / 2 * np.log1p(square), 0.0
+            )
+        at = _EDGE + int(rank[_EDGE : window.size - _EDGE + 1].argmax())
+        found[order] = _Candidate(value + float(gain[at]), float(gain[at]), at, rank, screens)
+    return found
+
+
+def _spread(window: Window, samples: Real, order: int, candidate: _Candidate) -> Real:
+    """The covariance (2, K, K) of derivatives that is due to the place of an event."""
+    spread = np.zeros((2, window.orders, window.orders))
+    places = np.arange(_EDGE, window.size - _EDGE + 1)
+    rank = candidate.rank[places]
+    less = _POWER * (rank.max() - rank)
+    chance = np.where(less > _LEAST_CHANCE, 0.0, np.exp(-less))
+    since = window.at + (window.size - 1) / 2 - (places - 0.5)
+    if not (chance[np.abs(since) < _NEAR] > 0).any():
+        return spread
+    here = np.array([_derivatives(order, each, window.orders) for each in since])
+    for c, screen in enumerate(candidate.screens):
+        own = samples[:, [0]] if c == 0 else samples[:, 1:]
+        _, size = _square(window, order, screen, own)
+        change = here - _steps(window.size, order)[places] @ screen.stencil.T  # (P, K)
+        off = size[places, :, None] * change[:, None]
+        off -= off[rank.argmax()]
+        spread[c] = np.einsum('p,pck,pcj->kj', chance / chance.sum(), off, off) / (c + 1)
+    return spread
+
+
+@lru_cache(maxsize=16)
+def _steps(count: int, order: int) -> Real:
+    """Steps (n, n) half a sample before each sample."""
+    return np.asarray(_power(np.arange(count) - np.arange(count)[:, None] + 0.5, order))
+
+
+def _extended(
+    window: Window,
+    samples: Real,
+    seen: Real,
+    lacking: Real,
+    base: _Set,
+    order: int,
+    candidate: _Candidate,
+) -> _Set:
+    """The set with another event, with sizes as the screens estimate them."""
+    place = candidate.at - 0.5
+    orders = [order, *([order - 1] if order else []), order + 1]
+    columns = [_step(window, each, place) for each in orders]
+    instant = window.at + (window.size - 1) / 2 - place
+    here = np.array([_derivatives(each, instant, window.orders) for each in orders])
+    roots = np.zeros((2, len(orders)))
+    for c, screen in enumerate(candidate.screens):
+        own = samples[:, [0]] if c == 0 else samples[:, 1:]
+        left = screen.left
+        for k, (each, column) in enumerate(zip(orders, columns, strict=True)):
+            some = column @ left @ column
+            if each >= order and some > 0:
+                square = ((column @ left @ own) ** 2).sum() / (c + 1)
+                roots[c, k] = np.sqrt(max(square, some)) / some
+            elif each == order - 1:
+                known = roots[c, 0] * np.sqrt((c + 1) * max(some, 0.0))
+                off = min(max(1 / known, _PLACE[0]), _PLACE[1]) if known > 0 else _PLACE[0]
+                roots[c, k] = roots[c, 0] * off
+            left = _removed(left, column, roots[c, k], 1.0)
+    prior = base.prior + np.log(_PRIOR / (1 - _PRIOR) / (len(_ORDERS) * window.size)) - _SIZE_COST
+    return _evaluate(
+        window, samples, seen, lacking, np.concatenate((base.columns, columns)),
+        np.concatenate((base.here, here)), np.concatenate((base.roots, roots), axis=1), prior,
+        base.events + 1, base.spread + _spread(window, samples, order, candidate),
+        lacking.shape[1],
+    )  # fmt: skip
