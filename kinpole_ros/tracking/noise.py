@@ -14,7 +14,6 @@ from kinpole_ros.tracking.statistics import (
     OUTLIER_RATIO,
     OUTLIER_SHARE,
     bulk_maximum,
-    chi_square,
     mean_square,
     share_of_lowest,
 )
@@ -35,6 +34,8 @@ MARKERS_PER_NOISY = 4
 MAX_MARKERS = 32
 # Weights are kept while the variance changes by less than this factor.
 MAX_WEIGHT_CHANGE = 1.5
+# Exchanging a noisy marker for a good one must leave so many times the residual variance.
+MIN_CONTRAST = 2.0
 # Variances below this share of the squared size are rounding.
 ROUNDED_SQUARE = 1e-12
 # Fewest frames for the noise of a single marker.
@@ -182,10 +183,11 @@ def marker_variances(
     for values, limit in ((difference, RATIO_ON), (_block_means(residual), BLOCK_RATIO_ON)):
         components = variance_components(values[:, seen], shape[seen])
         new = np.array([v / np.median(np.delete(components, k)) for k, v in enumerate(components)])
-        # Few values scatter: their variances may differ by chance.
-        degrees = (~np.isnan(values[:, seen])).sum(axis=0) * (2 - 3 / seen.sum())
-        limit = limit * chi_square(degrees, N_SIGMA)
         is_noisy = new > np.where(relative[seen] > 1, RATIO_OFF, limit)
+        noisy = np.flatnonzero(seen)[is_noisy].tolist()
+        if noisy and not _is_unambiguous(values, shape, seen, noisy):
+            # Another marker may be the noisy one.
+            continue
         ratios[seen] = np.maximum(ratios[seen], np.where(is_noisy, new, 1.0))
     is_noisy = ratios > 1
     if is_noisy.sum() > max(1, seen.sum() // MARKERS_PER_NOISY):
@@ -233,3 +235,37 @@ def _block_means(residual: Complex) -> Complex:
     total = np.where(np.isnan(blocks), 0, blocks).sum(axis=1)
     enough = seen > BLOCK // 2
     return np.where(enough, total / np.sqrt(np.maximum(seen, 1)), complex(np.nan, np.nan))
+
+
+def _is_unambiguous(values: Complex, shape: Complex, seen: np.ndarray, noisy: list[int]) -> bool:
+    """Whether exchanging a noisy marker for a good one always fits much worse."""
+    good = seen.copy()
+    good[noisy] = False
+    limit = MIN_CONTRAST * _pooled_variance(values, shape, good)
+    for k in noisy:
+        for exchanged in np.flatnonzero(good):
+            choice = good.copy()
+            choice[k], choice[exchanged] = True, False
+            if _pooled_variance(values, shape, choice) < limit:
+                return False
+    return True
+
+
+def _pooled_variance(values: Complex, shape: Complex, which: np.ndarray) -> float:
+    """Variance, m^2 per axis, of some markers (n,) about small shifts and turns of their own."""
+    seen = ~np.isnan(values) & which
+    count = seen.sum(axis=1)
+    divisor = np.maximum(count, 1)
+    mean = np.where(seen, values, 0).sum(axis=1) / divisor
+    middle = np.where(seen, shape, 0).sum(axis=1) / divisor
+    arms = np.where(seen, shape - middle[:, None], 0)
+    shifted = np.where(seen, values - mean[:, None], 0)
+    spread = (arms.real**2 + arms.imag**2).sum(axis=1)
+    spread = np.where(spread > 0, spread, np.inf)
+    turn = (arms.conj() * shifted).imag.sum(axis=1) / spread
+    residual = np.where(seen, shifted - 1j * turn[:, None] * arms, 0)
+    enough = count >= 2
+    degrees = float((2 * count[enough] - 3).sum())
+    squares = float((residual.real**2 + residual.imag**2)[enough].sum())
+    variance = squares / degrees if degrees > 0 else np.inf
+    return variance + ROUNDED_SQUARE * float(spread[np.isfinite(spread)].max(initial=0.0))
