@@ -10,14 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench._costs import FixedTracker
 from bench._motions import Motion, cusped, motions, still_turning, swinging
 from bench._record import RATE, START, frames_of, quantities
 from kinpole_ros import planar
 from kinpole_ros.mechanism import BodyMotion, marker_positions
 from kinpole_ros.tracking.estimate import Estimate, Numbers, Vectors
 from kinpole_ros.tracking.frame import part_of
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.tracker import Tracker
 
 SHOWN = ('ω', 'α', 'ICR', 'IAP', 'κ')
@@ -110,14 +108,11 @@ def smoothed(values: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
     return np.asarray(np.fft.ifft(np.fft.fft(values, axis=0).T * share).T)
 
 
-METHODS: dict[str, Callable[[Settings], Tracker]] = {'ours': Tracker, 'fixed 41/4': FixedTracker}
-
-
 def survey(
     quick: bool = False, progress: Callable[[float], None] | None = None
 ) -> list[dict[str, object]]:
     """
-    One row by cell and method: median error, share determined, and what must not be.
+    One row by cell: median error, share determined, and what must not be.
 
     Errors are medians over determined frames of |error| over the larger of the truth's own size
     and the rms of ω to the power of the order; of poles over the body's size, of κ over the larger
@@ -128,11 +123,11 @@ def survey(
     for count, cell in enumerate(chosen):
         if progress is not None:
             progress(count / len(chosen))
-        rows += [_row(cell, name, kind) for name, kind in METHODS.items()]
+        rows.append(_row(cell))
     return rows
 
 
-def _row(cell: Cell, name: str, kind: Callable[[Settings], Tracker]) -> dict[str, object]:
+def _row(cell: Cell) -> dict[str, object]:
     seconds = 1.2 if cell.rate > 500 else 2.5
     rng = np.random.default_rng(7)
     count = round(seconds * cell.rate)
@@ -151,9 +146,9 @@ def _row(cell: Cell, name: str, kind: Callable[[Settings], Tracker]) -> dict[str
     markers[rng.random(markers.shape) < cell.dropout] = np.nan
     markers = markers + cell.offset * size
     row: dict[str, object] = {'limit': cell.limit, 'value': cell.value, 'unit': cell.unit}
-    row |= {'method': name, 'raised': '', 'not_finite': 0}
+    row |= {'raised': '', 'not_finite': 0}
     frames, settings = frames_of(markers[:, None], stamps)
-    tracker = kind(settings)
+    tracker = Tracker(settings)
     # As many instants for every rate; the averages of what came before are fed alike.
     every = max(1, count // 240)
     found = []

@@ -76,22 +76,19 @@ def atlas(rows: Rows, path: Path, names: tuple[str, ...] = ('ω', 'ICR')) -> Non
     limits = list(dict.fromkeys(row['limit'] for row in rows))
     figure = Figure(figsize=(12, 4.6 * ((len(limits) + 2) // 3)), layout='constrained')
     outer = figure.subfigures((len(limits) + 2) // 3, 3, squeeze=False).ravel()
-    methods = {'ours': '-', 'fixed 41/4': ':'}
     for part, limit in zip(outer, limits, strict=False):
         above, below = part.subplots(2, 1, sharex=True, height_ratios=(2, 1))
         above.set_yscale('log')
-        for method, line in methods.items():
-            mine = [r for r in rows if r['limit'] == limit and r['method'] == method]
-            mine.sort(key=lambda row: float(row['value']))
-            x = np.arange(len(mine))
-            for name, mark in zip(names, 'os', strict=True):
-                style = {'marker': mark, 'linestyle': line, 'markerfacecolor': 'white'}
-                style |= {'color': '0.0' if line == '-' else '0.5'}
-                errors = np.array([row.get(f'{name}_error', np.nan) for row in mine])
-                errors[errors == 0] = np.nan
-                above.plot(x, errors, label=f'{name}, {method}', **style)
-                below.plot(x, [row.get(f'{name}_determined', 0.0) for row in mine], **style)
-            below.set_xticks(x, [f'{row["value"]:g}' for row in mine], fontsize=7)
+        mine = [row for row in rows if row['limit'] == limit]
+        mine.sort(key=lambda row: float(row['value']))
+        x = np.arange(len(mine))
+        for name, style in zip(names, ('ok-', 's:k'), strict=True):
+            errors = np.array([row.get(f'{name}_error', np.nan) for row in mine])
+            errors[errors == 0] = np.nan
+            above.plot(x, errors, style, label=name, markerfacecolor='white')
+            told = [row.get(f'{name}_determined', 0.0) for row in mine]
+            below.plot(x, told, style, markerfacecolor='white')
+        below.set_xticks(x, [f'{row["value"]:g}' for row in mine], fontsize=7)
         # What is flat shall look flat.
         low, high = above.get_ylim()
         wider = max(1.0, np.sqrt(100 * low / high))

@@ -28,19 +28,14 @@ def pareto(points: list[Point], path: Path) -> None:
     figure = _figure(5.2)
     left, right = figure.subplots(1, 2, sharey=True)
     ours = [point for point in points if point.group == 'ours']
-    normal = [point for point in ours if point.short == 'normal']
     reach = [1e6 * t for p in points for t in (p.live, p.replay) if np.isfinite(t)]
     least, most = min(reach), max(reach)
     names = 'As anyone can run it', 'Given the truth, or offline'
     for panel, name, group in zip((left, right), names, ('peer', 'tuned'), strict=True):
         shown = [point for point in points if point.group == group]
-        mine = ours if panel is left else normal
         for point in shown:
             _dumbbell(panel, point, _PEER if group == 'peer' else _TUNED, 's')
-        for end in ('replay', 'live'):
-            x = [1e6 * getattr(point, end) for point in mine]
-            panel.plot(x, [_height(point) for point in mine], color=_OURS, linewidth=2.2, zorder=2)
-        for point in mine:
+        for point in ours:
             _dumbbell(panel, point, _OURS, 'o')
         panel.axhline(1.0, color='0.6', linewidth=1, linestyle=(0, (4, 3)), zorder=0)
         panel.set_xscale('log')
@@ -57,11 +52,10 @@ def pareto(points: list[Point], path: Path) -> None:
         panel.grid(color='0.93', zorder=0)
         panel.spines[['top', 'right']].set_visible(False)
         panel.set_title(name, loc='left', fontweight='bold', fontsize=11)
-        _label(panel, [*mine, *shown], 2.0 * most)
+        _label(panel, [*ours, *shown], 2.0 * most)
     left.set_ylabel('error over the best fixed window in hindsight\n(median of all cells)')
     for fill, text in (('0.3', 'live: frame by frame'), ('white', 'replay: many frames at once')):
         left.plot([], [], 'o', color='0.3', markerfacecolor=fill, label=text, markersize=7)
-    left.plot([], [], color=_OURS, linewidth=2.2, label='ours, by effort')
     figure.legend(loc='outside lower center', ncols=3, frameon=False, fontsize=9)
     _save(figure, path)
 

@@ -7,7 +7,7 @@ part of their time where they use one.
 
 import time
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from bench._hindsight import fixed_weights
 from bench._peers import (
     DIFFERENCES,
-    EFFORTS,
     FIXED,
     KALMAN,
     LIKELY,
+    OURS,
     POLYNOMIAL,
     SAVGOL,
     SAVGOL_BEST,
@@ -30,7 +30,7 @@ from bench._peers import (
     make_kalman,
     run_kalman,
 )
-from bench._polynomial import derivative_weights, stencil
+from bench._polynomial import stencil
 from bench._record import (
     LAG,
     RATE,
@@ -40,62 +40,14 @@ from bench._record import (
     quantities,
     stamps_of,
 )
-from kinpole_ros.derivatives import Derivatives, Poses, Windows
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.tracking.frame import part_of
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.tracker import Tracker
 
-PIPELINE = 'the same pipeline, fixed 41/4'
 # Hindsight makes no method faster.
 _AS_LONG = {FIXED: POLYNOMIAL, SPACED: DIFFERENCES, SAVGOL_BEST: SAVGOL, LIKELY: SMOOTHER}
 # Frames that fill the windows before any counts, and those that do, live and at once.
 _FILL, _LIVE, _AT_ONCE = 200, 400, 1000
-
-
-def derive_fixed(
-    poses: Poses,
-    windows: Windows,
-    left_out: np.ndarray,
-    noise: np.ndarray,
-    window: float,
-    order: int,
-    effort: str = 'normal',
-) -> Derivatives:
-    """Differentiate by a local polynomial (41 samples, degree 4); arguments as `derive_poses`."""
-    (now,), (oldest,), (newest,) = windows
-    samples, degree = USUAL
-    last = min(now + (samples + 1) // 2, newest + 1)
-    rows = slice(max(last - samples, oldest), last)
-    times = poses.time[rows] - poses.time[now]
-    shape = order + 1, 1, noise.shape[1]
-    if len(times) <= degree:
-        bad, wide = np.full(shape, np.nan), np.full((order + 1, *shape), np.nan)
-        return Derivatives(bad + 0j, bad, wide, wide, bad[0], bad[0])
-    weights = _fixed_rows(times.tobytes(), degree)[: order + 1]
-    position = weights @ (poses.position[rows] - poses.position[now])
-    position[0] += poses.position[now]
-    spread = (weights @ weights.T)[..., None] * noise[0] ** 2
-    return Derivatives(
-        position[:, None],
-        (weights @ np.unwrap(poses.angle[rows], axis=0))[:, None],
-        (spread / poses.position_information[now])[:, :, None],
-        (spread / poses.angle_information[now])[:, :, None],
-        np.full(shape[1:], (times[-1] - times[0]) * 1e-9),
-        np.full(shape[1:], float(degree + 1)),
-    )
-
-
-class FixedTracker(Tracker):
-    """The same tracker with a fixed local polynomial for the choice."""
-
-    derive = staticmethod(derive_fixed)
-
-
-@lru_cache(maxsize=16)
-def _fixed_rows(times: bytes, degree: int) -> np.ndarray:
-    """Weights for order 0 to 3: even sampling asks for the same ones every frame."""
-    return derivative_weights(np.frombuffer(times, np.int64) * 1e-9, degree, 3)
 
 
 def cost_rows(repeats: int) -> list[dict[str, Any]]:
@@ -113,8 +65,8 @@ def cost_rows(repeats: int) -> list[dict[str, Any]]:
         work()
         return (time.process_time() - start) / count
 
-    def tracked(kind: type[Tracker], effort: str, step: int) -> float:
-        tracker = kind(Settings(**{**vars(settings), 'effort': effort}))
+    def tracked(step: int) -> float:
+        tracker = Tracker(settings)
         tracker.add(part_of(frames, slice(_FILL)), 3)
         last = _FILL + (_LIVE if step == 1 else _AT_ONCE)
         parts = [part_of(frames, slice(k, k + step)) for k in range(_FILL, last, step)]
@@ -196,14 +148,7 @@ def cost_rows(repeats: int) -> list[dict[str, Any]]:
 
     usual, short = fixed_weights(*USUAL)[0], stencil(np.arange(-2, 3) / RATE, 3)
     tasks: dict[str, tuple[Callable[[], float], Callable[[], float]]] = {
-        name: (partial(tracked, Tracker, effort, 1), partial(tracked, Tracker, effort, _AT_ONCE))
-        for effort, name in EFFORTS.items()
-    }
-    tasks |= {
-        PIPELINE: (
-            partial(tracked, FixedTracker, 'normal', 1),
-            partial(tracked, FixedTracker, 'normal', _AT_ONCE),
-        ),
+        OURS: (partial(tracked, 1), partial(tracked, _AT_ONCE)),
         POLYNOMIAL: (partial(poses_live, usual), partial(poses_at_once, usual)),
         DIFFERENCES: (partial(markers_live, short), partial(markers_at_once, short)),
         SAVGOL: (partial(markers_live, usual), partial(markers_at_once, usual)),

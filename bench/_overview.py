@@ -4,10 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench._costs import PIPELINE
 from bench._peers import (
     DIFFERENCES,
-    EFFORTS,
     FIXED,
     KALMAN,
     LIKELY,
@@ -46,7 +44,6 @@ class Point(NamedTuple):
     """
 
     group: str
-    short: str
     label: str
     live: float
     replay: float
@@ -106,33 +103,24 @@ def pareto_points(peers: Rows, costs: Rows, offline: Rows) -> list[Point]:
     for method, ratios in over_hindsight(peers).items():
         if method not in spent or not len(ratios):
             continue
-        group, short, label = 'tuned', '', _LABELS.get(method, method)
-        if method in EFFORTS.values():
-            short = next(effort for effort, name in EFFORTS.items() if name == method)
-            group, label = 'ours', f'ours, {short} effort'
+        group, label = 'tuned', _LABELS.get(method, method)
+        if method == OURS:
+            group, label = 'ours', OURS
         elif method in _PEERS:
             group = 'peer'
         time = spent[method]['live'], spent[method]['replay']
-        points.append(_point(group, short, label, *time, ratios))
+        points.append(_point(group, label, *time, ratios))
     for method, ratios in over_hindsight(offline).items():
         cpu = next(row['cpu'] for row in offline if row['method'] == method)
         if np.isfinite(cpu) and len(ratios):
             label = f'{method}, rates'
-            points.append(_point('tuned', '', label, np.nan, cpu, ratios))
+            points.append(_point('tuned', label, np.nan, cpu, ratios))
     return points
 
 
-def _point(
-    group: str, short: str, label: str, live: float, replay: float, ratios: np.ndarray
-) -> Point:
+def _point(group: str, label: str, live: float, replay: float, ratios: np.ndarray) -> Point:
     middle, high = np.percentile(ratios, (50, 90)).tolist()
-    return Point(group, short, label, live, replay, middle, high, len(ratios))
-
-
-def pipeline_ratio(costs: Rows) -> float:
-    """Our time live over that of a fixed polynomial through the same pipeline."""
-    spent = {row['method']: row['live'] for row in costs}
-    return float(spent[OURS] / spent[PIPELINE])
+    return Point(group, label, live, replay, middle, high, len(ratios))
 
 
 def troubles(rows: Rows) -> list[Trouble]:

@@ -9,9 +9,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from bench._markdown import number, table, wrapped
+from bench._markdown import wrapped
 from bench._overview import BOUND, over_hindsight, pareto_points, troubles
-from bench._peers import EFFORTS, OURS, TUNED_ON
+from bench._peers import OURS, TUNED_ON
 from bench._record import LAG, NOISES, WINDOW
 from bench._rigs import NOISE
 from bench._rows import Rows
@@ -32,7 +32,6 @@ def make_page(tables: Tables) -> str:
         _pareto_part(tables),
         _strip_part(tables),
         _model_part(tables),
-        _efforts_part(tables),
         _rest_part(tables),
         *warnings(tables),
     ]
@@ -152,19 +151,10 @@ def _settings(tables: Tables) -> str:
     if 0.0 not in lagged or LAG not in lagged:
         return ''
     rate, jerk = (lagged[0.0][name] / lagged[LAG][name] for name in ('ω', 'jerk'))
-    text = (
+    return (
         f'`lag` first. {LAG:g} s instead of none divides the error of ω by {rate:.1f} and that of '
         f'the jerk by {jerk:.1f}.'
     )
-    costs = {row['method']: row['live'] for row in tables.get('costs', [])}
-    ratios = over_hindsight(tables.get('peers', []))
-    low = EFFORTS['low']
-    if low in costs and low in ratios:
-        time, error = costs[low] / costs[OURS], np.median(ratios[low]) / np.median(ratios[OURS])
-        text += (
-            f' `effort: low` takes {time:.2f} times the CPU time, with {error:.2f} times the error.'
-        )
-    return text
 
 
 def _pareto_part(tables: Tables) -> str:
@@ -174,12 +164,12 @@ def _pareto_part(tables: Tables) -> str:
     )
     if not points:
         return f'{title}\n\n{MISSING}'
-    ours = next(point for point in points if point.short == 'normal')
+    ours = next(point for point in points if point.group == 'ours')
     motions = len({row['motion'] for row in tables['peers']})
     best = min((p for p in points if p.group == 'peer'), key=lambda p: p.median)
     return f"""{title}
 
-![Error over CPU time: kinpole at three efforts, and other methods](charts/pareto.png)
+![Error over CPU time: kinpole and other methods](charts/pareto.png)
 
 Lower left is better; a triangle is a point above the chart. The dashed line at 1 is the best fixed
 window, chosen in hindsight for each cell. A cell is one quantity of one motion at one noise. There
@@ -227,27 +217,6 @@ The motion is not given. In one window of {WINDOW:g} s the averaged models have
 {least['parameters']:.0f} parameters for the {least['motion']} and {most['parameters']:.0f} for the
 {most['motion']}. Details below the noise take no parameters: in {fewer} of {len(motions)} motions
 the highest noise leaves fewer parameters than the lowest."""
-
-
-def _efforts_part(tables: Tables) -> str:
-    title = '## What does `effort` change?'
-    costs = {row['method']: row for row in tables.get('costs', [])}
-    ratios = over_hindsight(tables.get('peers', []))
-    lines: list[tuple[str, ...]] = []
-    for effort, name in EFFORTS.items():
-        if name in costs and name in ratios:
-            times = (f'{1e6 * costs[name][what]:.0f}' for what in ('live', 'replay'))
-            errors = (number(value) for value in np.percentile(ratios[name], (50, 90, 100)))
-            lines.append((f'`{effort}`', *times, *errors))
-    if not lines:
-        return f'{title}\n\n{MISSING}'
-    head = ('`effort`', 'live, µs', 'replay, µs', 'error: median', '90th percentile', 'worst')
-    return f"""{title}
-
-{table(head, lines)}
-
-CPU time is per frame of one body, with all poles and the curvature. Errors are those of the first
-chart."""
 
 
 def _rest_part(tables: Tables) -> str:

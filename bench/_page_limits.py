@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench._atlas import SHOWN
-from bench._markdown import PEER_BAR, number, table
-from bench._overview import pipeline_ratio
-from bench._peers import OURS
+from bench._markdown import number, table
 from bench._record import NOISES
 from bench._rows import Rows
 
@@ -30,8 +28,7 @@ def time_part(costs: Rows) -> str:
 {table(('method', 'live, µs per frame', 'replay, µs per frame'), rows)}
 
 All quantities of one body up to jerk: live frame by frame, in replay many frames at once. Ours
-takes {pipeline_ratio(costs):.2f} times as long live as a fixed polynomial in the same pipeline
-(bar: 3). Minimum of several runs."""
+fits the poses, learns and checks names and noise too. Minimum of several runs."""
 
 
 def speed_part(speed: Rows, start: Rows) -> str:
@@ -127,78 +124,34 @@ def atlas_part(rows: Rows) -> str:
         return ''
     raised = [row for row in rows if row['raised']]
     finite = [row for row in rows if row['not_finite']]
-    both = {
-        (row['limit'], row['value']): (row, other)
-        for row in rows
-        for other in rows
-        if row['method'] == OURS
-        and other['method'] != OURS
-        and (other['limit'], other['value']) == (row['limit'], row['value'])
-    }
 
     def cell(row: dict[str, Any], name: str) -> str:
         error, told = row.get(f'{name}_error', np.nan), row.get(f'{name}_determined', 0.0)
         return f'{error:.2g}, {told:.2f}' if np.isfinite(error) else f'–, {told:.2f}'
 
-    def lost(pair: tuple[dict[str, Any], dict[str, Any]], name: str) -> float:
-        """By how much the fixed window is worse: its error over ours, and frames it has not."""
-        ours, fixed = (row.get(f'{name}_error', np.nan) for row in pair)
-        mine, its = (row.get(f'{name}_determined', 0.0) for row in pair)
-        if not np.isfinite(ours) or mine < 0.1:
-            return 0.0
-        return fixed / max(ours, 1e-15) if np.isfinite(fixed) and its > 0.1 * mine else np.inf
-
-    poles = ('ICR', 'IAP')
-    failing = []
-    for limit in dict.fromkeys(limit for limit, _ in both):
-        here = [pair for key, pair in both.items() if key[0] == limit]
-        ours, fixed = max(here, key=lambda pair: max(lost(pair, name) for name in poles))
-        failing.append(
-            (
-                limit,
-                f'{ours["value"]:g} {ours["unit"]}',
-                *(cell(row, name) for name in poles for row in (ours, fixed)),
-            )
-        )
-    better = [
-        (1 / lost(pair, name), f'{name} at {key[0]} {key[1]:g}: {1 / lost(pair, name):.1f}')
-        for key, pair in both.items()
-        for name in poles
-        if 0 < lost(pair, name) < 1 / PEER_BAR
-    ]
-    better.sort(reverse=True)
-    contrary = '; '.join(text for _, text in better[:4])
     told = table(
         ('limit', 'value', *(f'{q}: error, determined' for q in SHOWN)),
         (
             (row['limit'], f'{row["value"]:g} {row["unit"]}', *(cell(row, q) for q in SHOWN))
-            for row, _ in both.values()
+            for row in rows
         ),
     )
     return f"""## Stability atlas
 
-Of {len(rows)} cells (both methods), **{len(raised)}** raised an exception, and in
+Of {len(rows)} cells, **{len(raised)}** raised an exception, and in
 **{len(finite)}** a value that is not finite was marked as determined.
 
 ![Stability atlas: ω and ICR](charts/atlas.png)
 
 Where the error (upper charts) grows without bound, the share determined (lower charts) must
-decrease. The dotted line is a fixed window of 41 samples and degree 4 in the same pipeline.
+decrease.
 
 ![Stability atlas: IAP and κ](charts/atlas_higher.png)
 
-The same for quantities that need more derivatives; the fixed window fails sooner. At a cusp of the
-centrode κ is infinite, and it is withheld in the frames that do not determine it.
+The same for quantities that need more derivatives. At a cusp of the centrode κ is infinite, and it
+is withheld in the frames that do not determine it.
 
-The worst poles of the fixed window for each limit (error divided by the body size, share
-determined):
-
-{table(('limit', 'value', *(f'{q}, {m}' for q in poles for m in ('ours', 'fixed 41/4'))), failing)}
-
-Ours is worse by a factor of more than {PEER_BAR} in {len(better)} of {len(poles) * len(both)}
-results {f'({contrary})' if better else ''}.
-
-<details><summary>Ours in all cells</summary>
+<details><summary>All cells</summary>
 
 {told}
 

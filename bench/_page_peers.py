@@ -55,7 +55,7 @@ may use 0.1 s of later data, except the Kalman filter and the plain finite diffe
 
 - "Hindsight": the setting was chosen with the true values for each motion, noise and quantity.
 - "Self-tuned": the process noise has the highest likelihood at 0.75 to 2.5 s of each record.
-- Ours has one setting for all. Errors are those of the frames that it determines at all efforts.
+- Ours has one setting for all. Errors are those of the frames that it determines.
 
 {chr(10).join(part + chr(10) for part in parts)}
 {about}

@@ -37,8 +37,6 @@ from kinpole_ros import planar
 Table = dict[Key, float]
 
 OURS = 'ours'
-# Ours by effort.
-EFFORTS = {'low': 'ours, low effort', 'normal': OURS, 'high': 'ours, high effort'}
 FIXED = 'local polynomial on poses, hindsight'
 POLYNOMIAL = 'local polynomial 41/4 on poses'
 DIFFERENCES = 'finite differences, 5 samples'
@@ -68,17 +66,12 @@ class Kalman(NamedTuple):
 
 
 def equal_lag(recording: Recording) -> dict[str, Table]:
-    """RMS errors by method, motion, noise and quantity on the frames that all of ours determine."""
-    ours = {name: measure(recording, effort=effort) for effort, name in EFFORTS.items()}
-    frames = ours[OURS].frames
-    masks = [counted(recording, each) for each in ours.values()]
-    where = {name: np.all([mask[name] for mask in masks], axis=0) for name in QUANTITIES}
+    """RMS errors by method, motion, noise and quantity on the frames that ours determines."""
+    ours = measure(recording)
+    frames, where = ours.frames, counted(recording, ours)
     poses = fit_poses(recording)
     ahead = round(LAG * RATE)
-    tables = {
-        name: pooled_rms(recording, own_errors(recording, each), where)
-        for name, each in ours.items()
-    }
+    tables = {OURS: pooled_rms(recording, own_errors(recording, ours), where)}
     tables[FIXED] = _values(best_fixed(recording, frames, where, poses))
     weights = fixed_weights(*USUAL)
     errors = errors_of(recording, frames, *apply_weights(*weights, frames, *poses))
