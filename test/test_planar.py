@@ -766,6 +766,15 @@ def test_a_small_body_and_a_far_one_have_a_pose(scale: float) -> None:
         assert fit.angle == pytest.approx(0.3, abs=1e-8)
 
 
+@pytest.mark.parametrize('count', [3, 4, 6])
+def test_a_regular_polygon_and_its_mirror_have_no_pose(count: int) -> None:
+    """Every rotation fits alike, so what is left of the sum is rounding."""
+    shape = 0.1 * np.exp(2j * np.pi * np.arange(count) / count)
+    fit = planar.fit_pose(3.0 + 1j + shape.conj(), shape, np.ones(count))
+    assert np.isnan(fit.angle)
+    assert np.isnan(fit.position)
+
+
 def test_the_fit_is_the_least_sum_of_squares() -> None:
     rng = np.random.default_rng(13)
     weights = rng.uniform(0.2, 2, 5)

@@ -6,8 +6,6 @@ import numpy as np
 
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
-_TINY = np.finfo(float).tiny
-
 
 class Fit(NamedTuple):
     """
@@ -90,7 +88,8 @@ def fit_pose(points: Complex, shape: Complex, weights: Real) -> Fit:
     Returns
     -------
     Fit
-        Poses (...). NaN where fewer than two markers have weight, or where these coincide.
+        Poses (...). NaN where fewer than two markers have weight, where these coincide, or where
+        no rotation is better than the others.
 
     Notes
     -----
@@ -171,7 +170,10 @@ def fit_pose_with_factors(points: Complex, factors: ProcrustesFactors) -> Fit:
         arms = points - mean[..., None]
         cross = np.add.reduce(factors.turn_factor * arms, -1)
         length = np.abs(cross)
-        is_fitted = factors.distinct & _are_distinct(arms, mean, factors.seen) & (length > _TINY)
+        # Zero but for rounding: no rotation is best, as for an equilateral triangle and its mirror.
+        largest = np.add.reduce(np.abs(factors.turn_factor) * np.abs(arms), -1)
+        is_fitted = factors.distinct & _are_distinct(arms, mean, factors.seen)
+        is_fitted &= length > ROUNDING * largest
         turn = np.where(is_fitted, cross / length, np.nan)
         position = mean - turn * factors.mean
     residual = arms * turn.conj()[..., None] - factors.arms
