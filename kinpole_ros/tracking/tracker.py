@@ -430,7 +430,7 @@ class Tracker:
         bodies, matcher = self._calibration, self.matcher
         if matcher.is_nameless and matcher.arrange(k):
             self._restart_bodies(np.ones(bodies.count, bool))
-        markers = self._points[k]
+        markers, heights = self._points[k], self._heights[k]
         if len(bodies.unseen):
             bodies.begin(markers)
             self._step.bind(bodies, self._history)
@@ -439,13 +439,17 @@ class Tracker:
             self._next_update = min(self._next_update, self._frame_count + 1)
         if bodies.exchanged:
             markers[...] = np.take_along_axis(markers, bodies.order, axis=1)
+            heights[...] = np.take_along_axis(heights, bodies.order, axis=1)
         unusual = self._step.try_next(markers)
         if (unusual & NAME_DOUBTFUL or matcher.has_unassigned) and self._correct_names(k, unusual):
             unusual = self._step.try_next(markers)
         fitted = markers
         if unusual & ODD:
             odd = (self._step.unusual & ODD) > 0
+            before = np.argsort(bodies.order, axis=1)
             fitted = correct_frame(bodies, self._history, markers, odd, self._counts)
+            new_order = np.take_along_axis(before, bodies.order, axis=1)
+            heights[...] = np.take_along_axis(heights, new_order, axis=1)
         if bodies.exchanged:
             # Names that stay exchanged were wrong before.
             recent = bodies.exchanged_for < MOVED_FRAMES
