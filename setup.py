@@ -62,6 +62,7 @@ setup(
                 f'{NAME}/tracking/_quantities.c',
                 f'{NAME}/tracking/_step.c',
                 f'{NAME}/tracking/_follow.c',
+                f'{NAME}/messages/_points.c',
                 f'{NAME}/messages/_rows.c',
                 f'{NAME}/messages/_joints.c',
             ],
