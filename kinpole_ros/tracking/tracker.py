@@ -298,7 +298,7 @@ class Tracker:
             first = self._step.fields.frame
         self._search_events(first, numbers)
         self._keep_results(results, numbers)
-        if self._posed and self._assignment.plane is not None:
+        if in_space is not None and self._assignment.plane is not None:
             self._space.add(in_space)
         return estimates
 
@@ -380,15 +380,14 @@ class Tracker:
         events, self._events = self._events, []
         return [estimate_of(results, *about, tuple(events))]
 
-    def _assign(self, frames: MarkerFrames) -> np.ndarray:
-        """Assign markers (T, B, n, 3), m, to the bodies, and pass them to the matcher."""
-        in_space = self._assignment.assign(frames)
+    def _assign(self, frames: MarkerFrames) -> np.ndarray | None:
+        """Assign markers to the bodies, and pass them to the matcher; return those in space."""
+        points, heights, in_space = self._assignment.assign(frames)
         if self._assignment.width > self._calibration.width:
             self._widen()
         # The matcher corrects both in place.
-        points, heights = self._assignment.project(in_space)
         self._points, self._heights = np.ascontiguousarray(points), np.ascontiguousarray(heights)
-        has_tilts = self._posed and self._assignment.plane is not None
+        has_tilts = in_space is not None and self._assignment.plane is not None
         self._tilts = self._assignment.tilts(in_space) if has_tilts else None
         self.matcher.begin(np.asarray(frames.stamps), self._points, self._heights)
         return in_space
@@ -411,13 +410,14 @@ class Tracker:
         self._counts['resets'] += 1
         self._start(self._timeline)
 
-    def _take_unusual(self, in_space: np.ndarray, results: Results) -> None:
+    def _take_unusual(self, in_space: np.ndarray | None, results: Results) -> None:
         """Take the next frame, one of those `in_space`, after correcting its markers."""
         k = self._step.fields.frame
         if self._assignment.plane is None:
             frames, times = self._frames_in_hand
             part = slice(k, k + 1)
             self._before_plane.append((part_of(frames, part), [array[part] for array in times]))
+            assert in_space is not None
             unusable = self.matcher.is_incomplete_cloud()
             self._space.add(np.full_like(in_space[part], np.nan) if unusable else in_space[part])
             self._step.correct_next(self._points[k])
