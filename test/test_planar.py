@@ -756,6 +756,9 @@ def test_markers_at_one_place_have_no_pose(place: complex) -> None:
     for fit in (seen_at_one_place, known_at_one_place):
         assert np.isnan(fit.angle)
         assert np.isnan(fit.position)
+    # The shape and the weights have a precision also where the points have no pose.
+    assert seen_at_one_place.freedom.sum() == pytest.approx(7)
+    assert np.isfinite([seen_at_one_place.spread, seen_at_one_place.weight]).all()
 
 
 @pytest.mark.parametrize('scale', [1e-9, 1e-6, 1.0, 1e6])
