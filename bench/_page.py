@@ -237,4 +237,5 @@ noise with the highest likelihood at {TUNED_ON[0]:g} to {TUNED_ON[1]:g} s of eac
 
 [The tables](benchmarks-tables.md) also cover stability, the live node, a real pendulum and long
 runs. [The experiments](estimator.md#how-accurate-is-it-near-an-event) have errors and coverage by
-the distance from an impact, a stop or a reversal. The values are in CSV files in [charts](charts).{made}"""
+the distance from an impact, a stop or a reversal. The values are in CSV files in
+[charts](charts).{made}"""
