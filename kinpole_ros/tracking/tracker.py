@@ -248,13 +248,13 @@ class Tracker:
             while first < len(stamps):
                 self._update_clock_if_due()
                 remaining = slice(first, None)
-                is_used, end, restarts = self._timeline.accept(
+                used, end, restarts = self._timeline.accept(
                     stamps[remaining], frames.points[remaining]
                 )
-                new = first + is_used.nonzero()[0]
-                if len(new):
-                    taken = frames if len(new) == len(stamps) else part_of(frames, new)
-                    for part, numbers in self._timeline.count(taken, number + new):
+                if len(used):
+                    used += first
+                    taken = frames if len(used) == len(stamps) else part_of(frames, used)
+                    for part, numbers in self._timeline.count(taken, number + used):
                         estimates += self._take_timed(part, numbers, order)
                 first += end
                 if restarts:
