@@ -5,7 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.compiled import address_of, library
+from kinpole_ros.compiled import address_of, library, pass_new_array
 from kinpole_ros.messages._types import END_OF_TIME
 
 
@@ -49,12 +49,14 @@ class MessageLayout(Structure):
 
     def count_alike(self, data: bytes, first: int, count: int) -> int:
         """Return how many messages from `first` on are of the layout; `data` are `count`."""
-        return int(_count_alike(self._self, data, first, count))
+        alike: int = _count_alike(self._self, data, first, count)
+        return alike
 
     def read(self, data: bytes, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return stamps (T,), ns, and points (T, n, 3) of `count` messages from `first` on."""
         stamps, points = np.empty(count, np.int64), np.empty((count, self.count, 3))
-        _read_messages(self._self, data, first, count, address_of(stamps), address_of(points))
+        into = pass_new_array(stamps), pass_new_array(points)
+        _read_messages(self._self, data, first, count, *into)
         return stamps, points
 
 

@@ -156,6 +156,7 @@ class _Layout(NamedTuple):
     they are not plain ASCII. Without `names`, `fixed` is the mask.
     """
 
+    size: int
     fields: MessageLayout
     points: PointLayout
     mask: np.ndarray
@@ -165,11 +166,6 @@ class _Layout(NamedTuple):
     pose: int | None
     frame_id: str
     identities: tuple[str, ...]
-
-    @property
-    def size(self) -> int:
-        """Bytes of a message."""
-        return int(self.fields.size)
 
     @property
     def memory(self) -> int:
@@ -278,7 +274,7 @@ def _make_layout(kind: str, identity: str, reading: _Reading, data: bytes) -> _L
     key = np.frombuffer(data, np.uint8, compared) & combined
     fields = MessageLayout(points, offsets.size, stamp, combined, key)
     about = names, pose, frames.frame_id, frames.identities
-    return _Layout(fields, points, combined, key, fixed, *about)
+    return _Layout(offsets.size, fields, points, combined, key, fixed, *about)
 
 
 def _add_array(mask: _Mask, naming: _Mask, reading: _Reading, identity: str) -> Names | None:
