@@ -123,7 +123,7 @@ class _Table(ABC):
         self, path: str | Path, settings: Settings, name: str | Path | None = None
     ) -> None:
         self._path, self._name = Path(path), name or path
-        self._order = settings.derivative_order or 4
+        self._order = settings.highest_order
         self._names = column_names(tuple(settings.bodies), self._order)
         with self._write_errors():
             self._path.parent.mkdir(parents=True, exist_ok=True)
