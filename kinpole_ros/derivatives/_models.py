@@ -23,7 +23,7 @@ from kinpole_ros.planar._plane import Real
 FEWEST_SAMPLES = 7
 """Samples of the shortest window there is."""
 # Powers of the spectra, and the shortest length of each, samples.
-SPECTRA = ((2.0, 2.0), (1.4, 2.0), (1.0, 4.0))
+SPECTRA = ((2.0, 1.0), (1.4, 1.0), (1.0, 4.0))
 # Smoothness of the rough spectrum (7/2 gives snap no finite variance), and its shortest length.
 _ROUGH = ((4.5, 4.0),)
 # The longest length, windows. The next one is half as long, a quarter in the rough spectrum.
