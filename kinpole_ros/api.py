@@ -272,7 +272,7 @@ def track(
     for first in range(0, len(times), _BLOCK_FRAMES):
         part = slice(first, first + _BLOCK_FRAMES)
         frames = MarkerFrames(times[part], '', names, positions[part])
-        estimates += tracker.add(frames, settings.derivative_order or 4, True)
+        estimates += tracker.add(frames, settings.highest_order, True)
     _warn(_losses(tracker, estimates))
     return _tracked(estimates, settings)
 

@@ -22,10 +22,11 @@ import pytest
 from conftest import bodies_of, decoded, write_config
 
 import kinpole_ros.bags.batch as module
-from kinpole_ros.bags import BagError, read_messages, topics
+from kinpole_ros.bags import BagError, BagWriter, _reader, read_messages, topics
 from kinpole_ros.bags import replay as replay_one
 from kinpole_ros.bags._replay import replay_stretch
 from kinpole_ros.bags._replayed import concatenate_outcomes
+from kinpole_ros.bags._stretch import equal_stretches
 from kinpole_ros.bags.batch import _folder, _results, _workers, batch
 from kinpole_ros.bags.batch._results import Job, finished, replay_bag
 from kinpole_ros.files import _writing
@@ -642,6 +643,52 @@ def test_a_long_bag_done_by_two_workers_has_the_results_of_one(
     ]
     assert figures[0] == figures[1]
     assert topics(one['.mcap']) == topics(two['.mcap'])
+
+
+def test_a_gap_at_the_seam_of_two_stretches_does_not_change_the_diagnostics(
+    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = tmp_path / 'bag.mcap'
+    source = simulated('cardan', rate=100, duration=20, noise=1e-4, message='point_cloud2')
+    with BagWriter(bag) as writer:
+        for number, m in enumerate(read_messages(source, ['/markers'])):
+            # 3.5 s are missing after the block with which the second stretch begins to estimate,
+            # in which no diagnostics are due.
+            if not 1000 <= number < 1350:
+                writer.write_raw(m.topic, m.type_name, m.data, m.log_time)
+            if number % 50 == 49:
+                writer.flush()
+    monkeypatch.setattr(_reader, '_BLOCK_MESSAGES', 50)
+    settings = Settings(bodies=bodies_of('cardan'))
+    replay_stretch(bag, settings, {'mcap': tmp_path / 'one.mcap'})
+    halves = [tmp_path / '0.mcap', tmp_path / '1.mcap']
+    for half, stretch in zip(halves, equal_stretches(2), strict=True):
+        replay_stretch(bag, settings, {'mcap': half}, stretch=stretch)
+    first, second, one = (
+        list(read_messages(path, ['/diagnostics'])) for path in (*halves, tmp_path / 'one.mcap')
+    )
+    assert second[0].log_time - first[-1].log_time > 3e9
+    assert first + second == one
+
+
+def test_a_bag_that_changes_while_it_is_replayed_in_stretches_is_done_again(
+    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = tmp_path / 'bag.mcap'
+    shutil.copyfile(simulated('cardan', rate=100, duration=1), bag)
+    monkeypatch.setattr(module, 'local_workers', in_turn)
+    monkeypatch.setattr(_results, '_LONG_BYTES', 0)
+    replay_half = module.replay_part
+
+    def replay_and_change(job: Job, number: int, *more: Any) -> Any:
+        outcome = replay_half(job, number, *more)
+        os.utime(bag, ns=(number, number))
+        return outcome
+
+    monkeypatch.setattr(module, 'replay_part', replay_and_change)
+    (row,) = batch([bag], tmp_path / 'results', SETTINGS, workers=2)
+    assert not row['error']
+    assert finished(Job(str(bag), tmp_path / 'results', SETTINGS, None, ['mcap'])) is None
 
 
 def test_progress_goes_by_bytes_within_bags_and_over_what_is_left(

@@ -1,8 +1,12 @@
-"""A bag of markers through the same tracker as the live node, to a bag or a table of results."""
+"""
+Replay a bag of markers through the tracker of the live node, into a bag or a table of results.
+
+As in the live node, results come `lag` behind the markers. There are none of the last `lag`.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from itertools import chain, pairwise
+from itertools import chain
 from pathlib import Path
 from typing import TypeAlias
 
@@ -12,6 +16,7 @@ from kinpole_ros.bags._files import BagError, Truncated, bag_files, in_place_of
 from kinpole_ros.bags._marker_frames import NODE_NAME, frame_blocks, input_topic
 from kinpole_ros.bags._reader import Progress
 from kinpole_ros.bags._replayed import Replayed, ReplayTotals
+from kinpole_ros.bags._stretch import Stretch
 from kinpole_ros.bags._tables import CsvTable, ParquetTable
 from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.messages import (
@@ -30,12 +35,6 @@ from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.tracker import Tracker
 
 _SECOND = 1_000_000_000  # ns
-_MOST_REUSED_BYTES = 31 << 20  # glibc returns what is 32 MiB or larger to the system at once
-# Diagnostics are of a second, and drawings show the centrodes of the two seconds before.
-_WARM_UP = 3_000_000_000  # ns
-# Share of the time of a replay. Measured with bags of markers alone: 0.13 where stamps jitter, 0.21
-# where they are even; and up to 0.4 where no bag of results is written.
-_LEARNING_SHARE = 0.25
 # Topic, type, log times (ns) and messages, as `BagWriter.write_many` takes them.
 Column: TypeAlias = tuple[str, type, Sequence[int], Sequence[bytes]]
 
@@ -100,15 +99,20 @@ def replay_stretch(
     files: Mapping[str, Path],
     topic: str | None = None,
     progress: Progress | None = None,
-    stretch: 'Stretch | None' = None,
+    stretch: Stretch | None = None,
 ) -> Replayed:
-    """Replay a bag, or a stretch of it, directly into files by kind: 'mcap', 'csv', 'parquet'."""
+    """
+    Replay a bag, or a stretch of it, into files by kind: 'mcap', 'csv', 'parquet'.
+
+    Files are written where they are, while `replay` moves them there when they are complete.
+    """
     source = input_topic(bag, settings, topic)
     return _Replaying(bag, settings, source, stretch or Stretch()).run(files, files, progress, None)
 
 
 def _check_targets(bag: str | Path, targets: Mapping[str, str | Path]) -> None:
     """Raise BagError where results would replace the bag, each other, or become a part of it."""
+    labels = {'mcap': 'the bag of results', 'csv': 'the CSV table', 'parquet': 'the Parquet table'}
     uses = {_file_id(file): 'the bag to be replayed' for file in bag_files(bag)}
     # Without metadata all files of a folder are the bag.
     folder = None if (Path(bag) / 'metadata.yaml').exists() else Path(bag).resolve()
@@ -121,11 +125,11 @@ def _check_targets(bag: str | Path, targets: Mapping[str, str | Path]) -> None:
                 f'{target} would be a part of the bag to be replayed, which is all .mcap files of '
                 'its folder; name a file in another folder for the results'
             )
-        uses[file_id] = 'the bag of results' if kind == 'mcap' else 'the CSV table'
+        uses[file_id] = labels[kind]
 
 
 def _file_id(path: Path) -> tuple[int, int] | Path:
-    """Return what all names of one file have in common, also those of hard links."""
+    """Return a value that is equal for all names of one file, also for hard links."""
     try:
         about = path.stat()
     except OSError:
@@ -133,29 +137,38 @@ def _file_id(path: Path) -> tuple[int, int] | Path:
     return about.st_dev, about.st_ino
 
 
-def _files_without_metadata(bag: str | Path) -> list[str]:
-    """Return the files of a bag, if several are one recording only as they are in one folder."""
+def _unlisted_files(bag: str | Path) -> list[str]:
+    """Return the names of files that are read as one bag only because they share a folder."""
     files = bag_files(bag)
     is_listed = not Path(bag).is_dir() or (Path(bag) / 'metadata.yaml').exists()
     return [] if is_listed or len(files) < 2 else [file.name for file in files]
 
 
+def _keep_freed_memory() -> None:
+    """
+    Have glibc reuse freed memory instead of returning it to the system: a tenth of the time.
+
+    It keeps freed blocks up to the size of the largest one that was freed so far, but returns those
+    of 32 MiB and larger at once. So freeing one block just below that is enough.
+    """
+    np.empty(31 << 20, np.uint8)
+
+
 class _Replaying:
-    """A replay of a bag, its topic and the kind of its messages given as `source`."""
+    """A replay of a bag, or a stretch of it; `source` is the topic and the kind of its messages."""
 
     def __init__(
-        self, bag: str | Path, settings: Settings, source: tuple[str, str], stretch: 'Stretch'
+        self, bag: str | Path, settings: Settings, source: tuple[str, str], stretch: Stretch
     ) -> None:
         self._bag, self._settings, self._stretch = bag, settings, stretch
         self._topic, self._kind = source
         theory = theory_of(settings)
         self._tracker = Tracker(settings)
         self._reader = reader_of(self._kind, settings)
-        self._order = settings.derivative_order or 4
         self._outputs = outputs_of(settings, theory)
         self._diagnostics = _PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, theory, self._topic))
         self._totals = ReplayTotals(settings, self._tracker, theory)
-        self._share = 0.0  # of the bytes that have been read
+        self._share_read = 0.0  # of the bytes of the bag
 
     def run(
         self,
@@ -164,172 +177,144 @@ class _Replaying:
         progress: Progress | None,
         take: Callable[[Estimate], None] | None,
     ) -> Replayed:
-        """Replay into files by kind, which messages call by `names`."""
+        """Replay into files by kind; `names` are their names in messages of errors."""
 
         def report(share: float) -> None:
-            self._share = share
+            self._share_read = share
             if progress is not None:
                 progress(share)
 
-        # glibc keeps freed memory of up to the size of the largest block freed so far, instead of
-        # asking the system for the arrays of each block: a tenth of the time.
-        np.empty(_MOST_REUSED_BYTES, np.uint8)
+        _keep_freed_memory()
         with ExitStack() as stack:
             writer = None
             if 'mcap' in files:
                 writer = stack.enter_context(BagWriter(files['mcap'], name=names['mcap']))
-                for row in self._outputs:
-                    writer.add_topic(row.under(f'/{NODE_NAME}'), row.message_type)
-                writer.add_topic('/diagnostics', DiagnosticArray)
+                self._add_topics(writer)
             tables = [
                 stack.enter_context(table(files[kind], self._settings, names[kind]))
                 for kind, table in (('csv', CsvTable), ('parquet', ParquetTable))
                 if kind in files
             ]
-            needs_events = writer is not None or bool(tables) or take is not None
+            has_readers_of_events = writer is not None or bool(tables) or take is not None
             blocks = frame_blocks(self._bag, self._topic, self._kind, self._reader, report)
             for frames, log_times, error in blocks:
-                self._note(error)
+                if error is not None:
+                    self._add_error(error)
                 if not frames:
                     continue
-                self._stretch.update(self._share, frames[0].stamps)
+                self._stretch.update(self._share_read, int(frames[0].stamps[0]))
                 if self._stretch.is_over:
                     break
-                for estimate in self._track(frames, log_times, writer, needs_events):
+                for estimate in self._track(frames, log_times, writer, has_readers_of_events):
                     self._totals.add_estimate(estimate)
                     for table in tables:
                         table.add(estimate)
                     if take is not None:
                         take(estimate)
-            pose_problem = self._pose_problem()
-        return self._totals.result(_files_without_metadata(self._bag), pose_problem)
+            reader = self._reader
+            pose_problem = reader.unseen_names() if isinstance(reader, PoseReader) else ''
+            self._check_frames(pose_problem)
+        return self._totals.result(_unlisted_files(self._bag), pose_problem)
 
-    def _note(self, error: Exception | None) -> None:
+    def _add_topics(self, writer: BagWriter) -> None:
+        """Have all topics in the bag of results, also those without messages."""
+        for output in self._outputs:
+            writer.add_topic(output.under(f'/{NODE_NAME}'), output.message_type)
+        writer.add_topic('/diagnostics', DiagnosticArray)
+
+    def _add_error(self, error: Exception) -> None:
         if isinstance(error, Truncated):
             self._totals.truncated = error
-        elif error is not None:
-            self._tracker.counts['unreadable'] += 1
-            self._totals.problem = self._totals.problem or str(error)
-            self._diagnostics.trouble['message'] = str(error)
+            return
+        self._tracker.counts['unreadable'] += 1
+        self._totals.problem = self._totals.problem or str(error)
+        self._diagnostics.trouble['message'] = str(error)
 
     def _track(
         self,
         frames: list[MarkerFrames],
         log_times: np.ndarray,
         writer: BagWriter | None,
-        needs_events: bool,
+        has_readers_of_events: bool,
     ) -> Sequence[Estimate]:
-        """Return the estimates that the stretch has from these frames, and write their messages."""
-        stretch, diagnostics = self._stretch, self._diagnostics
-        diagnostics.silent = not stretch.is_estimated
+        """Track a block of frames, and return its estimates and write their messages, if any."""
+        stretch = self._stretch
+        # The totals of frames are of all frames up to the end of the stretch: they are taken from
+        # the last stretch. Estimates are only those of the stretch, and are added up.
         for part in frames:
             self._totals.add_frames(part)
-        handed = frames if writer is None else diagnostics.split(frames, self._tracker)
-        order = self._order if stretch.is_estimated else None
-        estimates = self._tracker.add_parts(handed, order, needs_events)
+        parts: Iterable[MarkerFrames] = frames
+        if writer is not None:
+            self._diagnostics.is_silent = not stretch.is_estimated
+            parts = self._diagnostics.split(frames, self._tracker)
+        order = self._settings.highest_order if stretch.is_estimated else None
+        estimates = self._tracker.add_parts(parts, order, has_readers_of_events)
         self._totals.update_space()
         if writer is not None:
-            # An estimate is logged with the frames that made it due. Messages that are not written
-            # are made all the same: some depend on those before.
-            columns = [
-                result_columns(self._outputs, estimate, f'/{NODE_NAME}', log_times[estimate.due])
-                for estimate in estimates
-            ]
-            messages = list(chain(*columns, diagnostics.columns(estimates, log_times)))
-            writer.write_many(messages if stretch.is_written else ())
-        return estimates if stretch.is_written else ()
+            # Also made where they are not written, since later messages depend on earlier ones.
+            messages = self._messages(estimates, log_times)
+            if stretch.is_written:
+                writer.write_many(messages)
+        return estimates if stretch.is_written else []
 
-    def _pose_problem(self) -> str:
-        """Return what is wrong with poses as input; raise BagError where nothing could be read."""
+    def _messages(self, estimates: list[Estimate], log_times: np.ndarray) -> list[Column]:
+        """Return messages, logged with the frames with which their estimates fell due."""
+        columns = [
+            result_columns(self._outputs, estimate, f'/{NODE_NAME}', log_times[estimate.due])
+            for estimate in estimates
+        ]
+        return [*chain(*columns), self._diagnostics.column(estimates, log_times)]
+
+    def _check_frames(self, pose_problem: str) -> None:
+        """Raise BagError if no message could be read, or none has poses of the bodies."""
         counts = self._tracker.counts
-        if counts['unreadable'] and not counts['frames']:
+        if counts['frames']:
+            return
+        if counts['unreadable']:
             raise BagError(
                 f'{self._bag}: no message on {self._topic} can be read: {self._totals.problem}'
             )
-        problem = self._reader.unseen_names() if isinstance(self._reader, PoseReader) else ''
-        if problem and not counts['frames']:
-            raise BagError(f'{self._bag}: on {self._topic} {problem}')
-        return problem
-
-
-class Stretch:
-    """
-    A stretch of a bag, by which several processes replay one bag.
-
-    What is learned, of shapes, noise, pins and the clock, depends on all frames before. So the
-    process of a stretch also learns from these, which takes a fraction of the time. Its results are
-    those of the whole bag, to the last bit.
-
-    It ends at two seams, each at a share of the bag's bytes, 0 to 1. A seam is where the stamps are
-    3 s from those of the first frames beyond that share. Results are estimated from these first
-    frames on, and written from the seam on.
-    """
-
-    def __init__(self, first: float = 0.0, last: float = 1.0) -> None:
-        self.is_estimated = self.is_written = False
-        self.is_over = False
-        self._first, self._last = _Seam(first), _Seam(last)
-
-    def update(self, share: float, stamps: np.ndarray) -> None:
-        """The next frames have these `stamps`; with them this share of the bag has been read."""
-        stamp = int(stamps[0])
-        self.is_written = self._first.is_passed(share, stamp)
-        self.is_estimated = self._first.stamp is not None
-        self.is_over = self._last.is_passed(share, stamp)
-
-
-class _Seam:
-    def __init__(self, share: float) -> None:
-        self._share = share
-        self.stamp: int | None = None
-        self._passed = False
-
-    def is_passed(self, share: float, stamp: int) -> bool:
-        if self.stamp is None and share >= self._share:
-            self.stamp = stamp
-            self._passed = self._share <= 0
-        if self.stamp is not None and self._share < 1:
-            self._passed = self._passed or abs(stamp - self.stamp) >= _WARM_UP
-        return self._passed
-
-
-def equal_stretches(count: int) -> list[Stretch]:
-    """Return stretches that take `count` processes the same time."""
-    ratio = 1 - _LEARNING_SHARE
-    ends = [(1 - ratio**k) / (1 - ratio**count) for k in range(count + 1)]
-    return [Stretch(first, last) for first, last in pairwise(ends)]
+        if pose_problem:
+            raise BagError(f'{self._bag}: on {self._topic} {pose_problem}')
 
 
 def result_columns(
     outputs: list[Output], estimate: Estimate, prefix: str, log_times: np.ndarray
 ) -> Iterator[Column]:
     """Yield the messages of T instants under `prefix`, logged at `log_times` (T,), ns."""
-    for row in outputs:
-        instants, data = row.build(estimate)
+    for output in outputs:
+        instants, data = output.build(estimate)
         if data:
-            yield row.under(prefix), row.message_type, log_times[instants].tolist(), data
+            yield output.under(prefix), output.message_type, log_times[instants].tolist(), data
 
 
 class _PeriodicDiagnostics:
     """
     The diagnostics of each second of stamps, as of its last frame, as the node publishes them.
 
-    `trouble` names what is wrong, for the next. While `silent` none are made.
+    `trouble` are faults of the input for the next diagnostics, as `DiagnosticsMaker` takes them.
+    While `is_silent` none are returned.
     """
 
     def __init__(self, maker: DiagnosticsMaker) -> None:
         self.trouble: dict[str, str] = {}
-        self.silent = False
+        self.is_silent = False
         self._maker = maker
-        self._last_stamp: int | None = None
-        # The last estimate since the last diagnostics.
-        self._latest: Estimate | None = None
-        # Number of the frame, and a function that makes its diagnostics from the estimate then.
+        self._last_stamp: int | None = None  # of the last diagnostics
+        # The newest estimate, if the last diagnostics do not describe it.
+        self._undescribed: Estimate | None = None
+        # Diagnostics of this block: the number of their frame, and a function that makes them from
+        # the estimate then.
         self._begun: list[tuple[int, Callable[[Estimate | None], DiagnosticArray]]] = []
 
     def split(self, blocks: Iterable[MarkerFrames], tracker: Tracker) -> Iterator[MarkerFrames]:
-        """Yield the frames in parts that end where a second has passed, for the tracker."""
-        count = 0
+        """
+        Yield the frames in parts that end where a second has passed, for the tracker.
+
+        The tracker takes a part before it asks for the next one, so diagnostics that begin after a
+        part describe the tracker as of the end of that part.
+        """
+        frames_before = 0
         for frames in blocks:
             stamps, first = frames.stamps, 0
             while first < len(stamps):
@@ -338,31 +323,34 @@ class _PeriodicDiagnostics:
                 end = first + int(is_due.argmax()) + 1 if is_due.any() else len(stamps)
                 yield part_of(frames, slice(first, end))
                 if is_due.any():
-                    self._begin(count + end - 1, int(stamps[end - 1]), tracker)
+                    self._begin(frames_before + end - 1, int(stamps[end - 1]), tracker)
                 first = end
-            count += len(stamps)
+            frames_before += len(stamps)
 
     def _begin(self, number: int, stamp: int, tracker: Tracker) -> None:
+        """Begin the diagnostics of the second that ends with the frame of this number."""
         seconds = 0.0 if self._last_stamp is None else (stamp - self._last_stamp) / _SECOND
-        if not self.silent:
-            finish = self._maker.begin(stamp, tracker, seconds, self.trouble)
+        # Also begun while silent, since the next diagnostics count from these.
+        finish = self._maker.begin(stamp, tracker, seconds, self.trouble)
+        if not self.is_silent:
             self._begun.append((number, finish))
         self._last_stamp, self.trouble = stamp, {}
 
-    def columns(self, estimates: list[Estimate], log_times: np.ndarray) -> Iterator[Column]:
-        """Yield the messages of these seconds, from the estimates of the same frames."""
+    def column(self, estimates: list[Estimate], log_times: np.ndarray) -> Column:
+        """Return the diagnostics of the frames just taken, from the estimates of these frames."""
         data = []
-        published = -1
+        previous_number = -1
         for number, finish in self._begun:
-            current, self._latest = self._latest, None
+            newest, self._undescribed = self._undescribed, None
             for estimate in estimates:
-                due = int(np.searchsorted(estimate.due, number, side='right'))
-                if due and estimate.due[due - 1] > published:
-                    current = estimate[due - 1]
-            data.append(serialize_message(finish(current)))
-            published = number
+                count_due = int(np.searchsorted(estimate.due, number, side='right'))
+                if count_due and estimate.due[count_due - 1] > previous_number:
+                    newest = estimate[count_due - 1]
+            data.append(serialize_message(finish(newest)))
+            previous_number = number
         times = [int(log_times[number]) for number, _ in self._begun]
-        yield '/diagnostics', DiagnosticArray, times, data
         self._begun = []
-        if estimates and estimates[-1].due[-1] > published:
-            self._latest = estimates[-1][-1]
+        # An estimate has one instant at least.
+        if estimates and estimates[-1].due[-1] > previous_number:
+            self._undescribed = estimates[-1][-1]
+        return '/diagnostics', DiagnosticArray, times, data

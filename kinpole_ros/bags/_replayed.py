@@ -121,7 +121,7 @@ class ReplayTotals:
                 self._absent.pop(body, None)
         self._space, self._space_stamp = tracker.space(), 0
         self._estimates = 0
-        poles = POLE_NAMES[: settings.derivative_order or 4]
+        poles = POLE_NAMES[: settings.highest_order]
         self._determined = {body: dict.fromkeys(poles, 0) for body in tracker.bodies}
         self._unknown = dict.fromkeys(tracker.bodies, '')
         self._comparison = None

@@ -46,13 +46,15 @@ def column_names(bodies: tuple[str, ...], order: int) -> list[str]:
     names = []
     for body in bodies:
         names += [f'{body}_{name}' for name in ('x', 'y', 'angle')]
-        names += _names(body, numbers, vectors)
+        names += _value_and_sigma_names(body, numbers, vectors)
     for i, j in measured_pairs(len(bodies)):
-        names += _names(f'{bodies[j]}_wrt_{bodies[i]}', ['angular_velocity'], ['icr'])
+        names += _value_and_sigma_names(
+            f'{bodies[j]}_wrt_{bodies[i]}', ['angular_velocity'], ['icr']
+        )
     return names + [f'{body}_{name}' for body in bodies for name in EVENT_COLUMNS]
 
 
-def _events(estimate: Estimate, shape: tuple[int, int]) -> np.ndarray:
+def _event_columns(estimate: Estimate, shape: tuple[int, int]) -> np.ndarray:
     """Return the EVENT_COLUMNS of all bodies, (T, B, columns)."""
     columns = np.full((*shape, len(EVENT_COLUMNS)), np.nan)
     for instant, event in zip(estimate.instants_of_events(), estimate.events, strict=True):
@@ -64,7 +66,7 @@ def _events(estimate: Estimate, shape: tuple[int, int]) -> np.ndarray:
     return columns
 
 
-def _names(prefix: str, numbers: list[str], vectors: list[str]) -> Iterator[str]:
+def _value_and_sigma_names(prefix: str, numbers: list[str], vectors: list[str]) -> Iterator[str]:
     for name in numbers:
         yield from (f'{prefix}_{name}', f'{prefix}_{name}_sigma')
     for name in vectors:
@@ -91,7 +93,7 @@ def table_rows(estimate: Estimate, order: int) -> np.ndarray:
         _vector_columns(estimate.relative_icr, pairs),
     ]
     blocks = [np.concatenate(columns, axis=-1) for columns in (body_columns, pair_columns)]
-    blocks.append(_events(estimate, shape))
+    blocks.append(_event_columns(estimate, shape))
     return np.concatenate([block.reshape(count, -1) for block in blocks], axis=1)
 
 
@@ -123,7 +125,7 @@ class _Table(ABC):
         self, path: str | Path, settings: Settings, name: str | Path | None = None
     ) -> None:
         self._path, self._name = Path(path), name or path
-        self._order = settings.derivative_order or 4
+        self._order = settings.highest_order
         self._names = column_names(tuple(settings.bodies), self._order)
         with self._write_errors():
             self._path.parent.mkdir(parents=True, exist_ok=True)

@@ -36,10 +36,12 @@ from kinpole_ros.bags._definition import definition, message_class
 from kinpole_ros.bags._files import LIBRARY, BagError, unwritable
 from kinpole_ros.messages import serialize_message, type_name, with_zero_padding
 
-# A kill loses so much, and a reader holds so much: small enough for both, large for zstd.
+# A program that is killed loses up to one chunk, and a reader has one in memory; zstd compresses
+# smaller ones less.
 _CHUNK_BYTES = 256 * 1024
 _COPY_BYTES = 1 << 20  # at a time
-# All of a message record before its data; the same of one message.
+_RECORD_HEAD_BYTES = 9  # opcode and length of a record, which the length does not count
+# All of a message record before its data: for many messages by numpy, and for one by struct.
 _HEAD = np.dtype(
     [
         ('opcode', 'u1'),
@@ -51,9 +53,9 @@ _HEAD = np.dtype(
     ]
 )
 _HEAD_STRUCT = struct.Struct('<BQHIQQ')
-_COUNTED_BYTES = _HEAD.itemsize - 9  # of the head, in the length of the record
+_COUNTED_BYTES = _HEAD.itemsize - _RECORD_HEAD_BYTES  # of the head, in the length of the record
 _INDEX_HEAD = struct.Struct('<BQHI')  # opcode, length, channel, bytes of entries
-# Where in its chunk a message is; the same of one message.
+# The entry of a message in the index of its chunk: for many messages, and for one.
 _ENTRY = np.dtype([('channel', '<u2'), ('log_time', '<u8'), ('offset', '<u8')])
 _ENTRY_STRUCT = struct.Struct('<HQQ')
 
@@ -114,7 +116,7 @@ class BagWriter:
             # A recording that cannot be written should fail now, not when the first message comes.
             self._file.flush()
         except OSError as error:
-            raise self._failed(error) from error
+            raise self._closed_by(error) from error
 
     def __enter__(self) -> 'BagWriter':
         return self
@@ -135,7 +137,7 @@ class BagWriter:
 
     def write(self, topic: str, message: Any, log_time: int) -> None:
         """Write a message object; `log_time` in ns."""
-        row = self._topic(topic, type(message), log_time)
+        row = self._checked_topic(topic, type(message), log_time)
         self._append_one(row, serialize_message(message), log_time)
 
     def write_raw(self, topic: str, message_type: type | str, data: bytes, log_time: int) -> None:
@@ -145,7 +147,7 @@ class BagWriter:
         Its padding becomes zero, and bytes behind its last field are left out. Data that are no
         such message are written unchanged.
         """
-        row = self._topic(topic, message_type, log_time)
+        row = self._checked_topic(topic, message_type, log_time)
         self._append_one(row, with_zero_padding(data, row.message_type), log_time)
 
     def _append_one(self, topic: _Topic, data: bytes, log_time: int) -> None:
@@ -177,7 +179,7 @@ class BagWriter:
             if len(log_times) != len(data):
                 raise ValueError(f"'{topic}': {len(log_times)} log times, {len(data)} messages")
             if len(data):
-                row = self._topic(topic, message_type, min(log_times))
+                row = self._checked_topic(topic, message_type, min(log_times))
                 checked.append((row, log_times, data))
         if not checked:
             return
@@ -204,7 +206,8 @@ class BagWriter:
     def _append(self, messages: tuple[np.ndarray, Sequence[bytes]]) -> None:
         """Append messages, by their heads and data, to chunks."""
         heads, data = messages
-        ends = np.cumsum(heads['length'].astype(np.int64)) + 9 * np.arange(1, len(data) + 1)
+        # Where each record ends, counted from the first one.
+        ends = np.cumsum(heads['length'].astype(np.int64) + _RECORD_HEAD_BYTES)
         packed, size = heads.tobytes(), _HEAD.itemsize
         first, start = 0, 0
         while first < len(data):
@@ -258,7 +261,7 @@ class BagWriter:
                 while piece := file.read(min(end - file.tell(), _COPY_BYTES)):
                     self._put(piece)
             except OSError as error:
-                raise self._failed(error) from error
+                raise self._closed_by(error) from error
         for index in indexes:
             index.chunk_start_offset += shift
             offsets = index.message_index_offsets
@@ -284,9 +287,9 @@ class BagWriter:
             self._put(self._summary())
             self._file.close()
         except OSError as error:
-            raise self._failed(error) from error
+            raise self._closed_by(error) from error
 
-    def _topic(self, topic: str, message_type: type | str, log_time: int) -> _Topic:
+    def _checked_topic(self, topic: str, message_type: type | str, log_time: int) -> _Topic:
         """Return the topic, after checks that a message may go there."""
         if self._file.closed:
             raise BagError(f'{self._path} is closed; fix: write before that')
@@ -361,7 +364,7 @@ class BagWriter:
             self._put(record + indexes)
             self._file.flush()
         except OSError as error:
-            raise self._failed(error) from error
+            raise self._closed_by(error) from error
 
     def _add_chunk_index(self, index: ChunkIndex) -> None:
         self._chunk_indexes += _packed(index)
@@ -404,7 +407,7 @@ class BagWriter:
         self._file.write(content)
         self._offset += len(content)
 
-    def _failed(self, error: OSError) -> BagError:
+    def _closed_by(self, error: OSError) -> BagError:
         # Nothing may follow a chunk that was written in part, so the file is closed.
         if hasattr(self, '_file'):
             with suppress(OSError):

@@ -290,7 +290,7 @@ def outputs_of(settings: Settings, theory: 'Theory | None') -> list[Output]:
         theory,
         settings.joints,
         settings.frame_prefix,
-        settings.derivative_order or 4,
+        settings.highest_order,
         settings.joint_state_rate,
     )
 
@@ -312,5 +312,5 @@ def live_outputs(settings: Settings, theory: 'Theory | None') -> list[Output]:
         The topics.
     """
     build = view_builder(plane_of(settings.plane) or XY)
-    page = Output(VIEW, String, settings.derivative_order or 4, build, VIEW_INTERVAL)
+    page = Output(VIEW, String, settings.highest_order, build, VIEW_INTERVAL)
     return [*outputs_of(settings, theory), page]

@@ -59,6 +59,11 @@ class Settings:
     # plane, complex, m.
     pins: Mapping[str, tuple[complex, ...]] = field(default_factory=dict)
 
+    @property
+    def highest_order(self) -> int:
+        """The highest derivative of all results, also of those that no live topic asks for."""
+        return self.derivative_order or 4
+
 
 @dataclass(frozen=True)
 class Parameter:

@@ -227,6 +227,7 @@ def _submit(
 ) -> Iterator[Row]:
     """Keep the crew busy; `numbers` are those of the jobs of the futures that are not done."""
     futures: dict[int, list[Future[Any]]] = {}
+    fingerprints: dict[int, list[Any]] = {}  # of bags in stretches, as they were at the begin
     waiting = iter(range(len(jobs)))
     if bar is not None:
         bar.begin([bag_size(job.bag) for job in jobs])
@@ -236,9 +237,10 @@ def _submit(
         progress = None if bar is None else partial(bar.take, number)
         if count > 1:
             try:
+                fingerprints[number] = job.fingerprint()
                 locks.enter_context(alone(job, wait=False))
-            except BlockingIOError:
-                count = 1  # its worker waits for the other run
+            except EXPECTED:
+                count = 1  # its worker reports an error, or waits for another run at the bag
         if count == 1:
             futures[number] = [crew.submit(replay_bag, (job,), progress)]
         else:
@@ -260,16 +262,20 @@ def _submit(
                 begin(following)
             if bar is not None:
                 bar.take(number, 1.0)
-            yield row_in_folder(jobs[number], _row(jobs[number], futures.pop(number)))
+            row = _row(jobs[number], fingerprints.get(number), futures.pop(number))
+            yield row_in_folder(jobs[number], row)
 
 
-def _row(job: Job, futures: list[Future[Any]]) -> Row:
-    """Return the row of a bag of which all is done."""
+def _row(job: Job, fingerprint: list[Any] | None, futures: list[Future[Any]]) -> Row:
+    """Return the row of a bag of which all is done; in stretches, with its fingerprint before."""
     errors = [error for future in futures if (error := future.exception()) is not None]
     try:
         if not errors:
             results = [future.result() for future in futures]
-            return results[0] if len(results) == 1 else join_parts(job, results)
+            if len(results) == 1 or fingerprint is None:
+                row: Row = results[0]
+                return row
+            return join_parts(job, fingerprint, results)
     except EXPECTED as error:
         errors = [error]
     text = str(errors[0])

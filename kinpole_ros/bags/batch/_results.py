@@ -18,8 +18,9 @@ from typing import Any
 
 from kinpole_ros import __version__
 from kinpole_ros.bags import BagError, Replayed, bag_files, warnings_of
-from kinpole_ros.bags._replay import equal_stretches, replay_stretch
+from kinpole_ros.bags._replay import replay_stretch
 from kinpole_ros.bags._replayed import concatenate_outcomes
+from kinpole_ros.bags._stretch import equal_stretches
 from kinpole_ros.bags._tables import join_parquet
 from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.bags.batch import _store
@@ -154,12 +155,12 @@ def replay_part(
     return replay_stretch(job.bag, job.settings, files, job.topic, progress, stretch)
 
 
-def join_parts(job: Job, outcomes: list[Replayed]) -> Row:
-    """Join the results of the stretches of a bag, and return its row."""
+def join_parts(job: Job, fingerprint: list[Any], outcomes: list[Replayed]) -> Row:
+    """Join the results of the stretches of a bag, of this fingerprint when they began."""
     stretches = [job.files(job.folder, number) for number in range(len(outcomes))]
     for kind, target in job.files(job.folder).items():
         _join_files([files[kind] for files in stretches], target, kind)
-    return _name_results(job, job.folder, job.fingerprint(), concatenate_outcomes(outcomes))
+    return _name_results(job, job.folder, fingerprint, concatenate_outcomes(outcomes))
 
 
 def _join_files(sources: Sequence[Path], target: Path, kind: str) -> None:
