@@ -59,9 +59,11 @@ setup(
             [
                 f'{NAME}/derivatives/_derive.c',
                 f'{NAME}/derivatives/_derive_avx2.c',
+                f'{NAME}/tracking/_assign.c',
                 f'{NAME}/tracking/_quantities.c',
                 f'{NAME}/tracking/_step.c',
                 f'{NAME}/tracking/_follow.c',
+                f'{NAME}/messages/_points.c',
                 f'{NAME}/messages/_rows.c',
                 f'{NAME}/messages/_joints.c',
             ],

@@ -236,4 +236,6 @@ white, {', '.join(f'{noise:g}' for noise in NOISES)} body sizes, and not given t
 noise with the highest likelihood at {TUNED_ON[0]:g} to {TUNED_ON[1]:g} s of each record.
 
 [The tables](benchmarks-tables.md) also cover stability, the live node, a real pendulum and long
-runs. The values are in CSV files in [charts](charts).{made}"""
+runs. [The experiments](estimator.md#how-accurate-is-it-near-an-event) have errors and coverage by
+the distance from an impact, a stop or a reversal. The values are in CSV files in
+[charts](charts).{made}"""

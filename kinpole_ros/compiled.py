@@ -9,6 +9,8 @@ import numpy as np
 
 _FILE = Path(__file__).with_name(f'_compiled{sysconfig.get_config_var("EXT_SUFFIX")}')
 _Bytes = ctypes.c_char * 0
+# An argument of type c_void_p that points to a new array, in half the time of `address_of`.
+pass_new_array = _Bytes.from_buffer
 
 
 def _load() -> ctypes.CDLL:

@@ -351,7 +351,7 @@ def test_a_steady_turn_takes_two_parameters_and_noise_hides_others() -> None:
 
 def test_the_page_says_what_the_rows_say_and_no_more() -> None:
     nothing = make_page({})
-    assert nothing.count('Not measured.') == 8
+    assert nothing.count('Not measured.') == 7
     cell = {'motion': 'two sines', 'noise': 1e-3, 'quantity': 'ω', 'unit': 'rad/s'}
     methods = {OURS: 0.5, FIXED: 2.0, 'Savitzky-Golay 41/4 on markers': 3.0}
     peers = [{'method': method, 'error': error} | cell for method, error in methods.items()]

@@ -369,3 +369,16 @@ def test_corrupted_messages_are_read_as_the_ordinary_way_does_or_refused(tmp_pat
     assert sum(outcomes.values()) == 4000
     assert len(outcomes) == 3 * len(KINDS)
     assert min(outcomes.values()) > 40
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_a_stamp_beyond_the_end_of_time_is_refused_in_a_known_layout(kind):
+    message = make(kind)
+    good = serialize_message(message)
+    for header in [m.header for m in getattr(message, 'markers', [message])]:
+        header.stamp.sec, header.stamp.nanosec = 2**31 - 1, 10**9
+    reader = MarkerReader(kind)
+    reader.read([good])
+    first, error, last = reader.read([good, serialize_message(message), good])
+    assert 'more than a ROS time holds' in str(error)
+    assert_same(first, last)

@@ -756,6 +756,9 @@ def test_markers_at_one_place_have_no_pose(place: complex) -> None:
     for fit in (seen_at_one_place, known_at_one_place):
         assert np.isnan(fit.angle)
         assert np.isnan(fit.position)
+    # The shape and the weights have a precision also where the points have no pose.
+    assert seen_at_one_place.freedom.sum() == pytest.approx(7)
+    assert np.isfinite([seen_at_one_place.spread, seen_at_one_place.weight]).all()
 
 
 @pytest.mark.parametrize('scale', [1e-9, 1e-6, 1.0, 1e6])
@@ -764,6 +767,15 @@ def test_a_small_body_and_a_far_one_have_a_pose(scale: float) -> None:
     for offset in (0.0, 1e6 * scale):
         fit = planar.fit_pose(placed(offset, 0.3, shape), shape, np.ones(5))
         assert fit.angle == pytest.approx(0.3, abs=1e-8)
+
+
+@pytest.mark.parametrize('count', [3, 4, 6])
+def test_a_regular_polygon_and_its_mirror_have_no_pose(count: int) -> None:
+    """Every rotation fits alike, so what is left of the sum is rounding."""
+    shape = 0.1 * np.exp(2j * np.pi * np.arange(count) / count)
+    fit = planar.fit_pose(3.0 + 1j + shape.conj(), shape, np.ones(count))
+    assert np.isnan(fit.angle)
+    assert np.isnan(fit.position)
 
 
 def test_the_fit_is_the_least_sum_of_squares() -> None:

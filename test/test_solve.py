@@ -463,6 +463,29 @@ def test_the_page_has_the_motion_that_is_solved(tmp_path: Path) -> None:
     assert [0.0, 0.0] in wheel['outlines'][0][1] and [0.1, 0.0] in wheel['outlines'][0][1]
 
 
+def test_the_page_says_why_a_pole_does_not_exist(tmp_path: Path) -> None:
+    page, scene = tmp_path / 'a.html', tmp_path / 'geneva.yaml'
+    bodies = {
+        'ground': {'O': [0, 0], 'W': [0.1, 0]},
+        'crank': {'O': [0, 0]},
+        'wheel': {'W': [0, 0]},
+    }
+    joints = [{'geneva': 'wheel.W', 'on': 'crank.O', 'slots': 4}]
+    drivers = [{'drive': 'crank', 'rate': 2.0}]
+    scene.write_text(json.dumps({'bodies': bodies, 'joints': joints, 'drivers': drivers}))
+    solve_scene(scene, SolveOptions(html=page))
+    driven, dwelling = page_data(page)['bodies']
+    assert {why for _, _, why in driven['withheld']['icr']} == set()
+    assert {why for _, _, why in driven['withheld']['centrode_curvature']} == {
+        'the ICR stands still'
+    }
+    assert {why for _, _, why in dwelling['withheld']['icr']} == {'at rest'}
+    # The rod of a slider-crank translates for an instant when the crank is at a right angle.
+    solve_scene('slider_crank', SolveOptions(html=page))
+    (rod,) = [body for body in page_data(page)['bodies'] if body['name'] == 'rod']
+    assert {why for _, _, why in rod['withheld']['icr']} == {'at infinity'}
+
+
 @pytest.mark.parametrize(('at', 'mark'), [('10.5 deg', 370.5), ('45.5 deg', 45.5)])
 def test_the_picture_shows_the_position_asked_for(
     at: str, mark: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -647,7 +670,7 @@ def test_virtual_work_step_by_step_gives_the_statics(name: str) -> None:
     """Each number that `--work` comes to is that of `--statics`."""
     scene = load_scene(name)
     here = over_time(scene, np.zeros(1))
-    loads = acting_loads(here).all
+    loads = acting_loads(here).loads
     if not loads:
         with pytest.raises(SceneError, match='has no loads'):
             solve_scene(name, SolveOptions(work=True))

@@ -148,6 +148,25 @@ def test_landmarks_by_themselves_are_mended_alike() -> None:
         assert np.allclose(one.angle, other.angle, rtol=1e-9, equal_nan=True)
 
 
+def test_heights_go_with_the_markers_that_are_exchanged() -> None:
+    """A height that was NaN beside a marker that was not ended diagnostics with an error."""
+    heights = np.array([0.01, 0.02, 0.03, 0.04])
+
+    def spoil(points: np.ndarray) -> None:
+        points[:, COUPLER, 2] = heights
+        points[BAD:, [4, 5]] = points[BAD:, [5, 4]]
+        points[BAD + 50 :, 4] = np.nan
+
+    tracker, _ = track(spoil)
+    assert tracker.counts['markers_exchanged'] > 0
+    coupler = list(SCENE.markers).index('coupler')
+    markers, known = (tracker._history[name][:, coupler] for name in ('markers', 'heights'))
+    seen = ~np.isnan(markers)
+    assert not seen[-1].all()
+    assert (np.where(seen, known, heights) == heights).all()
+    assert np.isfinite(tracker.space().size).all()
+
+
 @pytest.mark.parametrize('method', ['pose', 'landmarks'])
 def test_figures_go_on_as_they_were_when_two_markers_are_exchanged_for_good(method: str) -> None:
     def swapped(points: np.ndarray) -> None:

@@ -5,10 +5,12 @@ import json
 import re
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
 import time
+import urllib.request
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -21,7 +23,15 @@ from rclpy.node import Node
 from test_report import BLUE, GREEN, RED, await_color, cell
 
 from kinpole_ros.bags import BagWriter, read_messages, replay
-from kinpole_ros.messages import STATE, VIEW, String, live_outputs, serialize_message, view_of
+from kinpole_ros.messages import (
+    STATE,
+    VIEW,
+    String,
+    live_outputs,
+    quantity_lists,
+    serialize_message,
+    view_of,
+)
 from kinpole_ros.ros.listener import Arrived
 from kinpole_ros.ros.player import own_context, play
 from kinpole_ros.tools.cli import main
@@ -29,7 +39,7 @@ from kinpole_ros.tools.report import page as page_of
 from kinpole_ros.tools.view._frames import frame_of_view
 from kinpole_ros.tools.view._live import Live, RigState
 from kinpole_ros.tools.view._server import Feed, serving
-from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate
+from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate, Vectors
 from kinpole_ros.tracking.parameters import load_settings
 from kinpole_ros.tracking.plane import XY
 
@@ -109,6 +119,48 @@ def test_a_slow_page_gets_the_newest_and_misses_the_rest() -> None:
     feed.close()
     assert list(other) == []
     assert not feed.wait_for_page(0.0)
+
+
+def test_a_page_gets_the_rig_before_frames_and_no_frame_from_before_that_rig() -> None:
+    feed = Feed()
+    events = feed.events('rig')
+    assert next(events) == b':\n\n'  # the page is open
+    feed.put('frame', 'without a rig')
+    assert next(events) == b':\n\n'
+    feed.put('rig', '0')
+    assert next(events) == b'event: rig\ndata: 0\n\n'
+    # Bodies change before the page has taken the last frame of the others.
+    feed.put('frame', 'of rig 0')
+    feed.put('rig', '1')
+    assert next(events) == b'event: rig\ndata: 1\n\n'
+    feed.put('rig', '2')
+    feed.put('frame', 'of rig 2')
+    assert next(events) == b'event: rig\ndata: 2\n\nevent: frame\ndata: of rig 2\n\n'
+
+
+def test_the_address_without_its_slash_leads_to_the_page() -> None:
+    with served() as address, urllib.request.urlopen(address.rstrip('/')) as page:
+        assert (page.status, page.url) == (200, address)
+
+
+@pytest.mark.parametrize('request_text', ['GET /sec', 'GET /secret/stream HTTP/1.1\r\n\r\n'])
+def test_a_connection_that_is_cut_off_leaves_no_word_on_the_terminal(
+    request_text: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    before = threading.active_count()
+    with served() as address:
+        port = int(re.findall(r':(\d+)/', address)[0])
+        for _ in range(10):
+            with socket.create_connection(('127.0.0.1', port)) as connection:
+                connection.sendall(request_text.encode())
+                # Closed by a reset instead of an orderly end.
+                linger = struct.pack('ii', 1, 0)
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+        deadline = time.monotonic() + LIMIT
+        while threading.active_count() > before + 1:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+    assert capfd.readouterr() == ('', '')
 
 
 # ---- The figures ----
@@ -212,6 +264,32 @@ def test_what_is_no_message_to_pages_is_refused(estimates) -> None:
     for said in wrong:
         with pytest.raises(ValueError):
             frame_of_view(message(said))
+
+
+def test_an_instant_without_a_velocity_is_sent_without_that_body(estimates) -> None:
+    instant = estimates[-1][-1]
+    position = instant.position.copy()
+    position[1, 0] = np.nan
+    vars(instant)['position'] = position
+    frame = frame_of_view(message(view_of(instant, XY)))
+    assert [body is not None for body in frame.bodies] == [False, True, True]
+
+
+def test_coordinates_far_from_the_origin_keep_micrometers(estimates) -> None:
+    instant = estimates[-1][-1]
+    position = instant.position.copy()
+    position[0] += 5e6 - 2e6j
+    vars(instant)['position'] = position
+    body, origin = view_of(instant, XY)['bodies'][0], instant.origin(0)[0]
+    assert abs(body['x'] + 1j * body['y'] - origin) < 1e-6
+
+
+def test_a_vector_of_no_length_is_as_uncertain_as_in_its_worst_direction() -> None:
+    covariance = np.array([[[2.0, 1.0], [1.0, 2.0]]])
+    vectors = Vectors(np.zeros(1, complex), covariance, np.ones(1, bool))
+    assert quantity_lists({'icr_velocity': vectors}) == {
+        'icr_velocity': [[0.0, 0.0, pytest.approx(np.sqrt(3), abs=1e-6)]]
+    }
 
 
 def test_more_bodies_than_a_page_can_show_are_refused_and_told_of(estimates) -> None:

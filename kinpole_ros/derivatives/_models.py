@@ -28,7 +28,7 @@ from kinpole_ros.planar._plane import Real
 FEWEST_SAMPLES = 7
 """Samples of the shortest window, which still has every order."""
 # Power of each spectrum and its shortest length, samples: a shorter one is like white noise.
-SPECTRA = ((2.0, 2.0), (1.4, 2.0), (1.0, 4.0))
+SPECTRA = ((2.0, 1.0), (1.4, 1.0), (1.0, 4.0))
 # Smoothness of the rough spectrum and its shortest length; with 7/2 snap has no finite variance.
 _ROUGH = ((4.5, 4.0),)
 # Longest length, windows. The next one is half as long, in the rough spectrum a quarter.

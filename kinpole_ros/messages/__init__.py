@@ -47,7 +47,7 @@ from kinpole_ros.messages._types import (
     stamp_to_ns,
     type_name,
 )
-from kinpole_ros.messages._view import PAGE_TOPICS, VIEW, figures_of, view_of
+from kinpole_ros.messages._view import PAGE_TOPICS, VIEW, quantity_lists, view_of
 
 __all__ = [
     'AUTO_TYPES',
@@ -78,7 +78,6 @@ __all__ = [
     'deletion_of_all',
     'deserialize_message',
     'fields',
-    'figures_of',
     'identity_lines',
     'jitter_fault',
     'joint_build',
@@ -92,6 +91,7 @@ __all__ = [
     'outputs_of',
     'plane_words',
     'poses_data',
+    'quantity_lists',
     'read_event',
     'read_markers',
     'read_state',

@@ -6,10 +6,11 @@ array is made.
 """
 
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from kinpole_ros.messages._points import PointLayout, read_points
 from kinpole_ros.messages._types import Header, MessageError, PointCloud2, PointField, octets
 
 _FLOATS = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
@@ -23,64 +24,31 @@ _INTEGERS = {
 }
 
 
-class CloudLayout(NamedTuple):
+def cloud_layout(cloud: PointCloud2) -> PointLayout:
     """
-    The layout of x, y and z in the data of clouds.
-
-    `shape` is height and width, `strides` the bytes from row to row and point to point; `axes` the
-    type and offset of each coordinate, None for no z; `spacing` the bytes from one coordinate to
-    the next where all distances are equal, else 0.
-    """
-
-    shape: tuple[int, int]
-    strides: tuple[int, int]
-    axes: tuple[tuple[str, int] | None, ...]
-    spacing: int
-
-    def points(self, data: Any, first: int = 0, count: int = 1, stride: int = 0) -> np.ndarray:
-        """
-        Copy the points (count, n, 3) of `count` clouds, row after row.
-
-        In the buffer `data` the first cloud begins at `first`, the next one `stride` bytes later.
-        """
-        shape, strides = (count, *self.shape), (stride, *self.strides)
-        if not self.shape[0]:
-            return np.zeros((count, 0, 3))
-        if self.spacing:
-            assert self.axes[0] is not None
-            code, offset = self.axes[0]
-            steps = (*strides, self.spacing)
-            view = np.ndarray((*shape, 3), code, data, first + offset, steps)
-            if code.endswith('8'):
-                return view.astype(np.float64).reshape(count, -1, 3)
-            # A signaling NaN in the data is an unseen marker, not worth a warning.
-            with np.errstate(invalid='ignore'):
-                return view.astype(np.float64).reshape(count, -1, 3)
-        points = np.zeros((*shape, 3))
-        with np.errstate(invalid='ignore'):
-            for axis, field in enumerate(self.axes):
-                if field is not None:
-                    code, offset = field
-                    points[..., axis] = np.ndarray(shape, code, data, first + offset, strides)
-        return points.reshape(count, -1, 3)
-
-
-def cloud_layout(cloud: PointCloud2) -> CloudLayout:
-    """
-    Return the layout of the points of a cloud; z may be missing and is 0 then.
+    Return where the points are in the data of a cloud; z may be missing and is 0 then.
 
     `is_dense` is ignored, since some drivers set it wrongly. Raises MessageError when x or y is
     missing, when a field or size contradicts another, or when the data is too short.
     """
-    x, y, z = (_type_and_offset(cloud, name, _FLOATS) for name in 'xyz')
-    if x is None or y is None:
-        missing = 'x' if x is None else 'y'
-        raise MessageError(f"PointCloud2 has no field '{missing}': publish x and y (and z)")
-    _refuse_overlap({'x': x, 'y': y, 'z': z})
-    spacing = y[1] - x[1]
-    if spacing <= 0 or y != (x[0], x[1] + spacing) or z != (x[0], y[1] + spacing):
-        spacing = 0
-    return CloudLayout(_shape(cloud), (cloud.row_step, cloud.point_step), (x, y, z), spacing)
+    axes = {name: _type_and_offset(cloud, name, _FLOATS) for name in 'xyz'}
+    for name in 'xy':
+        if axes[name] is None:
+            raise MessageError(f"PointCloud2 has no field '{name}': publish x and y (and z)")
+    _refuse_overlap(axes)
+    height, width = _shape(cloud)
+    rows, columns = np.arange(height) * cloud.row_step, np.arange(width) * cloud.point_step
+    return PointLayout(
+        np.add.outer(rows, columns).ravel(),
+        tuple(0 if field is None else field[1] for field in axes.values()),
+        tuple(0 if field is None else int(field[0][2]) for field in axes.values()),
+        bool(cloud.is_bigendian),
+    )
+
+
+def cloud_points(cloud: PointCloud2) -> np.ndarray:
+    """Return the points (n, 3) of a cloud, row after row; one that is not finite is NaN."""
+    return read_points(cloud_layout(cloud), bytes(cloud.data))
 
 
 def id_column(cloud: PointCloud2, data: Any, first: int = 0) -> np.ndarray:

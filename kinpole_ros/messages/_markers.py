@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.messages._cloud import cloud_ids, cloud_layout, make_cloud
+from kinpole_ros.messages._cloud import cloud_ids, cloud_points, make_cloud
 from kinpole_ros.messages._types import (
     END_OF_TIME,
     MARKER_TYPES,
@@ -76,7 +76,7 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
         header, identities, points = _read_marker_array(message, identity)
     else:
         if isinstance(message, PointCloud2):
-            points = cloud_layout(message).points(message.data)[0]
+            points = cloud_points(message)
         elif isinstance(message, Marker):
             points = _marker_points(message)
         elif isinstance(message, PoseArray):

@@ -41,7 +41,7 @@ from kinpole_ros.messages._types import (
     Vector3Stamped,
     WrenchStamped,
 )
-from kinpole_ros.messages._view import VIEW, VIEW_INTERVAL, view
+from kinpole_ros.messages._view import VIEW, VIEW_INTERVAL, view_builder
 from kinpole_ros.tracking.estimate import (
     POLE_NAMES,
     RATE_NAMES,
@@ -311,6 +311,6 @@ def live_outputs(settings: Settings, theory: 'Theory | None') -> list[Output]:
     list of Output
         The topics.
     """
-    build = view(plane_of(settings.plane) or XY)
+    build = view_builder(plane_of(settings.plane) or XY)
     page = Output(VIEW, String, settings.derivative_order or 4, build, VIEW_INTERVAL)
     return [*outputs_of(settings, theory), page]

@@ -24,72 +24,83 @@ from kinpole_ros.tracking.plane import Plane, as_parameter
 VIEW = 'view'
 """The topic."""
 VIEW_INTERVAL = 1 / 30  # s between messages
-# Types of the topics that pages can show. A node has both, a bag of results the second.
+# Types of the topics that pages can show: a live node publishes both, a bag of results has `state`.
 PAGE_TOPICS = {VIEW: type_name(String), STATE: type_name(PointCloud2)}
-_MAX_PAIRS = 6  # of more pairs, pages show those of consecutive bodies alone
+_MAX_PAIRS = 6  # with more pairs than this, pages show only those of consecutive bodies
+_SIGNIFICANT_DIGITS = 7
+# Decimals that are kept of larger numbers too: in a map, coordinates of 5e6 m have to show motions
+# of micrometers.
+_LEAST_DECIMALS = 6
 
 
-def view(given: Plane) -> Build:
-    """Return a function that writes the last instant; `given` is the plane of estimates without."""
+def view_builder(default_plane: Plane) -> Build:
+    """Return the function that makes the message `view` of the last instant of an estimate."""
 
     def build(estimate: Estimate) -> Built:
         last = len(estimate) - 1
-        text = json.dumps(view_of(estimate[last], given), separators=(',', ':'), allow_nan=False)
+        view = view_of(estimate[last], default_plane)
+        text = json.dumps(view, separators=(',', ':'), allow_nan=False)
         return [last], [serialize_message(String(data=text))]
 
     return build
 
 
-def view_of(estimate: Estimate, given: Plane) -> dict[str, Any]:
+def view_of(estimate: Estimate, default_plane: Plane) -> dict[str, Any]:
     """
-    Return what pages show of one instant, in SI units to seven digits.
+    Return what pages show of one instant, in SI units, rounded to seven digits or to micrometers.
 
     Parameters
     ----------
     estimate : Estimate
         One instant, of shape (B,).
-    given : Plane
-        The plane of an estimate that has none.
+    default_plane : Plane
+        The plane of an estimate without one.
 
     Returns
     -------
     dict
         `stamp`, ns; `along`, the names of the axes of the plane; `figures`, the names of the
-        quantities; `bodies`; `pairs`. A body has `name`, its pose, velocity and `outline` where it
-        is determined, the quantities that are determined, as `figures_of` has them, and `reasons`:
-        why each other quantity is undetermined, under 'all' for the whole body.
+        quantities; `bodies`, each with `name` and `reasons`; `pairs`. A body with a pose also has
+        `x`, `y`, `angle`, `vx`, `vy` of its frame, `size` (0 if unknown), the markers `outline` in
+        its frame, and the quantities that are determined, as in `quantity_lists`. `reasons` say why
+        the others are undetermined, under 'all' for the whole body.
     """
-    bodies: list[dict[str, Any]] = [{'name': name} for name in estimate.bodies]
-    position, velocity = estimate.origin(0), estimate.origin(1)
-    for b, body in enumerate(bodies):
-        body['reasons'] = estimate.reasons(b)
-        if estimate.missing[b]:
-            continue
-        shape = estimate.shape[b]
-        body['outline'] = [_rounded(z.real, z.imag) for z in shape[np.isfinite(shape)].tolist()]
-        size = estimate.size[b] if estimate.size[b] > 0 else 0.0  # 0: not known
-        (x, y), (vx, vy) = ((value[b].real, value[b].imag) for value in (position, velocity))
-        values = _rounded(x, y, estimate.angle[0, b], vx, vy, size)
-        body |= zip(('x', 'y', 'angle', 'vx', 'vy', 'size'), values, strict=True)
-    figures = figures_of(quantities_of(estimate, estimate.order))
-    for name, values_of_bodies in figures.items():
-        for body, value in zip(bodies, values_of_bodies, strict=True):
-            if value is not None and 'x' in body:
-                body[name] = value
-    plane = estimate.plane or given
+    bodies: list[dict[str, Any]] = []
+    quantities = quantity_lists(quantities_of(estimate, estimate.order))
+    for b, name in enumerate(estimate.bodies):
+        body = {'name': name, 'reasons': estimate.reasons(b)} | _pose(estimate, b)
+        if 'x' in body:
+            of_body = {quantity: values[b] for quantity, values in quantities.items()}
+            body |= {quantity: value for quantity, value in of_body.items() if value is not None}
+        bodies.append(body)
+    plane = estimate.plane or default_plane
     along = list(plane.name[:2])
     if plane.axes is None:
         along = [f'along {as_parameter(axis)}' for axis in plane.basis[:2]]
     return {
         'stamp': int(estimate.stamp),
         'along': along,
-        'figures': list(figures),
+        'figures': list(quantities),
         'bodies': bodies,
         'pairs': _pairs(estimate),
     }
 
 
-def figures_of(
+def _pose(estimate: Estimate, b: int) -> dict[str, Any]:
+    """Return pose, velocity, size and outline of a body; nothing where they are not determined."""
+    position, velocity = (complex(estimate.origin(order)[b]) for order in (0, 1))
+    pose = position.real, position.imag, float(estimate.angle[0, b]), velocity.real, velocity.imag
+    if estimate.missing[b] or not math.isfinite(sum(pose)):
+        return {}
+    size, shape = float(estimate.size[b]), estimate.shape[b]
+    values = _rounded(*pose, size if 0 < size < math.inf else 0.0)
+    return {
+        'outline': [_rounded(z.real, z.imag) for z in shape[np.isfinite(shape)].tolist()],
+        **dict(zip(('x', 'y', 'angle', 'vx', 'vy', 'size'), values, strict=True)),
+    }
+
+
+def quantity_lists(
     quantities: Mapping[str, Numbers | Vectors],
 ) -> dict[str, list[list[float] | None]]:
     """
@@ -103,22 +114,22 @@ def figures_of(
     Returns
     -------
     dict
-        By name, a list for each body, None where the quantity is undetermined. A number is
-        followed by its standard deviation, a vector by its standard deviation along it, and a
-        pole by the half axes of its ellipse of one standard deviation and the direction of the
-        first, rad.
+        By name, a list for each body, None where the quantity is undetermined: of a number
+        [value, standard deviation]; of a vector [x, y, standard deviation of its length]; of a pole
+        [x, y, major, minor, direction], with the semi-axes of its ellipse of one standard deviation
+        and the direction of the major one, rad.
     """
-    figures = {}
+    lists = {}
     for name, quantity in quantities.items():
         if isinstance(quantity, Numbers):
-            figures[name] = _numbers(quantity)
+            lists[name] = _numbers(quantity)
         else:
-            figures[name] = _points(quantity) if name in POLE_NAMES else _vectors(quantity)
-    return figures
+            lists[name] = _points(quantity) if name in POLE_NAMES else _vectors(quantity)
+    return lists
 
 
 def _pairs(estimate: Estimate) -> list[dict[str, Any]]:
-    """Relative centers of pairs (j, i), None where they are undetermined."""
+    """Relative centers of pairs (j, i), i before j, None where they are undetermined."""
     centers = _points(estimate.relative_icr)
     pairs = list(zip(*(bodies.tolist() for bodies in estimate.pairs), strict=True))
     are_few = len(pairs) <= _MAX_PAIRS
@@ -132,36 +143,46 @@ def _pairs(estimate: Estimate) -> list[dict[str, Any]]:
 def _numbers(numbers: Numbers) -> list[list[float] | None]:
     rows = zip(numbers.value.tolist(), numbers.variance.tolist(), strict=True)
     values = [(value, math.sqrt(max(variance, 0.0))) for value, variance in rows]
-    return _determined(numbers, values)
+    return _none_if_undetermined(numbers, values)
 
 
 def _vectors(vectors: Vectors) -> list[list[float] | None]:
     rows = []
-    for value, ((xx, xy), (_, yy)) in _plain(vectors):
-        unit = value / (abs(value) or 1.0)
-        variance = unit.real**2 * xx + 2 * unit.real * unit.imag * xy + unit.imag**2 * yy
-        rows.append((value.real, value.imag, math.sqrt(max(variance, 0.0))))
-    return _determined(vectors, rows)
+    for value, covariance in _python_numbers(vectors):
+        if value:
+            unit, ((xx, xy), (_, yy)) = value / abs(value), covariance
+            variance = unit.real**2 * xx + 2 * unit.real * unit.imag * xy + unit.imag**2 * yy
+            sigma = math.sqrt(max(variance, 0.0))
+        else:
+            sigma, _, _ = _ellipse(covariance)  # of no direction: the largest of all directions
+        rows.append((value.real, value.imag, sigma))
+    return _none_if_undetermined(vectors, rows)
 
 
 def _points(points: Vectors) -> list[list[float] | None]:
-    rows = []
-    for value, ((xx, xy), (_, yy)) in _plain(points):
-        middle, radius = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
-        half_axes = (math.sqrt(max(v, 0.0)) for v in (middle + radius, middle - radius))
-        rows.append((value.real, value.imag, *half_axes, math.atan2(2 * xy, xx - yy) / 2))
-    return _determined(points, rows)
+    rows = [
+        (value.real, value.imag, *_ellipse(covariance))
+        for value, covariance in _python_numbers(points)
+    ]
+    return _none_if_undetermined(points, rows)
 
 
-def _plain(vectors: Vectors) -> Iterable[tuple[complex, Any]]:
-    """Values and covariances as numbers of Python, which are faster one by one."""
+def _ellipse(covariance: Any) -> tuple[float, float, float]:
+    """Semi-axes of the ellipse of one standard deviation, and the direction of the major, rad."""
+    (xx, xy), (_, yy) = covariance
+    mean, radius = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
+    major, minor = (math.sqrt(max(variance, 0.0)) for variance in (mean + radius, mean - radius))
+    return major, minor, math.atan2(2 * xy, xx - yy) / 2
+
+
+def _python_numbers(vectors: Vectors) -> Iterable[tuple[complex, Any]]:
+    """Values and covariances as Python numbers, which are faster than those of numpy one by one."""
     return zip(vectors.value.tolist(), vectors.covariance.tolist(), strict=True)
 
 
-def _determined(
+def _none_if_undetermined(
     quantity: Numbers | Vectors, rows: Sequence[tuple[float, ...]]
 ) -> list[list[float] | None]:
-    """The rows of the quantity that are determined and finite, None for the others."""
     return [
         _rounded(*row) if determined and math.isfinite(sum(row)) else None
         for row, determined in zip(rows, quantity.determined.tolist(), strict=True)
@@ -169,5 +190,10 @@ def _determined(
 
 
 def _rounded(*values: float) -> list[float]:
-    """To seven digits."""
-    return [float(f'{value:.7g}') for value in values]
+    least = 10.0 ** (_SIGNIFICANT_DIGITS - _LEAST_DECIMALS)
+    return [
+        float(f'{value:.{_SIGNIFICANT_DIGITS}g}')
+        if abs(value) < least
+        else round(value, _LEAST_DECIMALS)
+        for value in values
+    ]

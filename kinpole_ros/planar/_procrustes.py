@@ -6,30 +6,33 @@ import numpy as np
 
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
-_TINY = np.finfo(float).tiny
-
 
 class Fit(NamedTuple):
     """
     Poses (...) fitted to markers (..., n), with their residuals and precision.
+
+    Weights are relative: a marker of weight 1 has the variance v in each coordinate, a marker of
+    weight w has v / w. `freedom`, `spread` and `weight` are of the shape and the weights alone, so
+    they are finite also where the points coincide and the pose is NaN.
 
     Attributes
     ----------
     position
         Origin of the body's frame (...), complex, m.
     angle
-        Rotation of the body's frame (...), rad, in (-pi, pi].
+        Rotation of the body's frame (...), rad, in [-pi, pi]. Half a turn may have either sign.
     residual
         Marker minus fitted marker, in the body's axes (..., n), complex, m; NaN without weight.
     freedom
-        Expected square of each residual over the variance of one coordinate (..., n): 2 less what
-        the fit absorbs. The sum is 2n - 3.
+        Degrees of freedom of each residual (..., n): its expected square is freedom * v / w. That
+        is 2 less the part that the fit absorbs; for m markers with weight they sum to 2m - 3.
     spread
-        Weighted sum of squares of the markers about their mean (...), m^2: the variance of one
-        coordinate of a marker over the variance of the angle.
+        Weighted sum of squares of the markers about their mean (...), m^2. The variance of the
+        angle is v / spread.
     weight
-        The variance of one coordinate of a marker over that of the position, along its least
-        certain axis (...).
+        Weight of the position along its least certain axis (...): the variance there is v / weight,
+        with 1 / weight = 1 / sum(weights) + |mean|^2 / spread. The second term is the error of the
+        angle, which moves the origin across its distance from the mean of the markers.
 
     """
 
@@ -51,10 +54,14 @@ class ProcrustesFactors(NamedTuple):
         Markers with weight (..., n), bool.
     arms
         From the weighted mean of the shape to each marker (..., n), complex, m; NaN without weight.
-    mean_factor, turn_factor
-        Factors of each point (..., n) in the weighted mean of the points and in their rotation.
+    mean_factor
+        Factors of the points in their weighted mean (..., n): its value is
+        sum(mean_factor * points).
+    turn_factor
+        Factors of the points about their mean in c of `fit_pose` (..., n), complex, m: c is
+        sum(turn_factor * (points - their mean)).
     mean
-        Weighted mean of the shape (...), complex, m.
+        Weighted mean of the shape (...), complex, m, in the body's frame.
     distinct
         Whether the markers with weight do not all coincide (...), bool.
     freedom, spread, weight
@@ -90,7 +97,8 @@ def fit_pose(points: Complex, shape: Complex, weights: Real) -> Fit:
     Returns
     -------
     Fit
-        Poses (...). NaN where fewer than two markers have weight, or where these coincide.
+        Poses (...). NaN where fewer than two markers have weight, where these coincide, or where
+        no rotation is better than the others.
 
     Notes
     -----
@@ -133,6 +141,7 @@ def procrustes_factors(shape: Complex, weights: Real) -> ProcrustesFactors:
         arms = np.where(seen, shape - mean[..., None], np.nan)
         square = np.where(seen, weights * (arms.real**2 + arms.imag**2), 0)
         spread = square.sum(axis=-1)
+        # The translation absorbs 2 w / sum(weights) of a residual, the rotation w |arm|^2 / spread.
         absorbed = 2 * mean_factor + square / spread[..., None]
         weight = 1 / (1 / total + (mean.real**2 + mean.imag**2) / spread)
     return ProcrustesFactors(
@@ -167,15 +176,20 @@ def fit_pose_with_factors(points: Complex, factors: ProcrustesFactors) -> Fit:
     """
     points = np.where(factors.seen, points, 0)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        mean = np.add.reduce(factors.mean_factor * points, -1)
-        arms = points - mean[..., None]
+        points_mean = np.add.reduce(factors.mean_factor * points, -1)
+        arms = points - points_mean[..., None]
         cross = np.add.reduce(factors.turn_factor * arms, -1)
         length = np.abs(cross)
-        is_fitted = factors.distinct & _are_distinct(arms, mean, factors.seen) & (length > _TINY)
+        # Zero but for rounding: no rotation is best, as for an equilateral triangle and its mirror.
+        largest = np.add.reduce(np.abs(factors.turn_factor) * np.abs(arms), -1)
+        is_fitted = factors.distinct & _are_distinct(arms, points_mean, factors.seen)
+        is_fitted &= length > ROUNDING * largest
         turn = np.where(is_fitted, cross / length, np.nan)
-        position = mean - turn * factors.mean
+        position = points_mean - turn * factors.mean
     residual = arms * turn.conj()[..., None] - factors.arms
-    freedom, spread, weight = np.empty(points.shape), np.empty(mean.shape), np.empty(mean.shape)
+    # Filled instead of broadcast, which takes a live node longer.
+    freedom = np.empty(points.shape)
+    spread, weight = np.empty(points_mean.shape), np.empty(points_mean.shape)
     freedom[...], spread[...], weight[...] = factors.freedom, factors.spread, factors.weight
     return Fit(position, np.arctan2(turn.imag, turn.real), residual, freedom, spread, weight)
 

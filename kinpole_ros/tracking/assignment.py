@@ -6,10 +6,12 @@ in fixed slots. Most layouts repeat, so the rows of each layout are looked up on
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from ctypes import Structure, byref, c_double, c_longlong, c_void_p
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
+from kinpole_ros.compiled import address_of, library
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import POSE_POINTS, Settings
 from kinpole_ros.tracking.plane import Plane
@@ -24,6 +26,13 @@ _ARM = abs(POSE_POINTS[0])
 _MIN_ROTATION_IN_PLANE = 0.1
 # m. Squares of smaller coordinates do not overflow; no marker is farther.
 FARTHEST_MARKER = 1e15
+
+# Points in the plane and their heights, m.
+InPlane: TypeAlias = tuple[np.ndarray, np.ndarray]
+
+_assign = library.kinpole_assign
+_assign.argtypes = [c_void_p, c_void_p, c_longlong, c_void_p, c_void_p, c_void_p]
+_assign.restype = None
 
 
 class Layout(NamedTuple):
@@ -45,6 +54,25 @@ class Layout(NamedTuple):
     unknown_names: int
     unassigned: np.ndarray
     is_numbered: bool
+
+
+class _Slots(Structure):
+    """`Slots` of _assign.c: which rows of messages the slots take, and the plane."""
+
+    _fields_: ClassVar[Any] = [
+        *((name, c_longlong) for name in ('count', 'points', 'has_axes')),
+        *(('axes', 3 * c_longlong), ('scale', c_double), ('farthest', c_double)),
+        *(('basis', 9 * c_double), ('rows', c_void_p)),
+    ]
+
+    def __init__(self, rows: np.ndarray, points: int, scale: float, plane: Plane | None) -> None:
+        self.array, self.plane = rows, plane
+        self._contiguous = np.ascontiguousarray(rows, np.int64)
+        super().__init__(count=rows.size, points=points, scale=scale, farthest=FARTHEST_MARKER)
+        self.rows = address_of(self._contiguous)
+        if plane is not None:
+            self.has_axes, self.axes = plane.axes is not None, plane.axes or (0, 0, 0)
+            self.basis = tuple(plane.basis.ravel().tolist())
 
 
 class MarkerAssignment:
@@ -99,13 +127,15 @@ class MarkerAssignment:
         self._aliases: dict[str, tuple[int, int]] = {}
         self._order: np.ndarray | None = None
         self._points = np.zeros((0, 0, 3))
+        # The slots of the last layout and plane.
+        self._slots: _Slots | None = None
         # Of poses: their axes, and whether the z axis of a body points against the normal, -1 while
         # not known.
         self._axes = np.zeros((0, 0, 2, 3))
         self._upside_down = np.full(len(self.markers), -1)
         self.layout: Layout | None = None
 
-    def assign(self, frames: MarkerFrames) -> np.ndarray:
+    def assign(self, frames: MarkerFrames) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """
         Put the markers of frames into the slots of the bodies.
 
@@ -118,57 +148,59 @@ class MarkerAssignment:
 
         Returns
         -------
-        (T, B, width, 3) float
-            Markers in the frame of the message, m, NaN for none.
+        points : (T, B, width) complex
+            Markers in the plane, m, NaN for none, and for all while the plane is not known.
+        heights : (T, B, width) float
+            Their heights along its normal, m.
+        in_space : (T, B, width, 3) float or None
+            Markers in the frame of the message, m, of poses or while the plane is not known.
 
         """
         self.identities = frames.identities
         self.layout = self._layout_of(frames.identities)
         self.absent = self.layout.absent
-        self._points = frames.points
+        self._points = np.ascontiguousarray(frames.points, float)
         if frames.axes is not None:
             self._axes = frames.axes
         return self.assign_again(0)
 
-    def assign_again(self, first: int) -> np.ndarray:
+    def assign_again(self, first: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Return the same of the last frames from `first` on, by what is known of names now."""
         assert self.layout is not None
         rows, points = self.layout.rows, self._points[first:]
-        if not self.layout.is_complete:
-            # Slots without a row take another row, of NaN.
-            padded = np.full((len(points), points.shape[1] + 1, 3), np.nan)
-            padded[:, :-1] = points
-            points = padded
-        markers = self._in_meters(points.take(rows, axis=1))
+        if not self.posed and self.plane is not None:
+            return *self._in_plane(points, rows), None
+        in_space = np.empty((len(points), *rows.shape, 3))
+        slots = byref(self._slots_of(rows))
+        _assign(slots, address_of(points), len(points), None, None, address_of(in_space))
         if self.posed:
             axes = self._axes[first:]
             none = np.full((len(axes), 1, 2, 3), np.nan)
             axes = np.concatenate((axes, none), axis=1).take(rows[:, 0], axis=1)
-            markers[:, :, 1:] += _ARM * axes
-        return markers
+            in_space[:, :, 1:] += _ARM * axes
+        if self.plane is not None:
+            return *self._project_poses(in_space), in_space
+        return *self._in_plane(points, rows), in_space
 
-    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Project points into the plane.
+    def _slots_of(self, rows: np.ndarray) -> _Slots:
+        """Return the slots that take these rows; the last ones if nothing has changed."""
+        slots = self._slots
+        if slots is None or slots.array is not rows or slots.plane is not self.plane:
+            self._slots = slots = _Slots(rows, len(self.identities), self.scale, self.plane)
+        return slots
 
-        Parameters
-        ----------
-        points : (..., 3) float
-            Points in the frame of the message, m.
-
-        Returns
-        -------
-        (...) complex, (...) float
-            Points in the plane, and their heights along its normal, m. NaN while the plane is not
-            known.
-
-        """
+    def _in_plane(self, points: np.ndarray, rows: np.ndarray) -> InPlane:
+        """Return these rows (...) of points (T, n, 3) in the plane; NaN while it is not known."""
+        shape = len(points), *rows.shape
         if self.plane is None:
-            nowhere = np.full(points.shape[:-1], complex(np.nan, np.nan))
+            nowhere = np.full(shape, complex(np.nan, np.nan))
             return nowhere, nowhere.real
-        return self._project_poses(points) if self.posed else self.plane.project(points)
+        flat, heights = np.empty(shape, complex), np.empty(shape)
+        into = address_of(flat), address_of(heights), None
+        _assign(byref(self._slots_of(rows)), address_of(points), len(points), *into)
+        return flat, heights
 
-    def _project_poses(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _project_poses(self, poses: np.ndarray) -> InPlane:
         """
         Project poses (T, B, 3, 3), each its origin and a point on either axis, as POSE_POINTS.
 
@@ -204,7 +236,7 @@ class MarkerAssignment:
         Parameters
         ----------
         poses : (T, B, 3, 3) float
-            Poses as `assign` returns them, m, for which `project` was called before.
+            Poses in space as `assign` returns them, m.
 
         Returns
         -------
@@ -225,25 +257,16 @@ class MarkerAssignment:
         with np.errstate(divide='ignore', invalid='ignore'):
             return np.asarray((first + 1j * side * second) / np.sqrt(2 * (1 + side * third)))
 
-    def project_all(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+    def project_all(self, frame: int) -> InPlane:
         """Return all points (m,) of one of the last frames in the plane, and their heights, m."""
-        return self.project(self._in_meters(np.array(self._points[frame])))
+        points = self._points[frame][None]
+        flat, heights = self._in_plane(points, np.arange(points.shape[1]))
+        return flat[0], heights[0]
 
     def project_unassigned(self, frame: int) -> np.ndarray:
         """Return the points (e,) of one of the last frames that are in no slot, in the plane."""
         assert self.layout is not None
-        rows = self._points[frame].take(self.layout.unassigned, axis=0)
-        return self.project(self._in_meters(rows))[0]
-
-    def _in_meters(self, points: np.ndarray) -> np.ndarray:
-        """Points (..., 3) scaled in place; NaN where they cannot be of a marker."""
-        if self.scale != 1.0:
-            with np.errstate(over='ignore'):
-                points *= self.scale
-        near = np.abs(points) < FARTHEST_MARKER
-        if np.count_nonzero(near) < near.size:
-            points[~near.all(axis=-1)] = np.nan
-        return points
+        return self._in_plane(self._points[frame][None], self.layout.unassigned)[0][0]
 
     def correct_names(self, rows: np.ndarray, for_all: bool) -> None:
         """

@@ -187,8 +187,7 @@ class Matcher:
 
     def assign_again(self, first: int) -> None:
         """Assign the frames from `first` on again, since the names of markers were corrected."""
-        assigned = self._assignment.assign_again(first)
-        self._points[first:], self._heights[first:] = self._assignment.project(assigned)
+        self._points[first:], self._heights[first:], _ = self._assignment.assign_again(first)
         if self.withheld.any():
             self._points[first:, self.withheld] = np.nan
 

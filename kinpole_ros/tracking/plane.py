@@ -44,9 +44,11 @@ class Plane(NamedTuple):
         if self.axes is not None:
             flat.real, flat.imag = points[..., self.axes[0]], points[..., self.axes[1]]
             return flat, points[..., self.axes[2]]
-        turned = (points.reshape(-1, 3) @ self.basis.T).reshape(points.shape)
-        flat.real, flat.imag = turned[..., 0], turned[..., 1]
-        return flat, turned[..., 2]
+        # Term by term, since the rounding of a matrix product depends on the number of points.
+        flat.real, flat.imag, heights = (
+            points[..., 0] * x + points[..., 1] * y + points[..., 2] * z for x, y, z in self.basis
+        )
+        return flat, heights
 
     def in_space(self, values: np.ndarray, heights: np.ndarray | float) -> np.ndarray:
         """x, y and z (..., 3) of points of the plane (...) at heights along its normal."""

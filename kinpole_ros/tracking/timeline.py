@@ -77,7 +77,7 @@ class Timeline:
 
         Returns
         -------
-        is_used : (n,) bool
+        used : (U,) int
             Which of the first n frames are used; the others are late or repeated.
         n : int
             Number of frames that are decided on.
@@ -87,16 +87,20 @@ class Timeline:
 
         """
         # Stop where the clock is to be estimated again, or where the stamps slip against it.
-        stamps = stamps[: self._stamps.until_update]
-        stamps = stamps[: self._stamps.until_slip(stamps)]
-        if not len(stamps):
-            return np.zeros(0, bool), 0, False
+        count = min(len(stamps), self._stamps.until_update)
+        count = self._stamps.until_slip(stamps[:count])
+        if not count:
+            return np.zeros(0, int), 0, False
+        stamps = stamps[:count]
+        if self._arrivals.append_steady(stamps, points):
+            self._stamps.append(stamps, np.ones(count, bool))
+            return np.arange(count), count, False
         is_used, end, is_new = self._arrivals.accept(
             stamps, points, self._regular, self._max_lateness()
         )
         if end:
             self._stamps.append(stamps[:end][is_new], is_used[is_new])
-        return is_used, end, end < len(stamps)
+        return is_used.nonzero()[0], end, end < count
 
     def _max_lateness(self) -> int:
         """The most that a frame may be late, ns."""
@@ -299,11 +303,26 @@ class Arrivals:
         self._last = self._newest = 0
         self._last_points: np.ndarray | None = None
 
+    def append_steady(self, stamps: np.ndarray, points: np.ndarray) -> bool:
+        """Use the next frames if each is later than those before, by a window at most."""
+        count = len(stamps)
+        if self._last_points is None:
+            self._last = self._newest = int(stamps[0]) - 1
+        if not 0 < int(stamps[0]) - self._newest <= self._window:
+            return False
+        if count > 1:
+            steps = stamps[1:] - stamps[:-1]
+            if np.minimum.reduce(steps) <= 0 or np.maximum.reduce(steps) > self._window:
+                return False
+        self._last = self._newest = int(stamps[-1])
+        self._last_points = points[count - 1].copy()
+        return True
+
     def accept(
         self, stamps: np.ndarray, points: np.ndarray, may_be_late: bool, max_lateness: int
     ) -> tuple[np.ndarray, int, np.ndarray]:
         """
-        Decide which of the next frames are used.
+        Decide which of the next frames are used, where these are not steady.
 
         Parameters
         ----------
@@ -324,32 +343,26 @@ class Arrivals:
             Which of the n frames are not repeated.
 
         """
-        if self._last_points is None:
-            self._last = self._newest = int(stamps[0]) - 1
         end = len(stamps)
-        ahead = stamps - np.concatenate(((self._newest,), stamps[:-1]))
-        if np.minimum.reduce(ahead) > 0 and np.maximum.reduce(ahead) <= self._window:
-            is_used = is_new = np.ones(end, bool)
+        # The latest stamp before each frame.
+        latest = np.maximum.accumulate(np.concatenate(((self._newest,), stamps[:-1])))
+        before = np.concatenate(((self._last,), stamps[:-1]))
+        ahead = stamps - latest
+        too_late = ahead <= -max_lateness
+        # A frame that is too late is just late. Two in a row, the second newer than the first,
+        # come from a clock that was set back.
+        restarts = too_late & (before < latest) & (before < stamps)
+        restarts |= np.abs(ahead) > self._window
+        end = int(restarts.argmax()) if restarts.any() else end
+        ahead, too_late = ahead[:end], too_late[:end]
+        repeated = self._repeated((stamps == before)[:end], points)
+        if may_be_late:
+            late, twice, is_used = too_late, repeated, ~(too_late | repeated)
         else:
-            # The latest stamp before each frame.
-            latest = np.maximum.accumulate(np.concatenate(((self._newest,), stamps[:-1])))
-            before = np.concatenate(((self._last,), stamps[:-1]))
-            ahead = stamps - latest
-            too_late = ahead <= -max_lateness
-            # A frame that is too late is just late. Two in a row, the second newer than the first,
-            # come from a clock that was set back.
-            restarts = too_late & (before < latest) & (before < stamps)
-            restarts |= np.abs(ahead) > self._window
-            end = int(restarts.argmax()) if restarts.any() else end
-            ahead, too_late = ahead[:end], too_late[:end]
-            repeated = self._repeated((stamps == before)[:end], points)
-            if may_be_late:
-                late, twice, is_used = too_late, repeated, ~(too_late | repeated)
-            else:
-                late, twice, is_used = ahead < 0, ahead == 0, ahead > 0
-            self._counts['late'] += int(late.sum())
-            self._counts['repeated'] += int(twice.sum())
-            is_new = ~repeated
+            late, twice, is_used = ahead < 0, ahead == 0, ahead > 0
+        self._counts['late'] += int(late.sum())
+        self._counts['repeated'] += int(twice.sum())
+        is_new = ~repeated
         if end:
             self._newest = max(self._newest, int(np.maximum.reduce(stamps[:end])))
             self._last, self._last_points = int(stamps[end - 1]), points[end - 1].copy()

@@ -248,13 +248,13 @@ class Tracker:
             while first < len(stamps):
                 self._update_clock_if_due()
                 remaining = slice(first, None)
-                is_used, end, restarts = self._timeline.accept(
+                used, end, restarts = self._timeline.accept(
                     stamps[remaining], frames.points[remaining]
                 )
-                new = first + is_used.nonzero()[0]
-                if len(new):
-                    taken = frames if len(new) == len(stamps) else part_of(frames, new)
-                    for part, numbers in self._timeline.count(taken, number + new):
+                if len(used):
+                    used += first
+                    taken = frames if len(used) == len(stamps) else part_of(frames, used)
+                    for part, numbers in self._timeline.count(taken, number + used):
                         estimates += self._take_timed(part, numbers, order)
                 first += end
                 if restarts:
@@ -298,7 +298,7 @@ class Tracker:
             first = self._step.fields.frame
         self._search_events(first, numbers)
         self._keep_results(results, numbers)
-        if self._posed and self._assignment.plane is not None:
+        if in_space is not None and self._assignment.plane is not None:
             self._space.add(in_space)
         return estimates
 
@@ -380,15 +380,14 @@ class Tracker:
         events, self._events = self._events, []
         return [estimate_of(results, *about, tuple(events))]
 
-    def _assign(self, frames: MarkerFrames) -> np.ndarray:
-        """Assign markers (T, B, n, 3), m, to the bodies, and pass them to the matcher."""
-        in_space = self._assignment.assign(frames)
+    def _assign(self, frames: MarkerFrames) -> np.ndarray | None:
+        """Assign markers to the bodies, and pass them to the matcher; return those in space."""
+        points, heights, in_space = self._assignment.assign(frames)
         if self._assignment.width > self._calibration.width:
             self._widen()
         # The matcher corrects both in place.
-        points, heights = self._assignment.project(in_space)
         self._points, self._heights = np.ascontiguousarray(points), np.ascontiguousarray(heights)
-        has_tilts = self._posed and self._assignment.plane is not None
+        has_tilts = in_space is not None and self._assignment.plane is not None
         self._tilts = self._assignment.tilts(in_space) if has_tilts else None
         self.matcher.begin(np.asarray(frames.stamps), self._points, self._heights)
         return in_space
@@ -411,13 +410,14 @@ class Tracker:
         self._counts['resets'] += 1
         self._start(self._timeline)
 
-    def _take_unusual(self, in_space: np.ndarray, results: Results) -> None:
+    def _take_unusual(self, in_space: np.ndarray | None, results: Results) -> None:
         """Take the next frame, one of those `in_space`, after correcting its markers."""
         k = self._step.fields.frame
         if self._assignment.plane is None:
             frames, times = self._frames_in_hand
             part = slice(k, k + 1)
             self._before_plane.append((part_of(frames, part), [array[part] for array in times]))
+            assert in_space is not None
             unusable = self.matcher.is_incomplete_cloud()
             self._space.add(np.full_like(in_space[part], np.nan) if unusable else in_space[part])
             self._step.correct_next(self._points[k])
@@ -430,7 +430,7 @@ class Tracker:
         bodies, matcher = self._calibration, self.matcher
         if matcher.is_nameless and matcher.arrange(k):
             self._restart_bodies(np.ones(bodies.count, bool))
-        markers = self._points[k]
+        markers, heights = self._points[k], self._heights[k]
         if len(bodies.unseen):
             bodies.begin(markers)
             self._step.bind(bodies, self._history)
@@ -439,13 +439,17 @@ class Tracker:
             self._next_update = min(self._next_update, self._frame_count + 1)
         if bodies.exchanged:
             markers[...] = np.take_along_axis(markers, bodies.order, axis=1)
+            heights[...] = np.take_along_axis(heights, bodies.order, axis=1)
         unusual = self._step.try_next(markers)
         if (unusual & NAME_DOUBTFUL or matcher.has_unassigned) and self._correct_names(k, unusual):
             unusual = self._step.try_next(markers)
         fitted = markers
         if unusual & ODD:
             odd = (self._step.unusual & ODD) > 0
+            before = np.argsort(bodies.order, axis=1)
             fitted = correct_frame(bodies, self._history, markers, odd, self._counts)
+            new_order = np.take_along_axis(before, bodies.order, axis=1)
+            heights[...] = np.take_along_axis(heights, new_order, axis=1)
         if bodies.exchanged:
             # Names that stay exchanged were wrong before.
             recent = bodies.exchanged_for < MOVED_FRAMES

@@ -11,16 +11,18 @@ import numpy as np
 
 from kinpole_ros import __version__
 from kinpole_ros.files import printable
-from kinpole_ros.mechanism import poles
-from kinpole_ros.tools.report import Record, pack, page
+from kinpole_ros.mechanism import GROUND, Motion, Poles, Scene, poles
+from kinpole_ros.tools.report import Columns, Record, pack, page
 from kinpole_ros.tools.solve._editor import editor_data
 from kinpole_ros.tools.solve._shapes import belts_of, outline_of, rims_of
 from kinpole_ros.tools.solve._solution import Solution, acting_loads, angle_rates, centers_of
 from kinpole_ros.tools.solve._statics import work_lines
 from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES
 
-# Coordinates below this fraction of the largest body are rounding.
+# Coordinates below this fraction of the largest body are rounding, and rates below this fraction of
+# the largest one.
 _ROUNDING = 1e-9
+_ROUNDED = 'next to a dead point'  # where `over_range` drops derivatives that are mostly rounding
 
 
 def write_page(
@@ -31,11 +33,20 @@ def write_page(
     text: str = '',
 ) -> None:
     """
-    Write the motion over time, or over a range at the rate of the driver, as one HTML file.
+    Write a motion as one HTML file.
 
-    The statics step by step, where there are loads, are those of the position `here`. `deviations`
-    are columns (T, ...) of bodies as a `Record` has them. With the `text` of the scene's file, the
-    points of the scene can be dragged.
+    Parameters
+    ----------
+    path : Path
+        The file; `open_output` gives one that replaces an older page when it is complete.
+    solution : Solution
+        The motion over time, or over the range of the one driver at a constant rate.
+    here : Solution
+        The position of which the page shows the virtual work, if there are loads.
+    deviations : mapping, optional
+        Columns (T, ...) of a `Record` with standard deviations and covariances, by body and name.
+    text : str
+        The scene file; with it the points of the scene can be dragged.
     """
     scene = solution.scene
     record = _record(solution, deviations or {})
@@ -46,6 +57,7 @@ def write_page(
             for name, (owner, point) in scene.points.items()
             if owner == body['name']
         ]
+        # In vector loops without joints, most ends of vectors have no name.
         if not scene.mechanism.assembly.joints:
             body['points'] += [['', z.real, z.imag] for z in outline_of(scene, body['name'])]
         rims = rims_of(scene, body['name'])
@@ -59,10 +71,10 @@ def write_page(
         'about': f'solved, not measured: {len(record.stamp)} positions in {seconds:.4g} s, '
         f'driven: {drivers}{bands}',
         'notes': [],
-        'scene': printable(scene.name),
+        'scene': printable(scene.name),  # the name of the file that the editor saves
         'deviations': [],
         'belts': belts_of(scene),
-        'work': work_lines(here) if acting_loads(here).all else [],
+        'work': work_lines(here) if acting_loads(here).loads else [],
         'solved': True,
         'exact': deviations is None,
         'made': f'kinpole {__version__}',
@@ -73,57 +85,98 @@ def write_page(
 
 
 def _times(solution: Solution) -> np.ndarray:
-    """Return the times (T,), s; over a range, those at the rate of the driver."""
+    """Return the times (T,), s; over a range, which has one driver, those at its rate, never 0."""
     return solution.inputs[0] / solution.rates[0] if solution.times is None else solution.times
 
 
 def _record(solution: Solution, deviations: Mapping[tuple[str, str], np.ndarray]) -> Record:
     """Return the motion as a report has it, in the order of time."""
-    mechanism, motion = solution.scene.mechanism, solution.motion
+    scene, bodies = solution.scene, solution.scene.mechanism.bodies
     times = _times(solution)
     order = np.argsort(times)
     stamp = np.round((times - times.min())[order] * 1e9).astype(np.int64)
-    count = len(stamp)
-    no_sigma, no_covariance = np.full(count, np.nan), np.full((count, 2, 2), np.nan)
-    columns: dict[tuple[str | tuple[str, str], str], np.ndarray] = {}
-    body_poles, angles = poles(mechanism, motion), angle_rates(motion)
-    dead = ~motion.regular[order]
-    outlines, sizes = {}, {}
-    for b, body in enumerate(mechanism.bodies):
-        angle = angles[:, b, order]
-        columns[body, 'position'] = motion.position[0, b, order]
-        columns[body, 'velocity'] = motion.position[1, b, order]
-        columns[body, 'position_sigma'] = columns[body, 'angle_sigma'] = no_sigma
-        columns[body, 'angle'] = angle[0]
-        columns[body, 'missing'] = np.full(count, '', object)
-        numbers = dict(zip(RATE_NAMES, angle[1:], strict=True))
-        numbers['centrode_curvature'] = body_poles.curvature[b, order]
-        for name, values in numbers.items():
-            columns[body, name], columns[body, f'{name}_sigma'] = values, no_sigma
-        velocity = body_poles.velocity[b, order]
-        points = {name: getattr(body_poles, name)[b, order] for name in POLE_NAMES}
-        for name, values in (points | {'icr_velocity': velocity}).items():
-            columns[body, name], columns[body, f'{name}_covariance'] = values, no_covariance
-        for name in (*POLE_NAMES, 'centrode_curvature'):
-            reason = np.where(np.isnan(columns[body, name]), 'at infinity', '').astype(object)
-            if name == 'centrode_curvature':
-                reason[(reason != '') & (velocity == 0)] = 'the ICR stands still'
-            reason[dead & (reason != '')] = 'dead point'
-            columns[body, f'{name}_withheld'] = reason
-        outline = outline_of(solution.scene, body)
-        outlines[body] = [(0, outline)]
-        diameters = [2 * rim.radius for rim in rims_of(solution.scene, body)]
-        size = max([float(np.abs(outline[:, None] - outline).max()), *diameters])
-        sizes[body] = size or float('nan')
-    centers = centers_of(solution)
-    for (i, j), values in zip(centers.pairs, centers.points, strict=True):
-        if i:  # not of the ground
-            pair = centers.bodies[j], centers.bodies[i]
-            columns[pair, 'icr'], columns[pair, 'icr_covariance'] = values[order], no_covariance
-    columns |= {key: values[order] for key, values in deviations.items()}
+    outlines = {body: outline_of(scene, body) for body in bodies}
+    sizes = {body: _diameter(scene, body, outline) for body, outline in outlines.items()}
+    unordered = _body_columns(solution) | _pair_columns(solution) | dict(deviations)
+    columns = {key: values[order] for key, values in unordered.items()}
     rounding = _ROUNDING * np.nanmax([*sizes.values(), 0.0])
     for (_, name), values in columns.items():
         if name in (*POLE_NAMES, 'position'):
             for part in (values.real, values.imag):
                 part[np.abs(part) < rounding] = 0.0
-    return Record(stamp, count, mechanism.bodies, columns, sizes, outlines, ('x', 'y'))
+    from_first_instant = {body: [(0, outline)] for body, outline in outlines.items()}
+    return Record(stamp, len(stamp), bodies, columns, sizes, from_first_instant, ('x', 'y'))
+
+
+def _diameter(scene: Scene, body: str, outline: np.ndarray) -> float:
+    diameters = [2 * rim.radius for rim in rims_of(scene, body)]
+    return max([float(np.abs(outline[:, None] - outline).max()), *diameters]) or float('nan')
+
+
+def _body_columns(solution: Solution) -> Columns:
+    """Return the columns of all bodies, at the T positions in the order of the solution."""
+    mechanism, motion = solution.scene.mechanism, solution.motion
+    body_poles, angles = poles(mechanism, motion), angle_rates(motion)
+    reasons = _reasons(motion, angles, body_poles)
+    count = angles.shape[-1]
+    no_sigma, no_covariance = np.full(count, np.nan), np.full((count, 2, 2), np.nan)
+    columns: Columns = {}
+    for b, body in enumerate(mechanism.bodies):
+        columns[body, 'position'] = motion.position[0, b]
+        columns[body, 'velocity'] = motion.position[1, b]
+        columns[body, 'angle'] = angles[0, b]
+        columns[body, 'position_sigma'] = columns[body, 'angle_sigma'] = no_sigma
+        columns[body, 'missing'] = np.full(count, '', object)
+        numbers = dict(zip(RATE_NAMES, angles[1:, b], strict=True))
+        numbers['centrode_curvature'] = body_poles.curvature[b]
+        for name, values in numbers.items():
+            columns[body, name], columns[body, f'{name}_sigma'] = values, no_sigma
+        points = {name: getattr(body_poles, name)[b] for name in POLE_NAMES}
+        points['icr_velocity'] = body_poles.velocity[b]
+        for name, values in points.items():
+            columns[body, name], columns[body, f'{name}_covariance'] = values, no_covariance
+        for name, reason in reasons.items():
+            columns[body, f'{name}_withheld'] = reason[b]
+    return columns
+
+
+def _reasons(motion: Motion, angles: np.ndarray, body_poles: Poles) -> dict[str, np.ndarray]:
+    """Return why poles and curvatures (B, T) do not exist, '' where they do, by name."""
+    reasons = {}
+    is_at_rest = np.ones(angles.shape[1:], bool)
+    for order, name in enumerate(POLE_NAMES, 1):
+        is_at_rest &= _is_zero(motion.position[order]) & _is_zero(angles[order])
+        pole = getattr(body_poles, name)
+        is_rounding = np.isnan(motion.position[order]) & np.isnan(pole)
+        causes = {'dead point': ~motion.regular, _ROUNDED: is_rounding, 'at rest': is_at_rest}
+        reasons[name] = _first_cause(pole, causes, 'at infinity')
+    # `poles` sets the velocity of an ICR that stands still to 0.
+    causes = {'dead point': ~motion.regular, 'the ICR stands still': body_poles.velocity == 0}
+    causes |= {reason: reasons['icr'] == reason for reason in (_ROUNDED, 'at rest')}
+    curvature = body_poles.curvature
+    reasons['centrode_curvature'] = _first_cause(curvature, causes, 'at infinity')
+    return reasons
+
+
+def _first_cause(values: np.ndarray, causes: Mapping[str, np.ndarray], other: str) -> np.ndarray:
+    """Return the first cause that holds where values are NaN, `other` if none does."""
+    conditions = [np.broadcast_to(is_cause, values.shape) for is_cause in causes.values()]
+    cause = np.select(conditions, [*causes], other)
+    return np.where(np.isnan(values), cause, '').astype(object)
+
+
+def _is_zero(rates: np.ndarray) -> np.ndarray:
+    """Return where rates of bodies (B, T) are 0 but for rounding."""
+    return np.asarray(np.abs(rates) <= _ROUNDING * np.nanmax(np.abs(rates), initial=0.0))
+
+
+def _pair_columns(solution: Solution) -> Columns:
+    """Return the relative centers of pairs of moving bodies."""
+    centers = centers_of(solution)
+    no_covariance = np.full((solution.inputs.shape[-1], 2, 2), np.nan)
+    columns: Columns = {}
+    for (i, j), values in zip(centers.pairs, centers.points, strict=True):
+        if centers.bodies[i] != GROUND:
+            pair = centers.bodies[j], centers.bodies[i]
+            columns[pair, 'icr'], columns[pair, 'icr_covariance'] = values, no_covariance
+    return columns

@@ -262,7 +262,7 @@ class ActingLoads(NamedTuple):
     inertia: list[Load]
 
     @property
-    def all(self) -> list[Load]:
+    def loads(self) -> list[Load]:
         """The loads in one list."""
         return [*self.external, *self.springs, *self.inertia]
 
@@ -280,7 +280,7 @@ def acting_loads(solution: Solution) -> ActingLoads:
 def require_loads(solution: Solution) -> ActingLoads:
     """Return the loads at the first position; raise SceneError if there are none."""
     loads = acting_loads(solution.at(0))
-    if not loads.all:
+    if not loads.loads:
         raise SceneError(
             f'{solution.scene.name} has no loads; add them, as loads: [{{weight: 10 kg, at: '
             'BODY.POINT}]'

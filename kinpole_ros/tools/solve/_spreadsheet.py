@@ -85,7 +85,7 @@ def write_table(path: Path, solution: Solution, centers: bool, statics: bool) ->
 
 def _add_statics(columns: _Columns, solution: Solution) -> None:
     scene, mechanism = solution.scene, solution.scene.mechanism
-    loads = acting_loads(solution).all
+    loads = acting_loads(solution).loads
     if scene.held_by:
         columns['held_by'], load = holding(mechanism, solution.values, loads, scene.held_by)
         loads = [*loads, load]

@@ -41,7 +41,7 @@ def static_lines(solution: Solution) -> list[str]:
     values = solution.values[:, :1]
     several = solution.inputs.shape[1] > 1
     lines = ['', 'forces at the start of the range' if several else 'forces']
-    loads = acting.all
+    loads = acting.loads
     if np.isnan(solution.motion.values[1:, :, 0]).all() and solution.motion.regular.size == 1:
         # This near to a dead point, the efforts depend on the last digit of the input.
         return [*lines, 'not determined: in a dead point the drivers do not move the loads']
@@ -81,7 +81,7 @@ def _reaction_lines(scene: Scene, values: np.ndarray, loads: list[Load]) -> list
 def _effort_lines(scene: Scene, values: np.ndarray, acting: ActingLoads) -> list[str]:
     """Return the effort of each driver that balances the loads, and the share of each load."""
     lines = []
-    balance = efforts(scene.mechanism, values, acting.all)
+    balance = efforts(scene.mechanism, values, acting.loads)
     for k, driver in enumerate(scene.mechanism.drivers):
         unit, _ = _UNITS[scene.mechanism.kind(k) == 'angle']
         if not balance.determined[k, 0]:
@@ -122,17 +122,17 @@ def work_lines(solution: Solution) -> list[str]:
     kinds += ['inertia'] * len(acting.inertia)
     named = {
         f'{k} {kind}, {_load_text(scene, load)}': load
-        for k, (kind, load) in enumerate(zip(kinds, acting.all, strict=True), start=1)
+        for k, (kind, load) in enumerate(zip(kinds, acting.loads, strict=True), start=1)
     }
     if np.isnan(here.motion.values[1:, :, 0]).all():
         return ['', 'virtual work: in a dead point the drivers do not move the loads']
     lines: list[str] = []
     if scene.held_by:
-        size, holder = holding(scene.mechanism, here.values, acting.all, scene.held_by)
+        size, holder = holding(scene.mechanism, here.values, acting.loads, scene.held_by)
         lines += _balance_lines(here, named, 0, holder, float(size[0]))
         named[f'{len(named) + 1} holder, {_load_text(scene, holder)}'] = holder
     else:
-        balance = efforts(scene.mechanism, here.values, acting.all)
+        balance = efforts(scene.mechanism, here.values, acting.loads)
         for k in range(len(scene.mechanism.drivers)):
             lines += _balance_lines(here, named, k, None, float(balance.effort[k, 0]))
     return [*lines, *_bearing_lines(here, named)]

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from kinpole_ros.messages import String, deserialize_message, figures_of, read_state
+from kinpole_ros.messages import String, deserialize_message, quantity_lists, read_state
 from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES
 
 _POSE = ('x', 'y', 'angle', 'vx', 'vy')
@@ -114,12 +114,14 @@ def frame_of_state(data: bytes, names: Sequence[str]) -> Frame:
         raise ValueError(f'it has {len(bodies)} bodies; a page shows {_MOST_BODIES} at most')
     z, u = position.value, velocity.value
     columns = [part.tolist() for part in (z.real, z.imag, angle.value, u.real, u.imag)]
-    figures = figures_of(quantities)
+    lists = quantity_lists(quantities)
     frames: list[dict[str, Any] | None] = []
     for b, determined in enumerate(position.determined):
         pose = {name: float(column[b]) for name, column in zip(_POSE, columns, strict=True)}
-        frames.append(pose | {name: figures[name][b] for name in figures} if determined else None)
-    rig = Rig(bodies, tuple(name for name in _SIZES if name in figures), ())
+        frames.append(
+            pose | {name: values[b] for name, values in lists.items()} if determined else None
+        )
+    rig = Rig(bodies, tuple(name for name in _SIZES if name in lists), ())
     return Frame(stamp, ('x', 'y'), rig, frames, [], {}, {}, [None] * len(bodies))
 
 

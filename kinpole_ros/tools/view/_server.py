@@ -1,16 +1,18 @@
 """
-The live page and its stream of events over HTTP, for browsers on this machine with the address.
+Serve the live page and its stream of server-sent events over HTTP, to browsers on this machine.
 
-The address has a token, since other users of the machine can connect too. The Host of a request is
-checked, since a foreign page may have its name resolved to this machine (DNS rebinding).
+Other users of the machine can connect too, so the address has a token, and requests without it are
+refused. So are requests with another Host than this machine: a page from elsewhere may have its
+name resolved to this machine (DNS rebinding).
 """
 
 import re
 import secrets
 import socket
+import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import closing, contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from urllib.parse import urlsplit
@@ -24,14 +26,16 @@ _HEADERS = {
     'X-Content-Type-Options': 'nosniff',
     'X-Frame-Options': 'DENY',
 }
-# Bytes in flight to a page before it counts as slow; the default buffers hold seconds of events.
+# Bytes that wait for a page. The stream of a slow page then blocks and skips events; in the default
+# buffers, seconds of old events would wait.
 _SEND_BUFFER = 1 << 16
 _TIMEOUT = 10.0  # s, for a request, and for a page to receive what was sent
 # A stream without events sends a comment after this time, s, to notice that the page is closed.
 _KEEP_ALIVE = 1.0
+_COMMENT = b':\n\n'
 _RETRY = 500  # ms until a page that lost its stream reconnects
-# The kind of event that describes the rig. A page needs the last one first.
-RIG_EVENT = 'rig'
+_POLL_INTERVAL = 0.05  # s until the server notices that it shall end
+RIG_EVENT = 'rig'  # the kind of event that describes the bodies; pages need it before all others
 
 
 class Feed:
@@ -67,28 +71,48 @@ class Feed:
             self._closed = True
             self._condition.notify_all()
 
-    def events(self, first_kind: str) -> Iterator[bytes]:
-        """Yield events for a page until the feed is closed; first the last one of `first_kind`."""
+    def events(self, first_kind: str) -> Generator[bytes, None, None]:
+        """
+        Yield events for a page until the feed is closed, and comments while there are none.
+
+        The page gets the newest event of `first_kind`, also one from before it was opened, and of
+        other kinds only events that came after that one and after the page was opened.
+        """
         with self._condition:
-            sent = {kind: n for kind, (n, _) in self._events.items() if kind != first_kind}
+            first_sent, others_sent = 0, self._count
             self._pages += 1
             self._condition.notify_all()
 
-        def new_kinds() -> list[str]:
-            return [kind for kind, (n, _) in self._events.items() if n > sent.get(kind, 0)]
+        def unsent() -> list[bytes]:
+            first, data = self._events.get(first_kind, (0, b''))
+            if not first:
+                return []
+            is_unsent = first > first_sent
+            oldest = max(first, others_sent) if is_unsent else others_sent
+            others = (event for kind, event in self._events.items() if kind != first_kind)
+            return [data] * is_unsent + [data for number, data in others if number > oldest]
 
         try:
             while True:
                 with self._condition:
-                    self._condition.wait_for(lambda: self._closed or new_kinds(), _KEEP_ALIVE)
+                    self._condition.wait_for(lambda: self._closed or unsent(), _KEEP_ALIVE)
                     if self._closed:
                         return
-                    data = b''.join(self._events[kind][1] for kind in new_kinds())
-                    sent = {kind: n for kind, (n, _) in self._events.items()}
-                yield data or b':\n\n'
+                    batch = b''.join(unsent())
+                    first_sent = others_sent = self._count
+                yield batch or _COMMENT
         finally:
             with self._condition:
                 self._pages -= 1
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Ignore connections that pages close, or suspend, before they have their answer."""
+        if not isinstance(sys.exc_info()[1], OSError):
+            super().handle_error(request, client_address)
 
 
 @contextmanager
@@ -96,20 +120,20 @@ def serving(feed: Feed, page: str, port: int = 0, token: str = '') -> Iterator[s
     """
     Serve `page` and the events of `feed`; yield the address.
 
-    Port 0 is any free port, and an empty token a random one. Raises BagError if the port cannot be
-    used.
+    Port 0 is any free port, and an empty token a random one; tokens have only characters that URLs
+    need not quote. At the end the feed is closed, which ends the streams of all pages. Raises
+    BagError if the port cannot be used.
     """
     token = token or secrets.token_urlsafe(16)
     try:
-        server = ThreadingHTTPServer((_ADDRESS, port), _handler(feed, page.encode(), token))
+        server = _Server((_ADDRESS, port), _handler(feed, page.encode(), token))
     except (OSError, OverflowError) as error:
         why = error.strerror if isinstance(error, OSError) else 'ports are numbers up to 65535'
         raise BagError(
             f'--port {port} of {_ADDRESS} cannot be used ({why}); name another, or leave it out '
             'for a free one'
         ) from None
-    server.daemon_threads = True
-    thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
+    thread = threading.Thread(target=server.serve_forever, args=(_POLL_INTERVAL,), daemon=True)
     thread.start()
     try:
         yield f'http://{_ADDRESS}:{server.server_address[1]}/{token}/'
@@ -131,11 +155,13 @@ def _handler(feed: Feed, page: bytes, token: str) -> type[BaseHTTPRequestHandler
             except ValueError:
                 self._answer(400, 'text/plain', b'This is no address.\n')
                 return
-            given, _, name = path.lstrip('/').partition('/')
+            given, slash, name = path.lstrip('/').partition('/')
             host = re.sub(r':\d*$', '', self.headers.get('Host', ''))
             is_local = host in (_ADDRESS, 'localhost')
             if not is_local or not secrets.compare_digest(given.encode(), token.encode()):
                 self._answer(403, 'text/plain', b'Open the address that kinpole view printed.\n')
+            elif not slash:  # the page finds its stream relative to its folder
+                self._answer(302, 'text/plain', b'', f'/{token}/')
             elif name == 'stream':
                 self._stream()
             elif not name:
@@ -145,23 +171,21 @@ def _handler(feed: Feed, page: bytes, token: str) -> type[BaseHTTPRequestHandler
 
         def _stream(self) -> None:
             self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
-            self._send_headers(200, 'text/event-stream')
+            self._send_headers(200, 'text/event-stream', {})
             self.wfile.write(f'retry: {_RETRY}\n\n'.encode())
-            with suppress(OSError):  # the page is closed, or suspended
-                for data in feed.events(RIG_EVENT):
+            with closing(feed.events(RIG_EVENT)) as events:
+                for data in events:
                     self.wfile.write(data)
 
-        def _answer(self, status: int, kind: str, body: bytes) -> None:
-            with suppress(OSError):
-                self._send_headers(status, kind, len(body))
-                self.wfile.write(body)
+        def _answer(self, status: int, kind: str, body: bytes, location: str = '') -> None:
+            headers = {'Content-Length': str(len(body))}
+            self._send_headers(status, kind, headers | ({'Location': location} if location else {}))
+            self.wfile.write(body)
 
-        def _send_headers(self, status: int, kind: str, size: int | None = None) -> None:
+        def _send_headers(self, status: int, kind: str, headers: Mapping[str, str]) -> None:
             self.send_response(status)
             self.send_header('Content-Type', f'{kind}; charset=utf-8')
-            if size is not None:
-                self.send_header('Content-Length', str(size))
-            for name, value in _HEADERS.items():
+            for name, value in {**_HEADERS, **headers}.items():
                 self.send_header(name, value)
             self.end_headers()
 

@@ -1,0 +1,98 @@
+/*
+ * Stamps and points read from the bytes of marker messages of a known layout.
+ */
+
+#include <math.h>
+#include <string.h>
+
+/* Messages of `size` bytes that agree with `key` where `mask` has bits, both of `compared` bytes. The
+   stamp is at byte `stamp`, and before `end_of_time`, ns. Point k of `count` begins at byte
+   `points[k]`. Its coordinates begin `axes` bytes behind that, and are floats of `widths` bytes, 4 or
+   8; one of width 0 is 0. See _points.py. */
+typedef struct {
+    long long size, compared, stamp, end_of_time, count, is_big_endian;
+    long long axes[3], widths[3];
+    const unsigned char *mask, *key;
+    const long long *points;
+} Layout;
+
+/* The unsigned integer in some bytes, at most 8. */
+static inline unsigned long long
+integer_at(const unsigned char *bytes, int width, int is_big_endian)
+{
+    unsigned long long value = 0;
+    for (int k = 0; k < width; k++)
+        value |= (unsigned long long)bytes[is_big_endian ? width - 1 - k : k] << 8 * k;
+    return value;
+}
+
+static inline double
+float_at(const unsigned char *bytes, int is_big_endian)
+{
+    unsigned int bits = (unsigned int)integer_at(bytes, 4, is_big_endian);
+    float value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+static inline double
+double_at(const unsigned char *bytes, int is_big_endian)
+{
+    unsigned long long bits = integer_at(bytes, 8, is_big_endian);
+    double value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+/* The stamp of a message, ns. */
+static long long
+stamp_of(const Layout *layout, const unsigned char *message)
+{
+    const unsigned char *stamp = message + layout->stamp;
+    return (int)integer_at(stamp, 4, 0) * 1000000000ll + (long long)integer_at(stamp + 4, 4, 0);
+}
+
+/* Returns how many messages from message `first` on are of the layout, of `count` in all. */
+long long
+kinpole_count_alike(const Layout *layout, const unsigned char *messages, long long first,
+                    long long count)
+{
+    messages += first * layout->size;
+    for (long long t = first; t < count; t++, messages += layout->size) {
+        unsigned char differs = 0;
+        for (long long k = 0; k < layout->compared; k++)
+            differs |= (messages[k] ^ layout->key[k]) & layout->mask[k];
+        if (differs || stamp_of(layout, messages) >= layout->end_of_time)
+            return t - first;
+    }
+    return count - first;
+}
+
+/* Reads the points (n, 3) of a message. One with a coordinate that is not finite becomes NaN. */
+void
+kinpole_read_points(const Layout *layout, const unsigned char *message, double *points)
+{
+    int is_big_endian = layout->is_big_endian != 0;
+    for (long long k = 0; k < layout->count; k++, points += 3) {
+        const unsigned char *point = message + layout->points[k];
+        for (int i = 0; i < 3; i++) {
+            const unsigned char *bytes = point + layout->axes[i];
+            points[i] = layout->widths[i] == 8 ? double_at(bytes, is_big_endian)
+                : layout->widths[i] == 4 ? float_at(bytes, is_big_endian) : 0.0;
+        }
+        if (!(isfinite(points[0]) && isfinite(points[1]) && isfinite(points[2])))
+            points[0] = points[1] = points[2] = NAN;
+    }
+}
+
+/* Reads stamps (count,), ns, and points (count, n, 3) of the messages from message `first` on. */
+void
+kinpole_read_messages(const Layout *layout, const unsigned char *messages, long long first,
+                      long long count, long long *stamps, double *points)
+{
+    messages += first * layout->size;
+    for (long long t = 0; t < count; t++, messages += layout->size) {
+        stamps[t] = stamp_of(layout, messages);
+        kinpole_read_points(layout, messages, points + 3 * t * layout->count);
+    }
+}

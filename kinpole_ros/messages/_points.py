@@ -1,0 +1,78 @@
+"""Points in the bytes of messages, read by compiled code."""
+
+from ctypes import POINTER, Structure, byref, c_char_p, c_longlong, c_void_p
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from kinpole_ros.compiled import address_of, library, pass_new_array
+from kinpole_ros.messages._types import END_OF_TIME
+
+
+class PointLayout(NamedTuple):
+    """
+    Where points are in a message.
+
+    Point k begins at byte `offsets[k]`. Its coordinates x, y and z begin `axes` bytes behind that,
+    and are floats of `widths` bytes, 4 or 8. A coordinate of width 0 is missing, and is read as 0.
+    """
+
+    offsets: np.ndarray
+    axes: tuple[int, ...] = (0, 8, 16)
+    widths: tuple[int, ...] = (8, 8, 8)
+    is_big_endian: bool = False
+
+
+class MessageLayout(Structure):
+    """
+    Messages of `size` bytes that agree with `key` in the bits of `mask`, both (n,) uint8.
+
+    Their stamps are at byte `stamp`. It is `Layout` of _points.c.
+    """
+
+    _fields_: ClassVar[Any] = [
+        *((name, c_longlong) for name in ('size', 'compared', 'stamp', 'end_of_time', 'count')),
+        *(('is_big_endian', c_longlong), ('axes', 3 * c_longlong), ('widths', 3 * c_longlong)),
+        *((name, c_void_p) for name in ('mask', 'key', 'points')),
+    ]
+
+    def __init__(
+        self, points: PointLayout, size: int, stamp: int, mask: np.ndarray, key: np.ndarray
+    ) -> None:
+        count, is_big_endian = len(points.offsets), points.is_big_endian
+        super().__init__(
+            *(size, len(mask), stamp, END_OF_TIME, count, is_big_endian), points.axes, points.widths
+        )
+        self._arrays = mask, key, np.ascontiguousarray(points.offsets, np.int64)
+        self.mask, self.key, self.points = map(address_of, self._arrays)
+        self._self = byref(self)
+
+    def count_alike(self, data: bytes, first: int, count: int) -> int:
+        """Return how many messages from `first` on are of the layout; `data` are `count`."""
+        alike: int = _count_alike(self._self, data, first, count)
+        return alike
+
+    def read(self, data: bytes, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return stamps (T,), ns, and points (T, n, 3) of `count` messages from `first` on."""
+        stamps, points = np.empty(count, np.int64), np.empty((count, self.count, 3))
+        into = pass_new_array(stamps), pass_new_array(points)
+        _read_messages(self._self, data, first, count, *into)
+        return stamps, points
+
+
+def read_points(layout: PointLayout, data: bytes) -> np.ndarray:
+    """Return the points (n, 3) in `data`; one that is not finite is NaN."""
+    nothing, points = np.zeros(0, np.uint8), np.empty((len(layout.offsets), 3))
+    _read_points(byref(MessageLayout(layout, 0, 0, nothing, nothing)), data, address_of(points))
+    return points
+
+
+_count_alike = library.kinpole_count_alike
+_count_alike.argtypes = [c_void_p, c_char_p, c_longlong, c_longlong]
+_count_alike.restype = c_longlong
+_read_messages = library.kinpole_read_messages
+_read_messages.argtypes = [c_void_p, c_char_p, c_longlong, c_longlong, c_void_p, c_void_p]
+_read_messages.restype = None
+_read_points = library.kinpole_read_points
+_read_points.argtypes = [POINTER(MessageLayout), c_char_p, c_void_p]
+_read_points.restype = None

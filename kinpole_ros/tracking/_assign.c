@@ -1,0 +1,51 @@
+/*
+ * Points of messages in the slots of the bodies, in meters and in the plane of the motion.
+ */
+
+#include <math.h>
+#include <string.h>
+
+/* Slot k of `count` takes row `rows[k]` of the `points` of a frame; none from row `points` on. Points
+   are scaled, and those not nearer than `farthest`, m, are NaN. The plane is that of plane.py: without
+   `axes` its basis counts. See assignment.py. */
+typedef struct {
+    long long count, points, has_axes, axes[3];
+    double scale, farthest, basis[9];
+    const long long *rows;
+} Slots;
+
+/* Writes a point, m; NaN for none. */
+static void
+write_point(const Slots *slots, const double *points, long long row, double *point)
+{
+    int is_near = row < slots->points;
+    for (int i = 0; i < 3 && is_near; i++) {
+        point[i] = points[3 * row + i] * slots->scale;
+        is_near = fabs(point[i]) < slots->farthest;
+    }
+    if (!is_near)
+        point[0] = point[1] = point[2] = NAN;
+}
+
+/* Writes the points (T, slots, 3) of frames, m, into `in_space`. If that is NULL, writes them as complex
+   numbers of the plane (T, slots), and their heights over it. */
+void
+kinpole_assign(const Slots *slots, const double *points, long long frames, double *flat,
+               double *heights, double *in_space)
+{
+    const long long *axes = slots->axes;
+    for (long long at = 0; at < frames * slots->count; at++) {
+        double p[3], turned[3];
+        const double *frame = points + at / slots->count * slots->points * 3;
+        write_point(slots, frame, slots->rows[at % slots->count], p);
+        if (in_space) {
+            memcpy(in_space + 3 * at, p, sizeof p);
+            continue;
+        }
+        for (int i = 0; i < 3; i++) {
+            const double *e = slots->basis + 3 * i;
+            turned[i] = slots->has_axes ? p[axes[i]] : p[0] * e[0] + p[1] * e[1] + p[2] * e[2];
+        }
+        flat[2 * at] = turned[0], flat[2 * at + 1] = turned[1], heights[at] = turned[2];
+    }
+}
