@@ -248,12 +248,12 @@ def one_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     caches = _models._members, _models._functions
     monkeypatch.setattr(_poses, '_tables', _poses._Tables((), np.empty((0, 7), np.int64)))
     monkeypatch.setattr(_models, 'SPECTRA', (ONE,))
-    monkeypatch.setattr(_models, '_LONGEST', ONE[1] / 50)
+    monkeypatch.setattr(_models, '_MAX_LENGTH', ONE[1] / 50)
     monkeypatch.setattr(_models, '_ROUGH', ())
     monkeypatch.setattr(_models, '_DEGREES', (1,))
     monkeypatch.setattr(_models, '_amplitudes', lambda exact: np.array([ONE_AMPLITUDE]))
     # What there is of modes below the noise would be left out otherwise.
-    monkeypatch.setattr(_models, '_SEEN', 1e-5)
+    monkeypatch.setattr(_models, '_MIN_MODE_SIGMA', 1e-5)
     for cache in caches:
         cache.cache_clear()
     yield

@@ -1,7 +1,33 @@
 """
-Poses on a clock to their derivatives with covariances, by Gaussian processes and their evidence.
+Samples of poses to derivatives with covariances, by Gaussian processes and their evidence.
 
-Knows neither markers nor rigid bodies nor ROS: a pose is an angle and a point of the plane.
+A pose is an angle and a point of the plane; markers, rigid bodies and ROS are unknown here. At each
+instant, the poses of a body in a window around it become one result, which depends on nothing else:
+
+1. Samples. Poses at stamps become even samples of three signals, in units of their noise. Samples
+   may be missing, have a low weight, or be off the even grid.
+2. Models. A signal is a line, a Gaussian process, and white noise. Some 130 processes differ in
+   spectrum, length and amplitude, and the window alone determines their modes.
+3. Evidence. Each model gives the probability of the samples under it, and derivatives at the
+   instant, as sums over its modes. Missing samples are low-rank corrections.
+4. Steps. If the evidence of all models is low, steps of position, velocity or acceleration are
+   searched, as at an impact. The best are columns of a regression, with which models are evaluated.
+5. Averaging. The derivatives are the mean of all models by probability. The covariance is the mean
+   of theirs, by the root of the evidence, plus the variance between models and event places.
+
+============== ==================================================================================
+_models.py     2: processes, spectra, modes, and their derivatives, as tables for the kernel
+_evidence.h    3 and 5: evidence, probabilities, derivatives and covariances; the formulas
+_steps.h       4: the search of steps
+_window.h      1: grid, cells, size of the window, blocks, first guesses of even samples
+_derive.c      order of these for one signal; uneven samples move along the estimated motion
+_call.h        arguments of the kernel
+_poses.py      `derive_poses`: arrays to the kernel and back; keeps the tables
+_events.py     `find_events`: reports events some time after them, by polynomials
+============== ==================================================================================
+
+To understand the estimator, read _models.py, _evidence.h and _steps.h, in this order. A slower
+version with numpy is in test/derivatives_reference.
 """
 
 from kinpole_ros.derivatives._events import Event, Samples, find_events

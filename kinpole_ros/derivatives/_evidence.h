@@ -1,79 +1,94 @@
 /*
- * Evidence of all models of a window of even samples, and mean and covariance of derivatives.
+ * Evidence of all models of a window of even samples, and mean and covariance of its derivatives.
  *
- * Events, and samples with less than full weight, are columns: low-rank corrections of the models.
+ * A model is a signal x = line + process + noise, with a process of covariance a^2 K and noise of
+ * variance v. _models.py diagonalizes K on the window: with the coefficients c_r of the samples in
+ * its modes, of singular values s_r, and the shrinkage k_r = a^2 s_r^2 / (1 + a^2 s_r^2),
  *
- * LANES amplitudes of one process are a group, side by side in all arrays. A lane without a model
- * has evidence -infinity. Each process has its own modes, even and odd; the first of each are mean
- * and slope. The last process is rest, which has the mean only.
+ *   residual    R = sum of x^2 - sum of k_r c_r^2
+ *   variance    v = (R + n0) / (n0 + n), of n samples and a noise prior of n0 samples, unit noise
+ *   evidence    log prior + sum of log(1 - k_r) / 2 - (n0 + n) / 2 log v
+ *   derivative  sum of k_r c_r d_r, of the derivatives d_r of the modes at the instant
+ *
+ * (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, 2.7 and 5.4). Samples of
+ * low weight, and steps, are columns: low-rank corrections of all of these (there, A.3).
+ *
+ * The LANES amplitudes a of a process are a group, side by side in all arrays; a process with more
+ * has several groups. A lane without a model has evidence -infinity. Each process has modes of its
+ * own, even and odd about the middle of the window; the first of each are mean and slope. The last
+ * process is rest, which has the mean only.
+ *
+ * Index c is 0 for the angle and 1 for the position, or 1 and 2 for its coordinates. The two
+ * coordinates share the evidence, so all of their sums count twice: (c + 1).
  */
 
 #define LANES 8
-#define PARTS (LANES / WIDTH)
-/* The prior of the noise, in samples: a window has less information on it than its measurement. */
-#define KNOWN 300.0
+#define VECTORS (LANES / WIDTH)
+/* The noise prior, in samples: a window has less information on its noise than the measurement. */
+#define NOISE_PRIOR_SAMPLES 300.0
 /* Models with a smaller weight in the covariance, or a smaller probability, are skipped: the result
    changes by less than this. */
-#define LEAST_WEIGHT 1e-5
-#define LEAST_PROBABLE 1e-8
+#define MIN_WEIGHT 1e-5
+#define MIN_PROBABILITY 1e-8
 /* Models this far below the best in log evidence are skipped: exp(-25) is below both. */
-#define FAR 50.0
+#define MAX_EVIDENCE_LOSS 50.0
 /* Loss of log evidence after which shorter lengths of a spectrum are skipped in sets with events:
    their evidence is lower still. */
-#define DROP_EVIDENCE 8.0
+#define LENGTH_EVIDENCE_LOSS 8.0
 /* Derivatives by which samples are moved: as many as `slopes_of` of _models.py makes. */
-#define SLOPES 4
-/* Spectra at most. */
-#define MOST_KINDS 8
+#define SLOPE_ORDERS 4
+/* Bound of the number of spectra, of which _models.py has four. */
+#define MAX_SPECTRA 8
 /* Largest weight of the rough spectrum in the covariance, over that of another spectrum. With 1,
    88% of the cells cover over 97%. */
-#define ROUGH_SHARE 0.1
+#define MAX_ROUGH_WEIGHT 0.1
 /* Sets of events: none, one of each order, and two. Columns of two events. */
-#define MOST_SETS 6
-#define MOST_STEPS 6
+#define MAX_SETS 6
+#define MAX_STEPS 6
+/* Derivatives of order 0 to 4. */
+#define MAX_ORDERS 5
 
-/* A compiler breaks up vectors wider than the processor's, and badly, so they are as wide as those.
-   */
+/* As wide as the vectors of the processor: compilers break up wider ones badly. */
 typedef double Vector __attribute__((vector_size(8 * WIDTH), aligned(8)));
 typedef struct {
-    Vector part[PARTS];
+    Vector part[VECTORS];
 } Lanes;
 
-#define EACH for (int h = 0; h < PARTS; h++)
+#define FOR_VECTORS for (int h = 0; h < VECTORS; h++)
 
 static inline Lanes
 all_lanes(double value)
 {
     Lanes all;
-    EACH all.part[h] = (Vector){0} + value;
+    FOR_VECTORS all.part[h] = (Vector){0} + value;
     return all;
 }
 
 static inline Lanes
 scaled(Lanes a, double by)
 {
-    EACH a.part[h] *= by;
+    FOR_VECTORS a.part[h] *= by;
     return a;
 }
 
 static inline Lanes
 product(Lanes a, Lanes b)
 {
-    EACH a.part[h] *= b.part[h];
+    FOR_VECTORS a.part[h] *= b.part[h];
     return a;
 }
 
 static inline Lanes
-plus(Lanes sum, Lanes a, Lanes b)
+multiply_add(Lanes sum, Lanes a, Lanes b)
 {
-    EACH sum.part[h] += a.part[h] * b.part[h];
+    FOR_VECTORS sum.part[h] += a.part[h] * b.part[h];
     return sum;
 }
 
 static inline Lanes
-minus(Lanes sum, Lanes a, Lanes b)
+multiply_subtract(Lanes sum, Lanes a, Lanes b)
 {
-    EACH sum.part[h] -= a.part[h] * b.part[h];
+    FOR_VECTORS sum.part[h] -= a.part[h] * b.part[h];
     return sum;
 }
 
@@ -98,64 +113,99 @@ sum_of(Lanes lanes)
     return sum;
 }
 
-/* Models of a window of `count` samples, as `models_of` of _models.py makes them. Processes have
-   `chunks` groups each, and modes `first[p]` to `first[p + 1]` of the even ones, and so on of the
-   odd ones, which begin at the row `odd`. If samples are exact, modes are as many as these. */
+static inline double
+dot(const double *a, const double *b, long long count)
+{
+    double sum = 0.0;
+    for (long long k = 0; k < count; k++)
+        sum += a[k] * b[k];
+    return sum;
+}
+
+/* The models of a window of `count` samples, as `models_of` of _models.py makes them. */
 typedef struct {
-    long long count, half, processes, chunks, groups, kinds, exact, odd, rows;
-    const long long *first, *kind;
-    const Lanes *panels, *share, *left, *chances, *freedom;
-    const double *unexplained; /* of steps, (models, 3, count) */
+    long long count, half; /* samples, and those of the first half, with the middle */
+    long long processes;
+    long long chunks;  /* groups of each process */
+    long long groups;  /* processes times chunks */
+    long long spectra; /* with the rough one, which is the last */
+    long long exact;   /* each process has as many modes as there are samples */
+    long long rows;    /* modes of all processes, filled up to whole lanes: the even ones first */
+    long long first_odd;
+    const long long *first_row; /* (2, processes + 1), of the even and the odd modes of a process */
+    const long long *spectrum;  /* of each model (groups, LANES); `spectra` if common to all */
+    const Lanes *basis;         /* (rows / LANES, half): modes on the first half of the samples */
+    const Lanes *shrinkage;     /* (chunks, rows) */
+    const Lanes *residual_factor; /* 1 - shrinkage if exact, where a difference would be rounding;
+                                     otherwise the shrinkage */
+    const Lanes *log_prior;     /* (2, groups), plus (c + 1) sum of log(1 - shrinkage) / 2 */
+    const Lanes *freedom;       /* (groups): sum of the shrinkage, the effective parameters */
+    const double *step_squares; /* (models, STEP_ORDERS, count): b' P b, of a step b half a sample
+                                   before each sample, and the inverse P of a model's covariance */
 } Models;
 
-/* The derivative of an `order` from 0 to 3 steps so many samples after the first. */
+/* A step of the derivative of an `order` from 0 to 3, `place` samples after the first sample. */
 typedef struct {
     double place;
     int order;
 } Step;
 
-/* How modes (orders, rows) and models (groups, orders, orders) make derivatives. */
+/* The derivatives at an instant, as `stencils_of` of _models.py makes them. */
 typedef struct {
     long long orders;
-    double at; /* the instant, samples after the first */
-    const double *modes;
-    const Lanes *spread;
+    double at;           /* the instant, samples after the first */
+    const double *modes; /* (orders, rows): derivatives of the modes */
+    const Lanes *spread; /* (groups, orders, orders): covariances for unit noise */
 } Stencils;
 
-/* Samples of angle and both coordinates, in deviations of their noise, how good those of angle and
-   position are over the best, and by how many samples they are off their places. */
+/* The samples of a signal, `count` of angle and both coordinates, in deviations of their noise;
+   their weights, 0 to 1, by angle and position; and by how many samples each is after its place. */
 typedef struct {
     long long count;
     double *x[3], *weight[2], *off;
 } Samples;
 
-/* Results: derivatives (3, orders), covariances (2, orders, orders) of the angle and of one
-   coordinate, and the number of parameters of their motions. */
-#define MOST_ORDERS 5
+/* The result at an instant: derivatives, their covariances, of the angle and of one coordinate, and
+   the effective number of parameters of the motion. */
 typedef struct {
-    double mean[3][MOST_ORDERS], covariance[2][MOST_ORDERS][MOST_ORDERS], freedom[2];
-} Found;
+    double mean[3][MAX_ORDERS], covariance[2][MAX_ORDERS][MAX_ORDERS], freedom[2];
+} Estimate;
 
-/* Quantities of a window that do not depend on events: modes, sums of squares, and those that the
-   models leave (3, groups). The other arrays are scratch memory. */
+/* Quantities of the samples of a window that do not depend on events, and scratch memory. */
 typedef struct {
-    double known, seen[2], total[3];
-    double *modes, *squares, *terms;
-    Lanes *left, *off, *reach, *scaled, *along;
+    double prior_samples, total_weight[2], sum_of_squares[3];
+    double *coefficients; /* (3, rows), of the samples in the modes */
+    double *squares;      /* (3, rows), of the coefficients */
+    Lanes *residual;      /* (3, groups): residual sum of squares of each model */
+    double *terms;        /* scratch of sums over modes, and of folded signals */
+    Lanes *column_products; /* scratch (pairs + 3 columns): see `apply_columns` */
+    Lanes *column_effects;  /* scratch (2, orders, columns): see `correct_for_columns` */
+    Lanes *over_pivots;     /* scratch (orders + 1, columns), of `forward_substitute` */
+    Lanes *slopes;          /* scratch (2, SLOPE_ORDERS, 3, half / LANES), of `move_to_grid` */
 } Work;
 
-/* A set of events, and the models with its columns. The columns are the `cells` with weights below
-   1, and then the `steps`. `weight` and `root` of a column are by angle and position, which are one
-   part if they are equal: of a cell its weight, and the root of what that is below 1; of a step 1,
-   and the standard deviation of its prior. `prior` is the log prior of the events, and `spread` the
-   covariance that follows from their places. */
-typedef struct Set {
-    long long cells, steps, columns, parts, events, *at, *is_used;
-    const struct Set *from;
-    Step step[MOST_STEPS];
-    double prior, best[2], spread[2][MOST_ORDERS][MOST_ORDERS];
-    double *values, *folded, *vectors, *base, *weight, *root;
-    Lanes *evidence, *variance, *probability, *covariance_weight, *derivatives, *factors, *errors;
+/* Models with columns: first `cells`, samples with a weight below 1, then `steps` of events. The
+   size of a column has a prior of zero mean and variance root^2 / weight. That of a step is the
+   estimated size squared, with a weight of 1. That of a sample of weight w is (1 - w) / w, so its
+   noise has the variance 1 / w. Weights and roots are by angle and position, (parts, columns), with
+   one part if these are equal. */
+typedef struct {
+    long long columns, cells, steps, parts, events;
+    long long *cell;       /* (cells): the samples */
+    Step step[MAX_STEPS];
+    double log_prior;      /* of the events */
+    double best_evidence[2];
+    double place_covariance[2][MAX_ORDERS][MAX_ORDERS]; /* from the unknown places of the events */
+    double *step_columns;  /* (steps, count) */
+    double *folded;        /* (2, steps, half): sums and differences of these, see `fold` */
+    double *coefficients;  /* (columns, rows), of the columns in the modes */
+    double *column_products; /* (pairs + 3 columns), of columns, and of samples with columns */
+    double *weight, *root;
+    Lanes *evidence, *variance, *probability, *covariance_weight; /* (2, groups) */
+    Lanes *derivatives;    /* (groups, 3, orders) */
+    Lanes *factors;        /* (groups, parts, pairs): L and 1 / D, see `factorize` */
+    Lanes *residuals;      /* (groups, 3, columns): of the samples at the columns, divided by L */
+    long long *is_used;    /* (groups) */
 } Set;
 
 static size_t
@@ -170,7 +220,7 @@ size_of_set(const Models *m, long long orders, long long columns, long long step
 
 #define TAKE(array, size) (array = (void *)data, data += (size) * sizeof *array)
 
-/* Lay out the arrays of a set, and return what comes after these. */
+/* Lay out the arrays of a set, and return the end of their memory. */
 static char *
 lay_out_set(const Models *m, long long orders, long long columns, long long steps, int parts,
             char *data, Set *set)
@@ -180,44 +230,46 @@ lay_out_set(const Models *m, long long orders, long long columns, long long step
     TAKE(set->evidence, 2 * m->groups), TAKE(set->variance, 2 * m->groups);
     TAKE(set->probability, 2 * m->groups), TAKE(set->covariance_weight, 2 * m->groups);
     TAKE(set->derivatives, 3 * orders * m->groups), TAKE(set->factors, parts * pairs * m->groups);
-    TAKE(set->errors, 3 * columns * m->groups);
-    TAKE(set->values, steps * m->count), TAKE(set->folded, steps * 2 * m->half);
-    TAKE(set->vectors, columns * m->rows);
-    TAKE(set->base, pairs + 3 * columns), TAKE(set->weight, 2 * columns);
-    TAKE(set->root, 2 * columns), TAKE(set->at, columns), TAKE(set->is_used, m->groups);
+    TAKE(set->residuals, 3 * columns * m->groups);
+    TAKE(set->step_columns, steps * m->count), TAKE(set->folded, steps * 2 * m->half);
+    TAKE(set->coefficients, columns * m->rows);
+    TAKE(set->column_products, pairs + 3 * columns), TAKE(set->weight, 2 * columns);
+    TAKE(set->root, 2 * columns), TAKE(set->cell, columns), TAKE(set->is_used, m->groups);
     return data;
 }
 
-/* out (columns, step apart) += values (columns, stride apart) times table (depth), three columns at
-   once, so that sums need not wait for each other. */
+/* Add to out[c] the sum over k < depth of table[k] values[c][k], for each of the columns c. Rows of
+   `values` are `stride` apart, and elements of `out` are `step` apart. Three columns are summed at
+   once, so that the processor need not wait for each sum. */
 static inline void
-add(const Lanes *table, long long depth, const double *values, long long stride, long long columns,
-    Lanes *out, long long step)
+add_table_products(const Lanes *table, long long depth, const double *values, long long stride,
+                   long long columns, Lanes *out, long long step)
 {
     for (; columns >= 3; columns -= 3, values += 3 * stride, out += 3 * step) {
         Lanes x = out[0], y = out[step], z = out[2 * step];
         for (long long k = 0; k < depth; k++) {
-            EACH x.part[h] += table[k].part[h] * values[k];
-            EACH y.part[h] += table[k].part[h] * values[stride + k];
-            EACH z.part[h] += table[k].part[h] * values[2 * stride + k];
+            FOR_VECTORS x.part[h] += table[k].part[h] * values[k];
+            FOR_VECTORS y.part[h] += table[k].part[h] * values[stride + k];
+            FOR_VECTORS z.part[h] += table[k].part[h] * values[2 * stride + k];
         }
         out[0] = x, out[step] = y, out[2 * step] = z;
     }
     for (; columns > 0; columns--, values += stride, out += step) {
         Lanes x = out[0];
         for (long long k = 0; k < depth; k++)
-            EACH x.part[h] += table[k].part[h] * values[k];
+            FOR_VECTORS x.part[h] += table[k].part[h] * values[k];
         out[0] = x;
     }
 }
 
-/* out += sums of the products of left (a, rows) and right (b, rows), of each row by each, or of
-   each two of left if there is no right, over the modes of a group's process. */
+/* Add to `out` (a, b) the sums over the modes r of a group's process of table[r] left[i][r]
+   right[j][r], for left (a, rows) and right (b, rows). Without `right` these are the pairs j <= i
+   of left. */
 static inline void
-add_products(const Models *m, const Lanes *table, long long group, const double *left, long long a,
-             const double *right, long long b, double *terms, Lanes *out)
+add_mode_products(const Models *m, const Lanes *table, long long group, const double *left,
+                  long long a, const double *right, long long b, double *terms, Lanes *out)
 {
-    const long long *first = m->first + group / m->chunks;
+    const long long *first = m->first_row + group / m->chunks;
     table += group % m->chunks * m->rows;
     for (int parity = 0; parity < 2; parity++, first += m->processes + 1) {
         long long begin = first[0], depth = first[1] - begin, columns = 0;
@@ -228,11 +280,12 @@ add_products(const Models *m, const Lanes *table, long long group, const double 
                 for (long long k = 0; k < depth; k++)
                     terms[columns * depth + k] = x[k] * y[k];
             }
-        add(table + begin, depth, terms, depth, columns, out, 1);
+        add_table_products(table + begin, depth, terms, depth, columns, out, 1);
     }
 }
 
-/* Sums and differences (2, columns, half) of the samples of signals opposite to each other. */
+/* Fold signals (columns, count) about the middle of the window: sums and differences (2, columns,
+   half) of opposite samples. Even modes depend on sums only, odd ones on differences. */
 static inline void
 fold(const Models *m, double *const *signals, long long columns, double *folded)
 {
@@ -244,45 +297,47 @@ fold(const Models *m, double *const *signals, long long columns, double *folded)
         }
 }
 
-/* The modes (columns, rows) from `begin` to `end` of folded signals (columns). */
+/* Compute the coefficients (columns, rows) of folded signals in the modes from `begin` to `end`. */
 static inline void
-find_modes(const Models *m, const double *folded, long long columns, long long begin, long long end,
-           double *modes)
+project(const Models *m, const double *folded, long long columns, long long begin, long long end,
+        double *coefficients)
 {
     for (long long r = begin / LANES * LANES; r < end; r += LANES) {
         for (long long c = 0; c < columns; c++)
-            memset(modes + c * m->rows + r, 0, LANES * sizeof(double));
-        add(m->panels + r / LANES * m->half, m->half,
-            folded + (r < m->odd ? 0 : columns * m->half), m->half, columns, (Lanes *)(modes + r),
-            m->rows / LANES);
+            memset(coefficients + c * m->rows + r, 0, LANES * sizeof(double));
+        add_table_products(m->basis + r / LANES * m->half, m->half,
+                           folded + (r < m->first_odd ? 0 : columns * m->half), m->half, columns,
+                           (Lanes *)(coefficients + r), m->rows / LANES);
     }
 }
 
-/* Compute the modes of samples, their sums of squares, and those that each model leaves. */
+/* Compute the coefficients of samples, and the residual sum of squares of each model. */
 static void
-find_squares(const Models *m, const Samples *s, Work *w)
+project_samples(const Models *m, const Samples *s, Work *w)
 {
     for (int c = 0; c < 3; c++) {
-        w->total[c] = 0.0;
+        w->sum_of_squares[c] = 0.0;
         for (long long t = 0; t < m->count; t++)
-            w->total[c] += s->x[c][t] * s->x[c][t];
+            w->sum_of_squares[c] += s->x[c][t] * s->x[c][t];
     }
     fold(m, s->x, 3, w->terms);
-    find_modes(m, w->terms, 3, 0, m->rows, w->modes);
+    project(m, w->terms, 3, 0, m->rows, w->coefficients);
     for (long long i = 0; i < 3 * m->rows; i++)
-        w->squares[i] = w->modes[i] * w->modes[i];
-    memset(w->left, 0, 3 * m->groups * sizeof(Lanes));
+        w->squares[i] = w->coefficients[i] * w->coefficients[i];
+    memset(w->residual, 0, 3 * m->groups * sizeof(Lanes));
     for (long long g = 0; g < m->groups; g++) {
-        const long long *first = m->first + g / m->chunks;
+        const long long *first = m->first_row + g / m->chunks;
         for (int parity = 0; parity < 2; parity++, first += m->processes + 1)
-            add(m->left + g % m->chunks * m->rows + first[0], first[1] - first[0],
-                w->squares + first[0], m->rows, 3, w->left + g, m->groups);
+            add_table_products(m->residual_factor + g % m->chunks * m->rows + first[0],
+                               first[1] - first[0], w->squares + first[0], m->rows, 3,
+                               w->residual + g, m->groups);
         for (int c = 0; c < (m->exact ? 0 : 3); c++)
-            EACH w->left[c * m->groups + g].part[h] =
-                w->total[c] - w->left[c * m->groups + g].part[h];
+            FOR_VECTORS w->residual[c * m->groups + g].part[h] =
+                w->sum_of_squares[c] - w->residual[c * m->groups + g].part[h];
     }
 }
 
+/* The signal t^order / order! of a step, `since` samples after it. */
 static inline double
 step_value(int order, double since)
 {
@@ -293,100 +348,103 @@ step_value(int order, double since)
     return power;
 }
 
-/* What a step adds to samples (count), each the mean of a block. */
+/* Compute the column (count) of a step, for samples that are means of blocks. */
 static void
-find_values(const Step *step, long long count, long long block, double *values)
+fill_step_column(const Step *step, long long count, long long block, double *column)
 {
     for (long long t = 0; t < count; t++) {
-        values[t] = 0.0;
+        column[t] = 0.0;
         for (long long k = 0; k < block; k++) {
             double offset = (k - (block - 1) / 2.0) / block;
-            values[t] += step_value(step->order, t + offset - step->place) / block;
+            column[t] += step_value(step->order, t + offset - step->place) / block;
         }
     }
 }
 
-static inline double
-dot(const double *a, const double *b, long long count)
-{
-    double sum = 0.0;
-    for (long long k = 0; k < count; k++)
-        sum += a[k] * b[k];
-    return sum;
-}
-
-/* Compute the modes of cells. */
+/* Copy the coefficients of cells, which are unit vectors, from the basis. */
 static void
-find_modes_of_cells(const Models *m, Set *set)
+project_cells(const Models *m, Set *set)
 {
     for (long long x = 0; x < set->cells; x++) {
-        long long at = set->at[x], opposite = m->count - 1 - at;
+        long long at = set->cell[x], opposite = m->count - 1 - at;
         long long near = at < opposite ? at : opposite;
         double even = at == opposite ? 2.0 : 1.0, odd = at > opposite ? -1.0 : 1.0;
         for (long long r = 0; r < m->rows; r++)
-            set->vectors[x * m->rows + r] = (r < m->odd ? even : odd) *
-                ((const double *)(m->panels + r / LANES * m->half + near))[r % LANES];
+            set->coefficients[x * m->rows + r] = (r < m->first_odd ? even : odd) *
+                ((const double *)(m->basis + r / LANES * m->half + near))[r % LANES];
     }
 }
 
-/* Compute the covariance and residuals (pairs + 3 columns) of all columns without any motion. */
+/* Compute the coefficients of the steps of a set in the modes of one process. */
+static void
+project_steps(const Models *m, long long process, Set *set)
+{
+    for (int parity = 0; parity < 2; parity++) {
+        const long long *first = m->first_row + parity * (m->processes + 1) + process;
+        project(m, set->folded, set->steps, first[0], first[1],
+                set->coefficients + set->cells * m->rows);
+    }
+}
+
+/* Compute the products of columns with each other, (pairs), and with samples, (3, columns). */
 static void
 find_column_products(const Models *m, const Samples *s, Set *set)
 {
-    long long number = set->columns, cells = set->cells, n = m->count, k = 0;
+    long long number = set->columns, cells = set->cells, n = m->count;
+    double *out = set->column_products;
     for (long long i = 0; i < number + 3; i++)
         for (long long j = 0; j < (i < number ? i + 1 : number); j++) {
             if (i < cells) {
-                set->base[k++] = i == j;
+                *out++ = i == j;
                 continue;
             }
-            const double *row = i < number ? set->values + (i - cells) * n : s->x[i - number];
-            set->base[k++] =
-                j < cells ? row[set->at[j]] : dot(row, set->values + (j - cells) * n, n);
+            const double *row = i < number ? set->step_columns + (i - cells) * n : s->x[i - number];
+            *out++ = j < cells ? row[set->cell[j]]
+                               : dot(row, set->step_columns + (j - cells) * n, n);
         }
 }
 
-/* `values` at columns, by the factors L D L' of their covariance: these times the roots are divided
-   by L, and `over` are the same over D. */
+/* Solve L y = root values in place, with L D L' of `factorize`; `over_pivots` is y / D. */
 static inline void
-solve(const Lanes *factor, const double *root, long long number, Lanes *values, Lanes *over)
+forward_substitute(const Lanes *factor, const double *root, long long number, Lanes *values,
+                   Lanes *over_pivots)
 {
     for (long long x = 0; x < number; x++) {
         Lanes sum = scaled(values[x], root[x]);
         for (long long k = 0; k < x; k++)
-            sum = minus(sum, *factor++, values[k]);
+            sum = multiply_subtract(sum, *factor++, values[k]);
         values[x] = sum;
-        over[x] = product(sum, *factor++);
+        over_pivots[x] = product(sum, *factor++);
     }
 }
 
-/* L D L' of the covariance of columns, with the inverse of D on the diagonal; returns half of the
-   logarithm of its determinant. */
+/* Factorize diag(weight) + diag(root) C diag(root) = L D L', for the products C (pairs) of columns;
+   `factor` (pairs) is L, with 1 / D on its diagonal. Returns half of the log determinant. */
 static inline Lanes
-factorize(const Lanes *off, const double *weight, const double *root, long long number,
+factorize(const Lanes *products, const double *weight, const double *root, long long number,
           Lanes *factor)
 {
     Lanes logs = all_lanes(0.0), determinant = all_lanes(1.0);
     for (long long i = 0; i < number; i++) {
-        const Lanes *covariance = off + i * (i + 1) / 2;
+        const Lanes *covariance = products + i * (i + 1) / 2;
         Lanes *row = factor + i * (i + 1) / 2, diagonal = scaled(covariance[i], root[i] * root[i]);
         for (long long j = 0; j < i; j++) {
             const Lanes *other = factor + j * (j + 1) / 2;
             Lanes sum = scaled(covariance[j], root[i] * root[j]);
             for (long long k = 0; k < j; k++)
-                sum = minus(sum, row[k], other[k]);
+                sum = multiply_subtract(sum, row[k], other[k]);
             row[j] = sum;
         }
-        EACH diagonal.part[h] += weight[i];
+        FOR_VECTORS diagonal.part[h] += weight[i];
         /* Until now the row is L times D. */
         for (long long k = 0; k < i; k++) {
             Lanes before = row[k];
             row[k] = product(row[k], factor[k * (k + 3) / 2]);
-            diagonal = minus(diagonal, before, row[k]);
+            diagonal = multiply_subtract(diagonal, before, row[k]);
         }
         determinant = product(determinant, diagonal);
-        EACH row[i].part[h] = 1.0 / diagonal.part[h];
-        /* Few logarithms, but no product that vanishes. */
+        FOR_VECTORS row[i].part[h] = 1.0 / diagonal.part[h];
+        /* One logarithm for 8 columns: few calls, and no underflow of the product. */
         if (i % 8 == 7 || i == number - 1) {
             for (int l = 0; l < LANES; l++)
                 ((double *)&logs)[l] += log(((double *)&determinant)[l]) / 2;
@@ -396,372 +454,432 @@ factorize(const Lanes *off, const double *weight, const double *root, long long 
     return logs;
 }
 
-/* Compute by how much the columns reduce the sum of squared residuals of a group's models, and half
-   of what they add to the logarithm of the determinant (matrix inversion lemma: Rasmussen and
-   Williams, Gaussian Processes for Machine Learning, 2006, A.3). */
+/* Compute by how much the columns reduce the residual sums of squares of a group's models, and half
+   of what they add to the log determinant (matrix inversion lemma: Rasmussen and Williams, A.3). */
 static inline void
-add_columns(const Models *m, long long group, const Work *w, const Set *set, Lanes *less,
-            Lanes *logs)
+apply_columns(const Models *m, long long group, const Work *w, const Set *set, Lanes *reduction,
+              Lanes *logs)
 {
     long long number = set->columns, pairs = number * (number + 1) / 2, all = pairs + 3 * number;
-    /* Covariance and residuals at the columns if all samples were equally good. */
-    memset(w->off, 0, all * sizeof(Lanes));
-    add_products(m, m->left, group, set->vectors, number, NULL, 0, w->terms, w->off);
-    add_products(m, m->left, group, w->modes, 3, set->vectors, number, w->terms, w->off + pairs);
+    /* b' P b of columns and b' P x of samples, with the inverse P of the model's covariance. */
+    Lanes *products = w->column_products;
+    memset(products, 0, all * sizeof(Lanes));
+    add_mode_products(m, m->residual_factor, group, set->coefficients, number, NULL, 0, w->terms,
+                      products);
+    add_mode_products(m, m->residual_factor, group, w->coefficients, 3, set->coefficients, number,
+                      w->terms, products + pairs);
     for (long long k = 0; k < (m->exact ? 0 : all); k++)
-        EACH w->off[k].part[h] = set->base[k] - w->off[k].part[h];
+        FOR_VECTORS products[k].part[h] = set->column_products[k] - products[k].part[h];
     for (long long part = 0; part < set->parts; part++)
-        logs[part] = factorize(w->off, set->weight + part * number, set->root + part * number,
+        logs[part] = factorize(products, set->weight + part * number, set->root + part * number,
                                number, set->factors + (group * set->parts + part) * pairs);
     if (set->parts == 1)
         logs[1] = logs[0];
     for (int c = 0; c < 3; c++) {
         long long part = set->parts > 1 && c > 0;
-        Lanes *error = set->errors + (group * 3 + c) * number;
-        memcpy(error, w->off + pairs + c * number, number * sizeof(Lanes));
-        solve(set->factors + (group * set->parts + part) * pairs, set->root + part * number, number,
-              error, w->scaled);
+        Lanes *residual = set->residuals + (group * 3 + c) * number;
+        memcpy(residual, products + pairs + c * number, number * sizeof(Lanes));
+        forward_substitute(set->factors + (group * set->parts + part) * pairs,
+                           set->root + part * number, number, residual, w->over_pivots);
         for (long long x = 0; x < number; x++)
-            less[c] = plus(less[c], error[x], w->scaled[x]);
+            reduction[c] = multiply_add(reduction[c], residual[x], w->over_pivots[x]);
     }
 }
 
-/* Compute the modes of the steps of a set, those of one process. */
-static void
-find_modes_of_steps(const Models *m, long long process, Set *set)
+/* Compute the variance of the noise and the log evidence of a group's models, from their residual
+   sums of squares (2) and half log determinants of columns (2). Returns the best evidence. */
+static inline double
+evaluate_group(const Models *m, const Work *w, long long group, int c, const Lanes *residual,
+               const Lanes *logs, Set *set)
 {
-    for (int parity = 0; parity < 2; parity++) {
-        const long long *first = m->first + parity * (m->processes + 1) + process;
-        find_modes(m, set->folded, set->steps, first[0], first[1],
-                   set->vectors + set->cells * m->rows);
+    double number = w->prior_samples + w->total_weight[c] * (c + 1), best = -INFINITY;
+    double *evidence = (double *)(set->evidence + c * m->groups + group);
+    double *variance = (double *)(set->variance + c * m->groups + group);
+    for (int i = 0; i < LANES; i++) {
+        variance[i] = (((double *)(residual + c))[i] + w->prior_samples) / number;
+        evidence[i] = ((const double *)(m->log_prior + c * m->groups + group))[i] -
+            number / 2 * log(variance[i]) - ((double *)(logs + c))[i] * (c + 1) + set->log_prior;
+        best = larger(best, evidence[i]);
     }
+    return best;
 }
 
-/* Compute the evidence of models, and the variance of the noise, (2, groups) each, by samples whose
-   squares are found already. The rough spectrum has no steps. With steps, shorter lengths than one
-   with much less evidence than a longer one of its spectrum have still less, and are left out. */
+/* Compute the evidence of all models with the columns of a set, and the variance of their noise,
+   after `project_samples`. With steps, the rough spectrum is left out, and so are lengths shorter
+   than one whose evidence is far below that of a longer one: theirs is lower still. */
 static void
-find_evidence(const Models *m, const Samples *s, const Work *w, Set *set)
+evaluate_models(const Models *m, const Samples *s, const Work *w, Set *set)
 {
     double top[2] = {-INFINITY, -INFINITY};
     int dropped = 0;
     if (set->columns)
         find_column_products(m, s, set);
-    set->best[0] = set->best[1] = -INFINITY;
+    set->best_evidence[0] = set->best_evidence[1] = -INFINITY;
     for (long long g = 0; g < m->groups; g++) {
-        Lanes left[3], less[3], logs[2];
-        int rough = m->kind[g * LANES] == m->kinds - 1;
+        Lanes residual[3], reduction[3], logs[2];
+        int rough = m->spectrum[g * LANES] == m->spectra - 1, lower = 1;
         if (set->steps) {
-            if (g && m->kind[g * LANES] != m->kind[(g - 1) * LANES])
+            if (g && m->spectrum[g * LANES] != m->spectrum[(g - 1) * LANES])
                 top[0] = top[1] = -INFINITY, dropped = 0;
             if (dropped || rough) {
                 set->evidence[g] = set->evidence[m->groups + g] = all_lanes(-INFINITY);
                 set->variance[g] = set->variance[m->groups + g] = all_lanes(1.0);
                 continue;
             }
-            find_modes_of_steps(m, g, set);
+            project_steps(m, g, set);
         }
-        memset(less, 0, sizeof less), memset(logs, 0, sizeof logs);
+        memset(reduction, 0, sizeof reduction), memset(logs, 0, sizeof logs);
         if (set->columns)
-            add_columns(m, g, w, set, less, logs);
+            apply_columns(m, g, w, set, reduction, logs);
         for (int c = 0; c < 3; c++) {
-            EACH left[c].part[h] = w->left[c * m->groups + g].part[h] - less[c].part[h];
+            FOR_VECTORS residual[c].part[h] =
+                w->residual[c * m->groups + g].part[h] - reduction[c].part[h];
             for (int i = 0; i < LANES; i++)
-                if (((double *)(left + c))[i] < 0.0)
-                    ((double *)(left + c))[i] = 0.0;
+                if (((double *)(residual + c))[i] < 0.0)
+                    ((double *)(residual + c))[i] = 0.0;
         }
-        EACH left[1].part[h] += left[2].part[h];
-        int lower = 1;
+        FOR_VECTORS residual[1].part[h] += residual[2].part[h];
         for (int c = 0; c < 2; c++) {
-            double number = w->known + w->seen[c] * (c + 1), *evidence, *variance, most = -INFINITY;
-            evidence = (double *)(set->evidence + c * m->groups + g);
-            variance = (double *)(set->variance + c * m->groups + g);
-            for (int i = 0; i < LANES; i++) {
-                variance[i] = (((double *)(left + c))[i] + w->known) / number;
-                evidence[i] = ((const double *)(m->chances + c * m->groups + g))[i] -
-                    number / 2 * log(variance[i]) - ((double *)(logs + c))[i] * (c + 1) +
-                    set->prior;
-                most = larger(most, evidence[i]);
-            }
+            double best = evaluate_group(m, w, g, c, residual, logs, set);
             if (!rough)
-                set->best[c] = larger(set->best[c], most);
-            lower &= most < top[c] - DROP_EVIDENCE;
-            top[c] = larger(top[c], most);
+                set->best_evidence[c] = larger(set->best_evidence[c], best);
+            lower &= best < top[c] - LENGTH_EVIDENCE_LOSS;
+            top[c] = larger(top[c], best);
         }
-        dropped = lower && m->kind[g * LANES] < m->kinds;
+        dropped = lower && m->spectrum[g * LANES] < m->spectra;
     }
 }
 
-/* Compute the probabilities of all models with all sets, and their weights in the covariance. These
-   are the square roots of the evidence, with half of the log prior of events. All spectra have the
-   same total, each with line and rest, because samples contain no information on harmonics below
-   the noise. The rough spectrum, the last, has less, by the root of its total. */
+/* Compute the probabilities of all models with all sets, from their evidence. */
 static void
-weigh(const Models *m, int c, Set *sets, int number)
+find_probabilities(const Models *m, int c, Set *sets, int number)
 {
-    long long models = m->groups * LANES, kinds = m->kinds, rough = kinds - 1;
-    double best = -INFINITY, top[MOST_KINDS + 1], total[MOST_KINDS + 1] = {0};
-    for (long long k = 0; k <= kinds; k++)
+    long long models = m->groups * LANES;
+    double best = -INFINITY, sum = 0.0;
+    for (int n = 0; n < number; n++)
+        best = larger(best, sets[n].best_evidence[c]);
+    for (int n = 0; n < number; n++) {
+        const double *evidence = (const double *)(sets[n].evidence + c * m->groups);
+        double *probability = (double *)(sets[n].probability + c * m->groups);
+        for (long long i = 0; i < models; i++) {
+            int is_rough = m->spectrum[i] == m->spectra - 1;
+            int is_skipped = is_rough || evidence[i] < best - MAX_EVIDENCE_LOSS;
+            probability[i] = is_skipped ? 0.0 : exp(evidence[i] - best);
+            /* A comparison with NaN is false, so NaN reaches the result. */
+            if (probability[i] < MIN_PROBABILITY)
+                probability[i] = 0.0;
+            sum += probability[i];
+        }
+    }
+    for (int n = 0; n < number; n++)
+        for (long long i = 0; i < models; i++)
+            ((double *)(sets[n].probability + c * m->groups))[i] /= sum;
+}
+
+/* Compute the weights of all models with all sets in the covariance: square roots of the evidence,
+   with half of the log prior of events. All spectra have the same total, each with the models that
+   are common to all, because samples contain no information on harmonics below the noise. The
+   total of the rough spectrum, the last, is MAX_ROUGH_WEIGHT of theirs, times the root of its sum
+   over theirs. */
+static void
+find_covariance_weights(const Models *m, int c, Set *sets, int number)
+{
+    long long models = m->groups * LANES, common = m->spectra, rough = common - 1;
+    double top[MAX_SPECTRA + 1], total[MAX_SPECTRA + 1] = {0}, smooth_top = -INFINITY;
+    for (long long k = 0; k <= common; k++)
         top[k] = -INFINITY;
     for (int n = 0; n < number; n++) {
         const double *evidence = (const double *)(sets[n].evidence + c * m->groups);
-        best = larger(best, sets[n].best[c]);
         for (long long i = 0; i < models; i++)
-            top[m->kind[i]] = larger(top[m->kind[i]], evidence[i] - sets[n].prior / 2);
+            top[m->spectrum[i]] =
+                larger(top[m->spectrum[i]], evidence[i] - sets[n].log_prior / 2);
     }
-    /* The last kind is part of all others. Those of a spectrum that is out of the question still
-       count if others of their kind do not. */
-    double all = -INFINITY;
-    for (long long k = 0; k <= kinds; k++)
-        all = k == rough ? all : larger(all, top[k]);
-    double least = top[kinds];
+    for (long long k = 0; k <= common; k++)
+        smooth_top = k == rough ? smooth_top : larger(smooth_top, top[k]);
+    /* A common model is skipped only if it is far below the best of every spectrum. */
+    double lowest = top[common];
     for (long long k = 0; k < rough; k++) {
-        top[k] = larger(top[k], top[kinds]);
-        least = k ? smaller(least, top[k]) : top[k];
+        top[k] = larger(top[k], top[common]);
+        lowest = k ? smaller(lowest, top[k]) : top[k];
     }
-    top[kinds] = least;
-    double highest = larger(all, top[rough]);
+    top[common] = lowest;
+    double highest = larger(smooth_top, top[rough]);
     for (int n = 0; n < number; n++) {
         const double *evidence = (const double *)(sets[n].evidence + c * m->groups);
         double *weight = (double *)(sets[n].covariance_weight + c * m->groups);
-        double *probability = (double *)(sets[n].probability + c * m->groups);
-        /* NaN is to be seen, and not to be taken for models that do not count. */
         for (long long i = 0; i < models; i++) {
-            double up = evidence[i] - sets[n].prior / 2;
-            long long k = m->kind[i];
-            weight[i] = up < top[k] - FAR ? 0.0 : exp((up - (k == rough ? highest : all)) / 2);
-            probability[i] = k == rough || evidence[i] < best - FAR ? 0.0 : exp(evidence[i] - best);
+            double value = evidence[i] - sets[n].log_prior / 2;
+            long long k = m->spectrum[i];
+            weight[i] = value < top[k] - MAX_EVIDENCE_LOSS
+                ? 0.0 : exp((value - (k == rough ? highest : smooth_top)) / 2);
             total[k] += weight[i];
         }
     }
-    double common = 0.0, sum = 0.0, total_probability = 0.0, most = 0.0;
+    double of_common = 0.0, sum = 0.0, largest = 0.0;
     for (long long k = 0; k < rough; k++) {
-        total[k] += total[kinds];
-        most = larger(most, total[k]);
+        total[k] += total[common];
+        largest = larger(largest, total[k]);
         total[k] = total[k] > 1e-300 ? 1.0 / total[k] : 0.0;
-        common += total[k];
+        of_common += total[k];
     }
-    total[kinds] = common;
-    /* The total of the rough spectrum over the largest of the others, 1 if it is more. */
-    double part = smaller(total[rough] / most * exp((highest - all) / 2), 1.0);
-    total[rough] = total[rough] > 1e-300 ? ROUGH_SHARE * sqrt(part) / total[rough] : 0.0;
+    total[common] = of_common;
+    double ratio = smaller(total[rough] / largest * exp((highest - smooth_top) / 2), 1.0);
+    total[rough] = total[rough] > 1e-300 ? MAX_ROUGH_WEIGHT * sqrt(ratio) / total[rough] : 0.0;
     for (int n = 0; n < number; n++) {
         double *weight = (double *)(sets[n].covariance_weight + c * m->groups);
         for (long long i = 0; i < models; i++)
-            sum += weight[i] *= total[m->kind[i]];
+            sum += weight[i] *= total[m->spectrum[i]];
     }
-    for (int pass = 0; pass < 2; pass++)
-        for (int n = 0; n < number; n++) {
-            double *weight = (double *)(sets[n].covariance_weight + c * m->groups);
-            double *probability = (double *)(sets[n].probability + c * m->groups);
-            for (long long i = 0; i < models && pass == 0; i++) {
-                weight[i] /= sum;
-                if (weight[i] < LEAST_WEIGHT)
-                    weight[i] = 0.0;
-                if (probability[i] < LEAST_PROBABLE)
-                    probability[i] = 0.0;
-                total_probability += probability[i];
-            }
-            for (long long i = 0; i < models && pass; i++)
-                probability[i] /= total_probability;
+    for (int n = 0; n < number; n++) {
+        double *weight = (double *)(sets[n].covariance_weight + c * m->groups);
+        for (long long i = 0; i < models; i++) {
+            weight[i] /= sum;
+            if (weight[i] < MIN_WEIGHT)
+                weight[i] = 0.0;
         }
+    }
 }
 
-/* Correct the derivatives of a group (3, orders) and their covariances for the columns. */
+/* Sums over models: derivatives (3, orders), covariances (2, orders, orders), and parameters. */
+typedef struct {
+    Lanes mean[3 * MAX_ORDERS], spread[2 * MAX_ORDERS * MAX_ORDERS], freedom[2];
+} Sums;
+
+/* Correct the derivatives (3, orders) of a group and their covariances for the columns. The effect
+   of a column of size 1 on the derivatives, by which its estimated size is subtracted, is what the
+   model makes of the column, less the derivatives of the step itself at the instant. `variance` is
+   that of the noise times the weight in the covariance. */
 static inline void
-correct(const Models *m, const Stencils *s, long long group, const Work *w, const Set *set,
-        const Lanes *noisy, Lanes *derivatives, Lanes *spread)
+correct_for_columns(const Models *m, const Stencils *s, long long group, const Work *w,
+                    const Set *set, const Lanes *variance, Lanes *derivatives, Lanes *spread)
 {
     long long orders = s->orders, number = set->columns, pairs = number * (number + 1) / 2;
-    Lanes *all = w->reach + orders * number;
-    memset(all, 0, orders * number * sizeof(Lanes));
-    add_products(m, m->share, group, s->modes, orders, set->vectors, number, w->terms, all);
+    Lanes *effects = w->column_effects + orders * number;
+    memset(effects, 0, orders * number * sizeof(Lanes));
+    add_mode_products(m, m->shrinkage, group, s->modes, orders, set->coefficients, number, w->terms,
+                      effects);
     for (long long k = 0; k < orders; k++)
         for (long long x = set->cells; x < number; x++) {
             const Step *step = set->step + x - set->cells;
             if (k <= step->order)
-                EACH all[k * number + x].part[h] -=
+                FOR_VECTORS effects[k * number + x].part[h] -=
                     step_value(step->order - k, s->at - step->place);
         }
     for (long long part = 0; part < set->parts; part++) {
-        memcpy(w->reach, all, orders * number * sizeof(Lanes));
+        memcpy(w->column_effects, effects, orders * number * sizeof(Lanes));
         for (long long k = 0; k < orders; k++) {
-            Lanes *reach = w->reach + k * number, *over = w->scaled + k * number;
-            solve(set->factors + (group * set->parts + part) * pairs, set->root + part * number,
-                  number, reach, over);
+            Lanes *effect = w->column_effects + k * number, *over = w->over_pivots + k * number;
+            forward_substitute(set->factors + (group * set->parts + part) * pairs,
+                               set->root + part * number, number, effect, over);
             for (int c = 0; c < 3; c++)
                 for (long long x = 0; x < number && (set->parts == 1 || part == (c > 0)); x++)
-                    derivatives[c * orders + k] = minus(derivatives[c * orders + k], over[x],
-                                                  set->errors[(group * 3 + c) * number + x]);
+                    derivatives[c * orders + k] =
+                        multiply_subtract(derivatives[c * orders + k], over[x],
+                                          set->residuals[(group * 3 + c) * number + x]);
             for (long long j = 0; j <= k; j++) {
-                Lanes more = all_lanes(0.0);
+                Lanes covariance = all_lanes(0.0);
                 for (long long x = 0; x < number; x++)
-                    more = plus(more, reach[x], w->scaled[j * number + x]);
+                    covariance =
+                        multiply_add(covariance, effect[x], w->over_pivots[j * number + x]);
                 for (int c = 0; c < 2; c++)
                     if (set->parts == 1 || part == c) {
                         Lanes *sum = spread + (c * orders + k) * orders + j;
-                        *sum = plus(*sum, noisy[c], more);
+                        *sum = multiply_add(*sum, variance[c], covariance);
                     }
             }
         }
     }
 }
 
-/* Differentiate samples: the mean over all models, with all sets of steps, by their probabilities.
-   The disagreement between models is part of the covariance. */
-static void
-differentiate(const Models *m, const Stencils *s, const Work *w, Set *sets, int number, Found *out)
+/* Multiply the weights of a group in the covariance by the variances of the noise, into `variance`
+   (2). Returns whether the group has any weight or probability. */
+static inline int
+weigh_variances(const Models *m, const Set *set, long long group, Lanes *variance)
+{
+    double any = 0.0;
+    for (int c = 0; c < 2; c++) {
+        variance[c] = set->covariance_weight[c * m->groups + group];
+        any += sum_of(variance[c]) + sum_of(set->probability[c * m->groups + group]);
+        /* The variance of a lane without a model need not be a number. */
+        for (int i = 0; i < LANES; i++)
+            if (((double *)(variance + c))[i] != 0.0)
+                ((double *)(variance + c))[i] *=
+                    ((double *)(set->variance + c * m->groups + group))[i];
+    }
+    return any != 0.0;
+}
+
+/* Add the derivatives of a group with all sets to the sums, weighted, and their covariances. */
+static inline void
+add_group(const Models *m, const Stencils *s, long long group, const Work *w, Set *sets, int number,
+          Sums *sums)
 {
     long long orders = s->orders, square = orders * orders;
-    for (int c = 0; c < 2; c++)
-        weigh(m, c, sets, number);
-    Lanes mean[3 * MOST_ORDERS], spread[2 * MOST_ORDERS * MOST_ORDERS], parameters[2];
-    memset(mean, 0, sizeof mean), memset(spread, 0, sizeof spread);
-    memset(parameters, 0, sizeof parameters);
-    for (long long g = 0; g < m->groups; g++) {
-        Lanes without[3 * MOST_ORDERS];
-        int known = 0;
-        for (int n = 0; n < number; n++) {
-            Set *set = sets + n;
-            Lanes noisy[2], *derivatives = set->derivatives + g * 3 * orders;
-            double any = 0.0;
-            for (int c = 0; c < 2; c++) {
-                noisy[c] = set->covariance_weight[c * m->groups + g];
-                any += sum_of(noisy[c]) + sum_of(set->probability[c * m->groups + g]);
-                /* The variance of a lane that is no model need not be a number. */
-                for (int i = 0; i < LANES; i++)
-                    if (((double *)(noisy + c))[i] != 0.0)
-                        ((double *)(noisy + c))[i] *=
-                            ((double *)(set->variance + c * m->groups + g))[i];
-            }
-            set->is_used[g] = any != 0.0;
-            if (!set->is_used[g])
-                continue;
-            if (!known) {
-                memset(without, 0, 3 * orders * sizeof(Lanes));
-                add_products(m, m->share, g, w->modes, 3, s->modes, orders, w->terms, without);
-            }
-            known = 1;
-            memcpy(derivatives, without, 3 * orders * sizeof(Lanes));
-            for (int c = 0; c < 2; c++) {
-                Lanes all = m->freedom[g];
-                EACH all.part[h] += (double)set->events;
-                parameters[c] = plus(parameters[c], set->probability[c * m->groups + g], all);
-                for (long long k = 0; k < square; k++)
-                    spread[c * square + k] = plus(spread[c * square + k], noisy[c],
-                                                  s->spread[g * square + k]);
-            }
-            if (set->columns)
-                correct(m, s, g, w, set, noisy, derivatives, spread);
-            for (long long k = 0; k < 3 * orders; k++)
-                mean[k] = plus(mean[k], set->probability[(k >= orders) * m->groups + g],
-                               derivatives[k]);
+    Lanes without_columns[3 * MAX_ORDERS];
+    int is_computed = 0;
+    for (int n = 0; n < number; n++) {
+        Set *set = sets + n;
+        Lanes variance[2], *derivatives = set->derivatives + group * 3 * orders;
+        set->is_used[group] = weigh_variances(m, set, group, variance);
+        if (!set->is_used[group])
+            continue;
+        if (!is_computed) {
+            memset(without_columns, 0, 3 * orders * sizeof(Lanes));
+            add_mode_products(m, m->shrinkage, group, w->coefficients, 3, s->modes, orders,
+                              w->terms, without_columns);
         }
+        is_computed = 1;
+        memcpy(derivatives, without_columns, 3 * orders * sizeof(Lanes));
+        for (int c = 0; c < 2; c++) {
+            Lanes freedom = m->freedom[group];
+            FOR_VECTORS freedom.part[h] += (double)set->events;
+            sums->freedom[c] = multiply_add(sums->freedom[c],
+                                            set->probability[c * m->groups + group], freedom);
+            for (long long k = 0; k < square; k++)
+                sums->spread[c * square + k] = multiply_add(
+                    sums->spread[c * square + k], variance[c], s->spread[group * square + k]);
+        }
+        if (set->columns)
+            correct_for_columns(m, s, group, w, set, variance, derivatives, sums->spread);
+        for (long long k = 0; k < 3 * orders; k++)
+            sums->mean[k] = multiply_add(sums->mean[k],
+                                         set->probability[(k >= orders) * m->groups + group],
+                                         derivatives[k]);
     }
-    for (long long k = 0; k < 3 * orders; k++)
-        out->mean[k / orders][k % orders] = sum_of(mean[k]);
-    for (int n = 0; n < number; n++)
-        for (long long g = 0; g < m->groups; g++)
-            for (int c = 0; c < (sets[n].is_used[g] ? 3 : 0); c++)
-                for (long long k = 0; k < orders; k++) {
-                    Lanes *derivatives = sets[n].derivatives + (g * 3 + c) * orders, by;
-                    EACH derivatives[k].part[h] -= out->mean[c][k];
-                    by = sets[n].covariance_weight[(c > 0) * m->groups + g];
-                    by = scaled(product(by, derivatives[k]), c ? 0.5 : 1.0);
-                    for (long long j = 0; j <= k; j++) {
-                        Lanes *sum = spread + ((c > 0) * orders + k) * orders + j;
-                        *sum = plus(*sum, by, derivatives[j]);
-                    }
+}
+
+/* Add the weighted variance between the models, about the mean, to the covariances. That of the
+   position is the mean of both coordinates. */
+static inline void
+add_disagreement(const Models *m, long long orders, const Set *set, const Estimate *estimate,
+                 Lanes *spread)
+{
+    for (long long g = 0; g < m->groups; g++)
+        for (int c = 0; c < (set->is_used[g] ? 3 : 0); c++)
+            for (long long k = 0; k < orders; k++) {
+                Lanes *deviations = set->derivatives + (g * 3 + c) * orders, weighted;
+                FOR_VECTORS deviations[k].part[h] -= estimate->mean[c][k];
+                weighted = product(set->covariance_weight[(c > 0) * m->groups + g], deviations[k]);
+                weighted = scaled(weighted, c ? 0.5 : 1.0);
+                for (long long j = 0; j <= k; j++) {
+                    Lanes *sum = spread + ((c > 0) * orders + k) * orders + j;
+                    *sum = multiply_add(*sum, weighted, deviations[j]);
                 }
+            }
+}
+
+/* Differentiate samples: the mean over all models with all sets by their probabilities, and its
+   covariance, the weighted mean of those of the models, plus the variance between the models, plus
+   that of the places of the events. */
+static void
+differentiate(const Models *m, const Stencils *s, const Work *w, Set *sets, int number,
+              Estimate *out)
+{
+    long long orders = s->orders, square = orders * orders;
+    Sums sums;
+    memset(&sums, 0, sizeof sums);
+    for (int c = 0; c < 2; c++)
+        find_probabilities(m, c, sets, number), find_covariance_weights(m, c, sets, number);
+    for (long long g = 0; g < m->groups; g++)
+        add_group(m, s, g, w, sets, number, &sums);
+    for (long long k = 0; k < 3 * orders; k++)
+        out->mean[k / orders][k % orders] = sum_of(sums.mean[k]);
+    for (int n = 0; n < number; n++)
+        add_disagreement(m, orders, sets + n, out, sums.spread);
     for (int c = 0; c < 2; c++) {
-        out->freedom[c] = sum_of(parameters[c]);
+        out->freedom[c] = sum_of(sums.freedom[c]);
         for (long long k = 0; k < orders; k++)
             for (long long j = 0; j <= k; j++)
                 out->covariance[c][k][j] = out->covariance[c][j][k] =
-                    sum_of(spread[(c * orders + k) * orders + j]);
+                    sum_of(sums.spread[(c * orders + k) * orders + j]);
         for (int n = 1; n < number; n++) {
             double weight = 0.0;
             for (long long g = 0; g < m->groups; g++)
                 weight += sum_of(sets[n].covariance_weight[c * m->groups + g]);
             for (long long k = 0; k < square; k++)
                 out->covariance[c][k / orders][k % orders] +=
-                    weight * sets[n].spread[c][k / orders][k % orders];
+                    weight * sets[n].place_covariance[c][k / orders][k % orders];
         }
     }
 }
 
-/* Add up how far samples at the cells are off the prediction from the others (cells, 3), in the
-   mean of all models. */
+/* Add to `error` (cells, 3) by how much samples at the cells exceed their prediction from the other
+   samples, in the mean of all models. */
 static inline void
-add_errors(const Models *m, const Work *w, const Set *set, double *wrong)
+add_prediction_errors(const Models *m, const Work *w, const Set *set, double *error)
 {
     long long number = set->columns, pairs = number * (number + 1) / 2;
     for (long long g = 0; g < m->groups; g++)
         for (int c = 0; c < (set->is_used[g] ? 3 : 0); c++) {
             long long part = set->parts > 1 && c > 0;
             const Lanes *factor = set->factors + (g * set->parts + part) * pairs;
-            const Lanes *error = set->errors + (g * 3 + c) * number;
-            Lanes *own = w->scaled;
+            const Lanes *residual = set->residuals + (g * 3 + c) * number;
+            Lanes *size = w->over_pivots;
+            /* The sizes of the columns are root times L'^-1 D^-1 residual, by back substitution. */
             for (long long x = number - 1; x >= 0; x--) {
-                own[x] = product(error[x], factor[x * (x + 3) / 2]);
+                size[x] = product(residual[x], factor[x * (x + 3) / 2]);
                 for (long long k = x + 1; k < number; k++)
-                    own[x] = minus(own[x], factor[k * (k + 1) / 2 + x], own[k]);
-                wrong[x * 3 + c] += set->root[part * number + x] *
-                    sum_of(product(own[x], set->probability[(c > 0) * m->groups + g]));
+                    size[x] = multiply_subtract(size[x], factor[k * (k + 1) / 2 + x], size[k]);
+                error[x * 3 + c] += set->root[part * number + x] *
+                    sum_of(product(size[x], set->probability[(c > 0) * m->groups + g]));
             }
         }
 }
 
-/* Move the samples `given` along what is found of the motion from `samples`, moved before, by
-   `slopes` (SLOPES, panels, rows): derivatives of the modes at the first half of all samples. */
+/* Move the samples `given` to the even grid: subtract the Taylor series, up to SLOPE_ORDERS, of the
+   motion that is estimated from the samples `placed` in the previous round. `slopes` (SLOPE_ORDERS,
+   panels of LANES, rows) are the derivatives of the modes at the first half of the samples. Missing
+   samples move to their prediction from the others. */
 static void
-move(const Models *m, const Lanes *slopes, const Samples *given, const Samples *samples, Work *w,
-     Set *set, double *const moved[3])
+move_to_grid(const Models *m, const Lanes *slopes, const Samples *given, const Samples *placed,
+             Work *w, Set *set, double *const moved[3])
 {
     long long rows = m->rows, n = m->count, panels = (m->half + LANES - 1) / LANES;
-    find_squares(m, samples, w);
-    find_evidence(m, samples, w, set);
+    project_samples(m, placed, w);
+    evaluate_models(m, placed, w, set);
     for (int c = 0; c < 2; c++)
-        weigh(m, c, set, 1);
-    /* Derivatives (2, SLOPES, 3, panels) of even and of odd modes. */
+        find_probabilities(m, c, set, 1);
+    /* Derivatives (2, SLOPE_ORDERS, 3, panels) of the even and of the odd part of the motion. */
     double *motion = w->squares;
-    memset(w->along, 0, 2 * SLOPES * 3 * panels * sizeof(Lanes));
+    memset(w->slopes, 0, 2 * SLOPE_ORDERS * 3 * panels * sizeof(Lanes));
     for (long long g = 0; g < m->groups; g++) {
         const Lanes probability[2] = {set->probability[g], set->probability[m->groups + g]};
         set->is_used[g] = sum_of(probability[0]) != 0.0 || sum_of(probability[1]) != 0.0;
         for (int parity = 0; parity < (set->is_used[g] ? 2 : 0); parity++) {
-            const long long *first = m->first + parity * (m->processes + 1) + g / m->chunks;
+            const long long *first = m->first_row + parity * (m->processes + 1) + g / m->chunks;
             for (long long r = first[0]; r < first[1]; r++) {
-                Lanes share = m->share[g % m->chunks * rows + r];
-                double of_angle = sum_of(product(share, probability[0]));
-                double of_position = sum_of(product(share, probability[1]));
+                Lanes shrinkage = m->shrinkage[g % m->chunks * rows + r];
+                double of_angle = sum_of(product(shrinkage, probability[0]));
+                double of_position = sum_of(product(shrinkage, probability[1]));
                 for (int c = 0; c < 3; c++)
-                    motion[c * rows + r] = (c ? of_position : of_angle) * w->modes[c * rows + r];
+                    motion[c * rows + r] =
+                        (c ? of_position : of_angle) * w->coefficients[c * rows + r];
             }
-            for (long long k = 0; k < SLOPES * panels; k++)
-                add(slopes + k * rows + first[0], first[1] - first[0], motion + first[0], rows, 3,
-                    w->along + (parity * SLOPES + k / panels) * 3 * panels + k % panels, panels);
+            Lanes *out = w->slopes + parity * SLOPE_ORDERS * 3 * panels;
+            for (long long k = 0; k < SLOPE_ORDERS * panels; k++)
+                add_table_products(slopes + k * rows + first[0], first[1] - first[0],
+                                   motion + first[0], rows, 3,
+                                   out + k / panels * 3 * panels + k % panels, panels);
         }
     }
     for (int c = 0; c < 3; c++)
         for (long long t = 0; t < n; t++) {
             long long near = t < m->half ? t : n - 1 - t;
             double power = 1.0, sum = 0.0;
-            for (int k = 0; k < SLOPES; k++) {
-                double even = ((double *)(w->along + (k * 3 + c) * panels))[near];
-                double odd = ((double *)(w->along + ((SLOPES + k) * 3 + c) * panels))[near];
-                /* The first derivative, and the third, of what is even is odd. */
+            for (int k = 0; k < SLOPE_ORDERS; k++) {
+                double even = ((double *)(w->slopes + (k * 3 + c) * panels))[near];
+                double odd = ((double *)(w->slopes + ((SLOPE_ORDERS + k) * 3 + c) * panels))[near];
+                /* The first and the third derivative of an even function are odd. */
                 power *= given->off[t] / (k + 1);
                 sum += power * (t == near ? even + odd : k % 2 ? even - odd : odd - even);
             }
             moved[c][t] = given->x[c][t] - sum;
         }
-    /* A missing sample is put where the others predict it. */
-    double *wrong = w->terms;
-    memset(wrong, 0, 3 * set->cells * sizeof(double));
-    add_errors(m, w, set, wrong);
+    double *error = w->terms;
+    memset(error, 0, 3 * set->cells * sizeof(double));
+    add_prediction_errors(m, w, set, error);
     for (long long x = 0; x < set->cells; x++)
         for (int c = 0; c < 3; c++)
             if (set->weight[x] <= 0.0 && set->weight[(set->parts - 1) * set->cells + x] <= 0.0)
-                moved[c][set->at[x]] = samples->x[c][set->at[x]] - wrong[3 * x + c];
+                moved[c][set->cell[x]] = placed->x[c][set->cell[x]] - error[3 * x + c];
 }

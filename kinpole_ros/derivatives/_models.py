@@ -1,16 +1,21 @@
 """
-What kinds of motion there may be within a window, and how each differentiates it.
+The models of motion within a window, and how each differentiates it: tables for _evidence.h.
 
-A signal is a line, a process of zero mean on top of it, and white noise. A process is known by its
-spectrum, exp(-(w l)^p): a longer `l` is a slower motion, and the power `p` says how fast harmonics
-fall. Low polynomials are processes too. For covariances alone there is a rough spectrum, that of a
-motion with four derivatives only (Matern 9/2: Rasmussen and Williams, Gaussian Processes for
-Machine Learning, 2006, 4.2.1). On the samples of a window the singular vectors of a process, its
-modes, make each of its amplitudes diagonal: evidence and derivatives of all amplitudes are sums
-over modes (there, 2.7 for the line with a flat prior, 5.4 for the evidence).
+A signal is a line, a process of zero mean on top of it, and white noise. A process has the spectrum
+exp(-(w l)^p): the length l is the time scale of the motion, and the power p is how fast harmonics
+decay. Low polynomials are processes too. For covariances alone there is a rough spectrum, that of
+a motion with four derivatives (Matern 9/2: Rasmussen and Williams, Gaussian Processes for Machine
+Learning, 2006, 4.2.1).
 
-Times are in samples from the middle of the window here, and signals in deviations of the noise. All
-is made once for each kind of window, as arrays that _evidence.h reads.
+A process is a sum of waves of random size: x = F z, with waves F (n, J) of J frequencies and white
+z (J,). The singular vectors of F, without its mean and slope, are the modes of the process, and the
+singular values s the standard deviations of their coefficients. An amplitude a multiplies all of
+these, so the modes diagonalize the covariances a^2 F F' of all amplitudes (there, 2.7 for the line
+with a flat prior, 5.4 for the evidence). F itself is decomposed, since rounding destroys the small
+eigenvalues of F F'. Waves and modes are even and odd about the middle of the window.
+
+Times are in samples from the middle of the window, and signals in deviations of the noise. Windows
+of one kind have one table.
 """
 
 from functools import lru_cache
@@ -21,36 +26,41 @@ import numpy as np
 from kinpole_ros.planar._plane import Real
 
 FEWEST_SAMPLES = 7
-"""Samples of the shortest window there is."""
-# Powers of the spectra, and the shortest length of each, samples.
+"""Samples of the shortest window, which still has every order."""
+# Power of each spectrum and its shortest length, samples: a shorter one is like white noise.
 SPECTRA = ((2.0, 1.0), (1.4, 1.0), (1.0, 4.0))
-# Smoothness of the rough spectrum (7/2 gives snap no finite variance), and its shortest length.
+# Smoothness of the rough spectrum and its shortest length; with 7/2 snap has no finite variance.
 _ROUGH = ((4.5, 4.0),)
-# The longest length, windows. The next one is half as long, a quarter in the rough spectrum.
-_LONGEST = 1.25
-# A line is all there is of degree 1.
+# Longest length, windows. The next one is half as long, in the rough spectrum a quarter.
+_MAX_LENGTH = 1.25
+# Degrees of low polynomials; degree 1 is the line alone.
 _DEGREES = (1, 2)
-# Deviations of processes: the least, and how many, each 10 times the one before; more of them for
-# samples that are all but exact.
-_LEAST, _AMPLITUDES, _MORE = 10.0**0.5, 7, 13
-FLAT = float(np.log(3 * _LEAST * 10.0 ** (_AMPLITUDES - 1)))
-"""Logarithm of the deviation of mean and slope: three times the largest of the amplitudes."""
-# A process may look like a parabola up to this one of the amplitudes.
-_HIDDEN = 2
-# What of a process is at most this part of the noise is not seen.
-_SEEN = 1e-2
-# The processes have this part of the prior; low polynomials, the line, and rest have the other.
-_PROCESSES = 0.5
-# Models that the compiled library treats at once, its LANES.
+# Least amplitude, in deviations of the noise: a smaller process is not seen.
+_MIN_AMPLITUDE = 10.0**0.5
+# Number of amplitudes, each 10 times the one before, up to 3e6; and up to 3e12 for exact samples.
+_AMPLITUDES, _EXACT_AMPLITUDES = 7, 13
+FLAT = float(np.log(3 * _MIN_AMPLITUDE * 10.0 ** (_AMPLITUDES - 1)))
+"""Log standard deviation of the flat prior of mean and slope: three times the largest amplitude."""
+# The largest of the amplitudes, by number, with which a process may look like a parabola.
+_PARABOLA_AMPLITUDE = 2
+# Modes with a smaller standard deviation at the largest amplitude, over the noise, are left out.
+_MIN_MODE_SIGMA = 1e-2
+# Prior probability of all processes; low polynomials, the line, and rest have the other half.
+_PROCESS_PRIOR = 0.5
+# Models that _evidence.h evaluates side by side, its LANES.
 _LANES = 8
-# A function smaller than this part of the largest is rounding.
+# Singular values below this part of the largest are rounding.
 _ROUNDING = 1e-13
-# A step of which models leave a smaller part is not looked for.
-_ROUNDING_OF_STEPS = 1e-9
+# Squares of steps, of which a model leaves less than this part, are rounding.
+_STEP_ROUNDING = 1e-9
 
 
 class Process(NamedTuple):
-    """A process by the number of its spectrum and its length, samples, or -1 and a degree."""
+    """
+    A process: the number of its spectrum and its length in samples, or -1 and a degree.
+
+    `prior` is the probability of all its amplitudes.
+    """
 
     spectrum: int
     length: float
@@ -59,61 +69,51 @@ class Process(NamedTuple):
 
 class _Functions(NamedTuple):
     """
-    The functions that make up a process on a window, even (0) or odd (1) about its middle.
+    The waves F (n, J) of a process on a window, even or odd about its middle, decomposed.
 
-    Without their mean and slope they are the first of `vectors` (n / 2, n / 2) times `sizes` (m,)
-    times `right` (m, J) on its first half; `along` (J,) is what they have of these.
+    On the first half of the window, without the mean or slope, F is `vectors` (n / 2, n / 2), of
+    which the first m count, times `sizes` (m,) times `right` (m, J). The mean or slope of F, as a
+    multiple of the normalized line, is `on_line` (J,).
     """
 
     vectors: Real
     sizes: Real
     right: Real
-    along: Real
+    on_line: Real
 
 
 def _processes(count: int, exact: bool) -> list[Process]:
     """
-    All processes on a window of so many samples, those of a spectrum from the slowest on.
+    Return the processes on a window of `count` samples, those of a spectrum from the longest on.
 
     The rough spectrum is the last. Exact samples have none, and lengths half as short: where their
-    noise is larger than said, it is a motion too.
+    noise is larger than stated, it is a motion too.
     """
-    found = []
+    processes = []
     for k, (_, shortest) in enumerate(SPECTRA if exact else SPECTRA + _ROUGH):
-        longest, factor = _LONGEST * count, 2.0 if k < len(SPECTRA) else 4.0
+        longest, factor = _MAX_LENGTH * count, 2.0 if k < len(SPECTRA) else 4.0
         least = shortest / 2 if exact else shortest
         number = max(1, int(np.log(longest / least) / np.log(factor)) + 1)
-        prior = _PROCESSES / len(SPECTRA) / number
-        found += [Process(k, longest / factor**i, prior) for i in range(number)]
-    return found + [Process(-1, degree, _simple()) for degree in _DEGREES]
+        prior = _PROCESS_PRIOR / len(SPECTRA) / number
+        processes += [Process(k, longest / factor**i, prior) for i in range(number)]
+    return processes + [Process(-1, degree, _polynomial_prior()) for degree in _DEGREES]
 
 
-def _simple() -> float:
-    """The prior of a low polynomial, and of rest."""
-    return (1 - _PROCESSES) / (len(_DEGREES) + 1)
+def _polynomial_prior() -> float:
+    """Return the prior of a low polynomial, and of rest."""
+    return (1 - _PROCESS_PRIOR) / (len(_DEGREES) + 1)
 
 
 def _amplitudes(exact: bool) -> Real:
-    return np.asarray(_LEAST * 10.0 ** np.arange(_MORE if exact else _AMPLITUDES))
+    number = _EXACT_AMPLITUDES if exact else _AMPLITUDES
+    return np.asarray(_MIN_AMPLITUDE * 10.0 ** np.arange(number))
 
 
-def _values(process: Process, count: int, time: Real, orders: range) -> list[tuple[Real, Real]]:
-    """
-    Derivatives at times (T,) of the functions, even and odd, (T, J), that make up a process.
-
-    Of each of the orders.
-    """
+def _waves(process: Process, count: int, time: Real, orders: range) -> list[tuple[Real, Real]]:
+    """Return derivatives (T, J) of the waves of a process at times (T,), even and odd, by order."""
     if process.spectrum < 0:
-        scale = 2 / count
-        degrees = range(2, int(process.length) + 1)
-        powers = [np.polynomial.Polynomial([0] * degree + [1.0]) for degree in degrees]
-        found = []
-        for order in orders:
-            each = [power.deriv(order)(scale * time) * scale**order for power in powers]
-            values = np.reshape(each, (len(powers), len(time))).T
-            found.append((values[:, ::2], values[:, 1::2]))
-        return found
-    # Waves of a sum that repeats itself, but not within a window.
+        return _powers(int(process.length), count, time, orders)
+    # The sum repeats itself after this period, which is longer than a window.
     step = 2 * np.pi / (count + 10 * process.length)
     frequency = step * np.arange(int(np.pi / step) + 1)
     if process.spectrum < len(SPECTRA):
@@ -124,34 +124,47 @@ def _values(process: Process, count: int, time: Real, orders: range) -> list[tup
         weight = (1 + (frequency * process.length) ** 2) ** -((smoothness + 0.5) / 2)
     weight[0] /= np.sqrt(2)
     weight /= np.sqrt((weight**2).sum())
-    kept = weight > _ROUNDING
-    frequency, weight = frequency[kept], weight[kept]
+    is_used = weight > _ROUNDING
+    frequency, weight = frequency[is_used], weight[is_used]
     phase = np.outer(time, frequency)
     waves = np.cos(phase), np.sin(phase)
-    # Cosine and sine are each other's derivatives, the first with a sign.
-    found = []
+    # The derivative of a cosine is a sine with the opposite sign, that of a sine a cosine.
+    derivatives = []
     for order in orders:
         sizes = weight * frequency**order
         even = -sizes if order % 4 in (1, 2) else sizes
         odd = -sizes if order % 4 in (2, 3) else sizes
-        found.append((even * waves[order % 2], odd * waves[1 - order % 2]))
-    return found
+        derivatives.append((even * waves[order % 2], odd * waves[1 - order % 2]))
+    return derivatives
+
+
+def _powers(degree: int, count: int, time: Real, orders: range) -> list[tuple[Real, Real]]:
+    """Return the same of the powers from 2 to `degree` of the time over half a window."""
+    scale = 2 / count
+    powers = [np.polynomial.Polynomial([0] * k + [1.0]) for k in range(2, degree + 1)]
+    derivatives = []
+    for order in orders:
+        by_power = [power.deriv(order)(scale * time) * scale**order for power in powers]
+        values = np.reshape(by_power, (len(powers), len(time))).T
+        derivatives.append((values[:, ::2], values[:, 1::2]))
+    return derivatives
 
 
 def _half_window(count: int) -> tuple[Real, Real, tuple[Real, Real]]:
     """
-    The first half of a window's times, with the middle if there is one, and what these stand for.
+    Return the times (h,) of the first half of a window, with its middle, and their weights (h,).
 
-    That is the root of 2 for two samples opposite to each other, and 1 for the middle; then mean
-    and slope, of length 1, of all samples.
+    A weight is the root of 2 for two opposite samples, and 1 for the middle, so that the weighted
+    half of an even or odd vector is as long as the whole vector. Then mean and slope (h,), of
+    length 1.
     """
     time = np.arange((count + 1) // 2) - (count - 1) / 2
     root = np.where(time < 0, np.sqrt(2.0), 1.0)
     return time, root, (root / np.linalg.norm(root), root * time / np.linalg.norm(root * time))
 
 
-def _lines(count: int, time: Real, order: int) -> Real:
-    """Derivatives (T, 2) of mean and slope."""
+def _line_derivatives(count: int, time: Real, order: int) -> Real:
+    """Return derivatives (T, 2) of mean and slope at times (T,)."""
     zero, one = np.zeros(len(time)), np.ones(len(time))
     half, root, _ = _half_window(count)
     slope = (time, one, zero)[min(order, 2)] / np.linalg.norm(root * half)
@@ -160,87 +173,86 @@ def _lines(count: int, time: Real, order: int) -> Real:
 
 @lru_cache(maxsize=512)
 def _functions(process: Process, count: int, block: int) -> tuple[_Functions, _Functions]:
-    """The functions of a process on a window, each sample the mean of a block."""
+    """Return the functions of a process on a window, each sample the mean of a block."""
     time, root, lines = _half_window(count)
     offsets = (np.arange(block) - (block - 1) / 2) / block
-    averaged = [_values(process, count, time + offset, range(1))[0] for offset in offsets]
-    found = []
+    in_blocks = [_waves(process, count, time + offset, range(1))[0] for offset in offsets]
+    functions = []
     for parity, line in enumerate(lines):
-        seen = root[:, None] * sum(values[parity] for values in averaged) / block
-        along = line @ seen
-        seen -= np.outer(line, along)
-        vectors, sizes, right = np.linalg.svd(seen, full_matrices=False)
-        kept = sizes > _ROUNDING * sizes.max(initial=0.0)
-        vectors, sizes, right = vectors[:, kept], sizes[kept], right[kept]
-        # Small ones have rounding of the line, and of the large ones.
-        every, signs = np.linalg.qr(np.column_stack((line, vectors, np.eye(len(line)))))
-        every *= np.sign(np.diag(signs))
-        # Of an odd number of samples the one in the middle is no part of what is odd.
-        vectors = every[:, 1 : count // 2 if parity else None]
-        found.append(_Functions(vectors, sizes, right, along))
-    return found[0], found[1]
+        own = root[:, None] * sum(values[parity] for values in in_blocks) / block
+        on_line = line @ own
+        own -= np.outer(line, on_line)
+        vectors, sizes, right = np.linalg.svd(own, full_matrices=False)
+        is_used = sizes > _ROUNDING * sizes.max(initial=0.0)
+        vectors, sizes, right = vectors[:, is_used], sizes[is_used], right[is_used]
+        # The vectors of small singular values are not orthogonal to the line, by rounding.
+        basis, signs = np.linalg.qr(np.column_stack((line, vectors, np.eye(len(line)))))
+        basis *= np.sign(np.diag(signs))
+        # The middle of an odd number of samples is zero in all odd vectors.
+        vectors = basis[:, 1 : count // 2 if parity else None]
+        functions.append(_Functions(vectors, sizes, right, on_line))
+    return functions[0], functions[1]
 
 
 class _Member(NamedTuple):
-    """A process on a window: its functions, even and odd, and sizes of their modes, 0 if unseen."""
+    """A process on a window: its functions, even and odd, and the `sizes` of the modes in use."""
 
     process: Process
     functions: tuple[_Functions, _Functions]
     sizes: tuple[Real, Real]
 
-    def large(self, exact: bool) -> Real:
-        """How much larger (A, m) its modes are than the noise, squared, by amplitudes."""
+    def variances(self, exact: bool) -> Real:
+        """Return the variances (A, m) of the modes, over that of the noise, by amplitudes."""
         return (_amplitudes(exact)[:, None] * np.concatenate(self.sizes)) ** 2
 
 
 @lru_cache(maxsize=64)
 def _members(count: int, block: int, exact: bool) -> list[_Member]:
-    """All processes on a window, and what of them is seen; of exact samples there are all modes."""
+    """Return all processes on a window; of exact samples all modes are in use, some of size 0."""
     largest = _amplitudes(exact)[-1]
-    found = []
+    members = []
     for process in _processes(count, exact):
         even, odd = _functions(process, count, block)
         sizes = [
             np.pad(one.sizes, (0, one.vectors.shape[1] - len(one.sizes)))
             if exact
-            else one.sizes[: np.count_nonzero(one.sizes * largest > _SEEN)]
+            else one.sizes[: np.count_nonzero(one.sizes * largest > _MIN_MODE_SIGMA)]
             for one in (even, odd)
         ]
-        found.append(_Member(process, (even, odd), (sizes[0], sizes[1])))
-    return found
+        members.append(_Member(process, (even, odd), (sizes[0], sizes[1])))
+    return members
 
 
-def _fill(values: Real, nothing: float = 0.0) -> Real:
-    """Fill the last axis up to whole lanes."""
+def _fill_lanes(values: Real, fill: float = 0.0) -> Real:
+    """Extend the last axis to whole lanes."""
     width = [(0, 0)] * (values.ndim - 1) + [(0, -values.shape[-1] % _LANES)]
-    return np.pad(values, width, constant_values=nothing)
+    return np.pad(values, width, constant_values=fill)
 
 
-def _join(lines: list[Real], parts: list[tuple[Real, Real]], exact: bool) -> tuple[Real, Real]:
+def _rows(lines: list[Real], modes: list[tuple[Real, Real]], exact: bool) -> tuple[Real, Real]:
     """
-    Join what is so for mean and slope (..., 1) and for the modes (..., m), even and odd, of all.
+    Stack values of mean and slope (..., 1) and of the modes (..., m) of all processes as rows.
 
-    Rest, the last process, has the mean only, and of exact samples the modes of a line. Returns
-    (..., rows), and where processes begin and end among them (2, P + 1).
+    All even rows come first. Rest, the last process, has the mean only, or the modes of a line if
+    samples are exact. Returns (..., rows), and the first rows (2, P + 1) of the processes.
     """
-    found: list[Real] = []
+    rows: list[Real] = []
     first = []
     for parity, line in enumerate(lines):
-        each = [np.concatenate((line, part[parity]), axis=-1) for part in parts]
-        each.append(each[-len(_DEGREES)] if exact else line[..., : 1 - parity])
-        begin = found[0].shape[-1] if parity else 0
-        first.append(begin + np.cumsum([0, *(part.shape[-1] for part in each)]))
-        found.append(_fill(np.concatenate(each, axis=-1)))
-    return np.concatenate(found, axis=-1), np.array(first)
+        by_process = [np.concatenate((line, pair[parity]), axis=-1) for pair in modes]
+        by_process.append(by_process[-len(_DEGREES)] if exact else line[..., : 1 - parity])
+        begin = rows[0].shape[-1] if parity else 0
+        first.append(begin + np.cumsum([0, *(one.shape[-1] for one in by_process)]))
+        rows.append(_fill_lanes(np.concatenate(by_process, axis=-1)))
+    return np.concatenate(rows, axis=-1), np.array(first)
 
 
 def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
     """
-    Make the models of a window of `count` samples, each the mean of `block`.
+    Return the integers and the numbers of `Models` of _evidence.h.
 
-    The largest motion is 1e7 deviations of the noise, and 1e13 if the samples are `exact`: then
-    each process has as many modes as there are samples. Returns the integers and the numbers of
-    `Models` of _evidence.h.
+    For a window of `count` samples, each the mean of `block`. If they are `exact`, amplitudes are
+    larger, and each process has as many modes as there are samples.
     """
     members, amplitudes = _members(count, block, exact), _amplitudes(exact)
     _, root, lines = _half_window(count)
@@ -248,49 +260,49 @@ def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
         tuple(one.vectors[:, : len(own)] for one, own in zip(*member[1:], strict=True))
         for member in members
     ]
-    panels, first = _join([line[:, None] for line in lines], vectors, exact)
-    # Of mean and slope nothing is known.
-    sizes, _ = _join([np.full(1, np.inf)] * 2, [member.sizes for member in members], exact)
+    basis, first = _rows([line[:, None] for line in lines], vectors, exact)
+    # Mean and slope have a flat prior.
+    sizes, _ = _rows([np.full(1, np.inf)] * 2, [member.sizes for member in members], exact)
     if exact:
         sizes[first[1, -2]] = 0.0  # the slope of rest
     with np.errstate(divide='ignore'):
-        large = (sizes[:, None] * amplitudes) ** 2
-        share, left = 1 / (1 + 1 / large), 1 / (1 + large)
-    tables = [_fill(share)] + [_fill(left, 1.0)] * exact
-    occam = [-np.log1p(member.large(exact)).sum(axis=1) / 2 for member in members]
+        variance = (sizes[:, None] * amplitudes) ** 2
+        shrinkage, residual_factor = 1 / (1 + 1 / variance), 1 / (1 + variance)
+    tables = [_fill_lanes(shrinkage)] + [_fill_lanes(residual_factor, 1.0)] * exact
+    determinants = [-np.log1p(member.variances(exact)).sum(axis=1) / 2 for member in members]
     prior = [member.process.prior / len(amplitudes) for member in members]
-    # Rest has one amplitude, no slope, and is more probable by all that this might be.
-    less = np.array([*occam, np.full(len(amplitudes), np.log(3 * amplitudes[-1]))])
-    chances = np.log([*prior, _simple()])[:, None] + np.array((1, 2))[:, None, None] * less
-    chances[:, -1, 1:] = -np.inf
+    # Rest has one amplitude, and no slope, whose flat prior is a factor of all other models.
+    costs = np.array([*determinants, np.full(len(amplitudes), np.log(3 * amplitudes[-1]))])
+    priors = np.log([*prior, _polynomial_prior()])[:, None]
+    log_prior = priors + np.array((1, 2))[:, None, None] * costs
+    log_prior[:, -1, 1:] = -np.inf
     own = [
-        np.r_[slice(*first[0, p : p + 2]), slice(*first[1, p : p + 2])] for p in range(len(less))
+        np.r_[slice(*first[0, p : p + 2]), slice(*first[1, p : p + 2])] for p in range(len(costs))
     ]
-    freedom = np.array([share[rows].sum(axis=0) for rows in own])
+    freedom = np.array([shrinkage[rows].sum(axis=0) for rows in own])
     numbers = [
-        (panels * root[:, None] / 2).reshape(len(root), -1, _LANES).swapaxes(0, 1),
+        (basis * root[:, None] / 2).reshape(len(root), -1, _LANES).swapaxes(0, 1),
         *(table.reshape(len(table), -1, _LANES).swapaxes(0, 1) for table in tables),
-        *(_fill(part, -np.inf) for part in chances),
-        _fill(freedom),
+        *(_fill_lanes(one, -np.inf) for one in log_prior),
+        _fill_lanes(freedom),
     ]
     if not exact:
-        numbers.append(_unexplained_steps(count, members, amplitudes))
-    # The spectra, the rough one, and the kind that belongs to all spectra.
+        numbers.append(_step_squares(count, members, amplitudes))
+    # Polynomials and rest have the number after that of the rough spectrum: common to all.
     last = len(SPECTRA) + 1
-    kind = np.array([*(one.process.spectrum % (last + 1) for one in members), last])
-    kinds = _fill(np.tile(kind[:, None], len(amplitudes)), last)
-    head = [len(less), kinds.shape[1] // _LANES, last, first[1, 0], len(sizes)]
-    integers = np.concatenate((head, first.ravel(), kinds.ravel())).astype(np.int64)
-    return integers, np.concatenate([part.ravel() for part in numbers])
+    spectrum = np.array([*(one.process.spectrum % (last + 1) for one in members), last])
+    spectra = _fill_lanes(np.tile(spectrum[:, None], len(amplitudes)), last)
+    head = [len(costs), spectra.shape[1] // _LANES, last, first[1, 0], len(sizes)]
+    integers = np.concatenate((head, first.ravel(), spectra.ravel())).astype(np.int64)
+    return integers, np.concatenate([one.ravel() for one in numbers])
 
 
-def _unexplained_steps(count: int, members: list[_Member], amplitudes: Real) -> Real:
+def _step_squares(count: int, members: list[_Member], amplitudes: Real) -> Real:
     """
-    How much of steps the models leave: b' P b (P + 1, amplitudes, 3, n), inf where it is rounding.
+    Return the squares b' P b (processes, amplitudes, 3, n) of steps b, with P as in _steps.h.
 
-    A step b of the motion, or of its first or second derivative, lies half a sample before a sample
-    (n,), and P is the inverse of a model's covariance. Rest, the last process, leaves no steps to
-    be seen.
+    A step of the motion, or of its first or second derivative, lies half a sample before each
+    sample. Squares that are rounding are infinite, and so are those of rest, the last process.
     """
     time = np.arange(count)
     since = np.maximum(time - time[:, None] + 0.5, 0.0)
@@ -299,82 +311,83 @@ def _unexplained_steps(count: int, members: list[_Member], amplitudes: Real) -> 
     _, root, lines = _half_window(count)
     opposite = steps[::-1][: len(root)]
     halves = [root[:, None] / 2 * (steps[: len(root)] + sign * opposite) for sign in (1, -1)]
-    left = square - sum((line @ half) ** 2 for line, half in zip(lines, halves, strict=True))
+    no_line = square - sum((line @ half) ** 2 for line, half in zip(lines, halves, strict=True))
     lanes = len(amplitudes) + -len(amplitudes) % _LANES
-    found = np.full((len(members) + 1, lanes, len(square)), np.inf)
+    squares = np.full((len(members) + 1, lanes, len(square)), np.inf)
     for p, member in enumerate(members):
-        found[p, : len(amplitudes)] = left
+        squares[p, : len(amplitudes)] = no_line
         for one, sizes, half in zip(member.functions, member.sizes, halves, strict=True):
-            large = (amplitudes[:, None] * sizes) ** 2
-            seen = (one.vectors[:, : len(sizes)].T @ half) ** 2
-            found[p, : len(amplitudes)] -= large / (1 + large) @ seen
-    found[found < _ROUNDING_OF_STEPS * square] = np.inf
-    return found
+            variance = (amplitudes[:, None] * sizes) ** 2
+            coefficients = one.vectors[:, : len(sizes)].T @ half
+            squares[p, : len(amplitudes)] -= variance / (1 + variance) @ coefficients**2
+    squares[squares < _STEP_ROUNDING * square] = np.inf
+    return squares
 
 
 def _derivatives(
     count: int, block: int, exact: bool, time: Real, orders: range
 ) -> tuple[list[Real], list[tuple[Real, Real]], list[Real]]:
     """
-    Derivatives (T, K, m) of mean and slope at times (T,), and of the modes of each process.
+    Return derivatives (T, K, m) of mean and slope at times (T,), and of the modes of each process.
 
-    And the covariances (T, K, K) of what no mode of each process has, of amplitude 1.
+    A mode between the samples is the combination F v / s of the waves F, of right vector v and
+    size s. Then the covariances (T, K, K), of amplitude 1, of what the modes in use leave of F.
     """
-    lines = np.stack([_lines(count, time, order) for order in orders], axis=1)  # (T, K, 2)
-    found, unseen = [], []
+    lines = np.stack([_line_derivatives(count, time, order) for order in orders], axis=1)
+    modes, remainders = [], []
     for member in _members(count, block, exact):
-        values = _values(member.process, count, time, orders)
-        more = np.zeros((len(time), len(orders), len(orders)))
+        values = _waves(member.process, count, time, orders)
+        covariance = np.zeros((len(time), len(orders), len(orders)))
         pair = []
         for parity, (one, sizes) in enumerate(zip(member.functions, member.sizes, strict=True)):
-            left = np.stack([value[parity] for value in values], axis=1)
-            left -= lines[..., parity, None] * one.along
-            by = left @ one.right.T
-            own = np.zeros((*left.shape[:2], len(sizes)))
-            seen = np.count_nonzero(sizes)
-            own[..., :seen] = by[..., :seen] / sizes[:seen]
+            waves = np.stack([value[parity] for value in values], axis=1)
+            waves -= lines[..., parity, None] * one.on_line
+            by_mode = waves @ one.right.T
+            own = np.zeros((*waves.shape[:2], len(sizes)))
+            number = np.count_nonzero(sizes)
+            own[..., :number] = by_mode[..., :number] / sizes[:number]
             pair.append(own)
-            left -= by[..., :seen] @ one.right[:seen]
-            more += left @ left.swapaxes(1, 2)
-        found.append((pair[0], pair[1]))
-        unseen.append(more)
-    return [lines[..., :1], lines[..., 1:]], found, unseen
+            waves -= by_mode[..., :number] @ one.right[:number]
+            covariance += waves @ waves.swapaxes(1, 2)
+        modes.append((pair[0], pair[1]))
+        remainders.append(covariance)
+    return [lines[..., :1], lines[..., 1:]], modes, remainders
 
 
 def slopes_of(count: int, block: int, exact: bool) -> Real:
-    """Derivatives (orders, panels, rows, _LANES), 1 to 4, of the modes at the first samples."""
+    """Return derivatives (4, panels, rows, _LANES), 1 to 4, of the modes at the first samples."""
     time, _, _ = _half_window(count)
-    lines, found, _ = _derivatives(count, block, exact, time, range(1, 5))
-    slopes = _fill(np.moveaxis(_join(lines, found, exact)[0], 0, 2))  # (K, rows, half)
+    lines, modes, _ = _derivatives(count, block, exact, time, range(1, 5))
+    slopes = _fill_lanes(np.moveaxis(_rows(lines, modes, exact)[0], 0, 2))  # (K, rows, half)
     return slopes.reshape(*slopes.shape[:2], -1, _LANES).swapaxes(1, 2).ravel()
 
 
 def stencils_of(count: int, block: int, exact: bool, orders: int, at: float) -> Real:
     """
-    Make the numbers of `Stencils` of _evidence.h, of an instant so many samples from the middle.
+    Return the numbers of `Stencils` of _evidence.h, of the instant `at`, samples from the middle.
 
-    Of so many `orders`, from 0: what modes make of them, and the covariances of models over that of
-    the noise. That a motion is a low polynomial, or rests, is known no better than that it is a
-    process which looks like that: of a parabola the slowest of each spectrum, of the same amplitude
-    up to the largest that may look like one, of a line and rest the slowest and least of the first.
+    These are the derivatives of order 0 to `orders` - 1 of the modes, and the covariances of models
+    for unit noise. Low polynomials and rest have those of the slowest processes, which look like
+    them: a parabola that of the same amplitude, up to _PARABOLA_AMPLITUDE, in the mean of all
+    spectra; a line and rest that of the least amplitude of the first spectrum.
     """
     members, amplitudes = _members(count, block, exact), _amplitudes(exact)
-    lines, found, unseen = _derivatives(count, block, exact, np.array([at]), range(orders))
+    lines, modes, remainders = _derivatives(count, block, exact, np.array([at]), range(orders))
     spread = np.empty((orders, orders, len(members) + 1, len(amplitudes)))
     for p, member in enumerate(members):
-        own = np.concatenate((*lines, *found[p]), axis=-1)[0]
-        large = member.large(exact)
-        share = np.pad(large / (1 + large), ((0, 0), (2, 0)), constant_values=1.0)
-        spread[:, :, p] = (own[:, None] * own) @ share.T
-        spread[:, :, p] += unseen[p][0][..., None] * amplitudes**2
+        own = np.concatenate((*lines, *modes[p]), axis=-1)[0]
+        variance = member.variances(exact)
+        shrinkage = np.pad(variance / (1 + variance), ((0, 0), (2, 0)), constant_values=1.0)
+        spread[:, :, p] = (own[:, None] * own) @ shrinkage.T
+        spread[:, :, p] += remainders[p][0][..., None] * amplitudes**2
     spectra = [member.process.spectrum for member in members]
     slowest = [spectra.index(k) for k in range(len(SPECTRA))]
     for p, member in enumerate(members):
         if member.process.spectrum < 0 and member.process.length > 1:
-            hidden = np.minimum(np.arange(len(amplitudes)), _HIDDEN)
-            spread[:, :, p] = spread[:, :, slowest].mean(axis=2)[..., hidden]
+            amplitude = np.minimum(np.arange(len(amplitudes)), _PARABOLA_AMPLITUDE)
+            spread[:, :, p] = spread[:, :, slowest].mean(axis=2)[..., amplitude]
         elif member.process.spectrum < 0:
             spread[:, :, p] = spread[:, :, slowest[0], :1]
     spread[:, :, -1] = spread[:, :, slowest[0], :1]
-    groups = np.moveaxis(_fill(spread).reshape(orders, orders, -1, _LANES), 2, 0)
-    return np.concatenate((_join(lines, found, exact)[0].ravel(), groups.ravel()))
+    groups = np.moveaxis(_fill_lanes(spread).reshape(orders, orders, -1, _LANES), 2, 0)
+    return np.concatenate((_rows(lines, modes, exact)[0].ravel(), groups.ravel()))

@@ -1,7 +1,7 @@
 """
-From poses at stamps to derivatives at instants: the arguments of the compiled library.
+Call the compiled kernel: from poses at stamps to derivatives at instants.
 
-Nothing is remembered but the models of windows, which take time to make.
+The tables of window kinds are kept between calls, because they take 30 to 100 ms to make.
 """
 
 from ctypes import POINTER, Structure, byref, c_char, c_double, c_longlong, c_void_p
@@ -17,18 +17,18 @@ _ARRAYS = (
     *('time', 'windows', 'left_out', 'angle', 'turns', 'position', 'angle_information'),
     *('position_information', 'noise', 'tables', 'results'),
 )
-# What is made for windows, the oldest of which is forgotten: 100 kB to 3 MB for each kind of them.
-_MOST_BYTES = 64_000_000
+# Memory of all tables, of which the oldest are dropped; a kind of window has 100 kB to 3 MB.
+_MAX_TABLE_BYTES = 64_000_000
 
 
 class Poses(NamedTuple):
     """
     Poses of B bodies in N frames at `time` (N,), ns.
 
-    `angle` (N, B), rad, is that beyond so many whole `turns` (N, B): separate, since their sum
-    would be rounded by how many turns it is counted from. `position` (N, B) is complex, m.
-    `angle_information` and `position_information` (N, B) are inverse variances of angles and of
-    each coordinate, in units of the noise; 0 where a body is not known.
+    The orientation is `angle` (N, B), rad, plus whole `turns` (N, B), separate because rounding
+    would grow with the turns. `position` (N, B) is complex, m. `angle_information` and
+    `position_information` (N, B) are inverse variances of the angle and of one coordinate, times
+    the squared `noise` of `derive_poses`, and 0 for a missing pose.
     """
 
     time: np.ndarray
@@ -40,7 +40,7 @@ class Poses(NamedTuple):
 
 
 class Windows(NamedTuple):
-    """Frames (T,) that are instants, and the oldest and newest frames of their windows."""
+    """Frames (T,) of the instants, and the oldest and newest frames of their windows."""
 
     now: np.ndarray
     oldest: np.ndarray
@@ -52,10 +52,11 @@ class Windows(NamedTuple):
 
 class Derivatives(NamedTuple):
     """
-    Derivatives (K, T, B) of poses of B bodies at T instants, K orders; NaN where too few are known.
+    Derivatives (K, T, B) of order 0 to K - 1, of B bodies at T instants; NaN with too few poses.
 
-    With covariances (K, K, T, B), of one coordinate. `span` (T, B) is how long the window is, s,
-    and `freedom` (T, B) how many parameters the angle's motion has in it, 2 if it is steady.
+    Units are rad, m and s. Covariances (K, K, T, B) are between the orders, of the angle and of one
+    coordinate. `span` (T, B) is the length of the window, s, and `freedom` (T, B) the effective
+    number of parameters of the motion of the angle, 2 if it is steady.
     """
 
     position: Complex
@@ -94,13 +95,13 @@ _derive.argtypes = [POINTER(Call)]
 
 
 class _Tables(NamedTuple):
-    """Integers and numbers of `Table` of _call.h, and all tables as the library takes them."""
+    """The `arrays` that tables point to, and the `tables` (n, 7) as `Table` of _call.h."""
 
     arrays: tuple[tuple[np.ndarray, Real], ...]
     tables: np.ndarray
 
 
-# It is never changed, but replaced: another thread may be using it.
+# Replaced and never changed, because another thread may be using it.
 _tables = _Tables((), np.empty((0, 7), np.int64))
 
 
@@ -115,8 +116,9 @@ def derive_poses(
     """
     Differentiate poses at the instants of `windows`, up to `order`.
 
-    `left_out` (T, B) is how many of the newest frames of each window do not count, `noise` (T, B)
-    the deviation of a sample with information of 1, and `window`, s, the longest there is.
+    `left_out` (T, B) is the number of newest frames of each window that are ignored, `noise` (T, B)
+    the standard deviation of a pose with information of 1, and `window`, s, the length of a full
+    window.
     """
     (instants, bodies), (frames,), orders = noise.shape, poses.time.shape, order + 1
     shapes = [array.shape for array in (*poses[1:], *windows, left_out)]
@@ -148,12 +150,12 @@ def derive_poses(
 
 
 def new_call(window: float, order: int) -> Call:
-    """Begin the arguments of the library."""
+    """Return arguments of the library without arrays."""
     return Call(orders=order + 1, window=window, flat=FLAT)
 
 
 def pass_tables(call: Call) -> _Tables:
-    """Pass all tables that there are; they are to be held while the library is called."""
+    """Pass all tables, and return them; the caller holds them during the call of the library."""
     tables = _tables
     call.table_count, call.tables = len(tables.tables), pass_array(tables.tables, np.int64)
     return tables
@@ -161,24 +163,24 @@ def pass_tables(call: Call) -> _Tables:
 
 def go_on(call: Call, code: int) -> _Tables:
     """
-    Make what the library lacks for a kind of window, and pass it; the tables are to be held.
+    Make the table that the library lacks, and pass all tables, as `pass_tables`.
 
-    Raises what the return value of the library says.
+    Raises an exception if the return value `code` of the library is an error.
     """
     global _tables
     if code < 0:
         raise MemoryError if code < -1 else IndexError('windows lie beyond the frames')
     lacking = call.lacking
     window = lacking.count, lacking.block, bool(lacking.exact)
-    none = np.empty(0, np.int64)
+    no_integers = np.empty(0, np.int64)
     if lacking.orders > 0:
-        made = none, stencils_of(*window, lacking.orders, lacking.at)
+        made = no_integers, stencils_of(*window, lacking.orders, lacking.at)
     else:
-        made = models_of(*window) if lacking.orders == 0 else (none, slopes_of(*window))
+        made = models_of(*window) if lacking.orders == 0 else (no_integers, slopes_of(*window))
     lacking.integers, lacking.numbers = (array.ctypes.data for array in made)
     arrays = (*_tables.arrays, made)
     tables = np.concatenate((_tables.tables, np.frombuffer(bytes(lacking), np.int64)[None]))
     sizes = np.cumsum([sum(array.nbytes for array in one) for one in arrays][::-1])[::-1]
-    kept = max(int(np.count_nonzero(sizes <= _MOST_BYTES)), 1)
-    _tables = _Tables(arrays[-kept:], tables[-kept:].copy())
+    number = max(int(np.count_nonzero(sizes <= _MAX_TABLE_BYTES)), 1)
+    _tables = _Tables(arrays[-number:], tables[-number:].copy())
     return pass_tables(call)

@@ -1,57 +1,60 @@
 /*
- * From poses at stamps to samples in even cells.
+ * From poses at stamps to even samples.
  *
- * A window is cut into cells as long as the usual interval between frames. Cells may be empty, good
- * for less than others, or not where their frame is; too many of them are averaged in blocks.
+ * `find_grid` finds the usual interval between the frames of a window, and the cell of each frame.
+ * `fill_cells` fills the cells of one body. `choose_size` chooses the number of samples, because
+ * each number needs models of its own, and `average_blocks` averages cells in blocks if there are
+ * too many. A sample may be missing, have a low weight, or be off its place, by the intervals in
+ * `off`. `fill_missing` and `move_by_neighbors` give the first guesses of even samples.
  */
 
-/* Samples of the shortest window there is; it still has every order. */
+/* Samples of the shortest window, which still has every order; as in _models.py. */
 #define FEWEST_SAMPLES 7
-/* More samples than this in a window are averaged in blocks. */
-#define MOST_SAMPLES 128
-/* Samples with this share of the information of the best count equally, by their mean. */
-#define SIMILAR 0.5
+/* More samples than this in a window are averaged in blocks: cost goes by their number squared. */
+#define MAX_SAMPLES 128
+/* Samples with this share of the largest information get a weight of 1: a lower one costs time. */
+#define SIMILAR_INFORMATION 0.5
 /* Samples of a block with less than this share of the information of the best are left out. */
-#define POOR 0.25
-/* A sample is in its place if it is off by less than this part of the interval. */
-#define OFF 1e-4
+#define POOR_INFORMATION 0.25
+/* A sample is on the grid if it is off by less than this part of the interval. */
+#define MAX_OFF_GRID 1e-4
 /* A gap that is off a whole number of intervals by more than this makes their count doubtful. */
-#define DOUBTFUL 0.2
+#define DOUBTFUL_GAP 0.2
 /* If the count is doubtful, up to so many intervals more and fewer are tried. */
-#define MISCOUNTED 4
+#define MAX_MISCOUNT 4
 /* Cells of a window, most of which are empty where frames come in bunches: a bound of memory. */
-#define MOST_CELLS 4096
-/* Samples that differ by more deviations of their noise are taken for exact. */
-#define EXACT 1e7
+#define MAX_CELLS 4096
+/* Samples that differ by more deviations of their noise are exact: about the largest amplitude. */
+#define EXACT_RATIO 1e7
 /* Samples differ by no more deviations of their noise, or the noise is taken for larger. */
-#define MOST_EXACT 1e13
-/* At least this part of a window has to be seen. */
-#define PRESENT 0.5
-/* A window that is not full is at most so much larger than what there is of it. */
-#define LARGER 1.25
-/* If more cells than that are lacking, two of them make one: cost goes by the square. */
-#define MOST_LACKING 24
-/* A sample that is missing is first put on a parabola through so many others. */
-#define NEAREST 6
-/* Samples are moved to their places at most so often, and up to 3 times more. */
-#define ROUNDS 6
-/* Samples that are all but exact are moved at most so often, and up to 3 times more. */
-#define MORE_ROUNDS 38
-/* Samples that move by less than so many deviations are in their places. */
-#define SETTLED 0.05
-/* While samples are moved the noise counts for so many samples: it is more than was measured. */
-#define KNOWN_MEANWHILE 1.0
+#define MAX_EXACT_RATIO 1e13
+/* Part of the samples of a window that must be present. */
+#define MIN_FILLED 0.5
+/* A window is at most so many times as long as the samples that are present reach. */
+#define MAX_SIZE_RATIO 1.25
+/* Low weights of a window above which its blocks are doubled: cost goes by their number squared. */
+#define MAX_LOW_WEIGHT 24
+/* A missing sample is first put on a parabola through so many others. */
+#define PARABOLA_SAMPLES 6
+/* Rounds in which samples move, besides the first and the last two. */
+#define MAX_ROUNDS 6
+/* The same for exact samples, whose noise does not hide what is left of the movement. */
+#define MAX_EXACT_ROUNDS 38
+/* Samples that move by less than so many deviations of their noise are settled. */
+#define SETTLED_SIGMAS 0.05
+/* Noise prior, in samples, while samples move: their noise is larger than the measured one. */
+#define MOVING_PRIOR_SAMPLES 1.0
 
 #include "_call.h"
 
-/* The even cells of an instant: the interval, ns, and of each frame, the newest first, its cell and
-   by how many intervals it is late. */
+/* The even cells of an instant. Arrays are by frame, the newest first. */
 typedef struct {
-    double interval, *late;
-    long long *cell;
+    double interval; /* ns */
+    double *late;    /* intervals after the cell */
+    long long *cell; /* intervals after the instant */
 } Grid;
 
-/* A buffer of a thread that lives as long as it does. */
+/* Memory of a thread that is used again by the next call. */
 enum { OF_GRID, OF_CELLS, OF_WINDOW, OF_MODELS, OF_SETS, BUFFERS };
 static void *
 buffer(int which, size_t size)
@@ -69,18 +72,19 @@ buffer(int which, size_t size)
 }
 
 static int
-compare(const void *a, const void *b)
+compare_numbers(const void *a, const void *b)
 {
     double x = *(const double *)a, y = *(const double *)b;
     return (x > y) - (x < y);
 }
 
-/* The interval by which frames are nearest to even places, with about so many in the span. */
+/* Return the interval, ns, by which frames are nearest to even places, with about so many in the
+   span: the number with the largest sum of exp(2 pi i t / interval), then a regression. */
 static double
 clearest_interval(const double *time, long long frames, double span, double intervals)
 {
     double best = -1.0, number = 1.0, x = 0.0, y = 0.0;
-    for (int more = -MISCOUNTED; more <= MISCOUNTED; more++) {
+    for (int more = -MAX_MISCOUNT; more <= MAX_MISCOUNT; more++) {
         double tried = larger(intervals + more, 1.0), real = 0.0, imaginary = 0.0;
         for (long long k = 0; k < frames; k++) {
             double turn = 2 * M_PI * time[k] / span * tried;
@@ -103,7 +107,7 @@ clearest_interval(const double *time, long long frames, double span, double inte
     return interval * (1 + along / larger(square, 1e-300));
 }
 
-/* The grid of an instant with so many frames in its window, the newest of which is `newest`. */
+/* Find the grid of the instant of frame `now`, for a window of so many frames up to `newest`. */
 static int
 find_grid(const long long *stamps, long long now, long long newest, long long frames, Grid *grid)
 {
@@ -119,24 +123,24 @@ find_grid(const long long *stamps, long long now, long long newest, long long fr
     int even = 1;
     for (long long k = 0; k < frames; k++) {
         grid->cell[k] = newest - now - k, grid->late[k] = 0.0;
-        even &= fabs(time[k] - grid->cell[k] * grid->interval) <= OFF * grid->interval;
+        even &= fabs(time[k] - grid->cell[k] * grid->interval) <= MAX_OFF_GRID * grid->interval;
     }
     if (even)
         return DONE;
     for (long long k = 0; k < frames - 1; k++)
         steps[k] = time[k] - time[k + 1];
-    qsort(steps, frames - 1, sizeof(double), compare);
-    /* Most frames may come in bunches, with next to nothing between them. */
-    double usual = larger(steps[(frames - 2) / 2], span / MOST_CELLS), intervals = 0.0;
+    qsort(steps, frames - 1, sizeof(double), compare_numbers);
+    /* The median interval, but no less than MAX_CELLS allow, because frames may come in bunches. */
+    double usual = larger(steps[(frames - 2) / 2], span / MAX_CELLS), intervals = 0.0;
     int doubtful = 0;
     for (long long k = 0; k < frames - 1; k++) {
         double number = rint(steps[k] / usual);
         intervals += number;
-        doubtful |= fabs(steps[k] / usual - number) > DOUBTFUL;
+        doubtful |= fabs(steps[k] / usual - number) > DOUBTFUL_GAP;
     }
     intervals = larger(intervals, 1.0);
     grid->interval = doubtful ? clearest_interval(time, frames, span, intervals) : span / intervals;
-    /* About where frames are on the mean: about themselves two might have the same cell. */
+    /* Cells are rounded about the mean phase of the frames, where fewest frames share a cell. */
     double x = 0.0, y = 0.0;
     for (long long k = 0; k < frames; k++) {
         double turn = 2 * M_PI * (time[k] / grid->interval);
@@ -147,37 +151,37 @@ find_grid(const long long *stamps, long long now, long long newest, long long fr
         double place = time[k] / grid->interval;
         grid->cell[k] = (long long)(rint(place - phase) - rint(-phase));
         double late = place - grid->cell[k];
-        grid->late[k] = fabs(late) < OFF ? 0.0 : late;
+        grid->late[k] = fabs(late) < MAX_OFF_GRID ? 0.0 : late;
     }
     return DONE;
 }
 
-/* The mean of the numbers that are at least SIMILAR times the largest. */
+/* Return the mean of the numbers that are at least SIMILAR_INFORMATION times the largest. */
 static double
-usual_of(const double *information, long long count)
+mean_of_similar(const double *information, long long count)
 {
     double best = 0.0, sum = 0.0, number = 0.0;
     for (long long k = 0; k < count; k++)
         best = larger(best, information[k]);
     for (long long k = 0; k < count; k++)
-        if (information[k] >= SIMILAR * best)
+        if (information[k] >= SIMILAR_INFORMATION * best)
             sum += information[k], number += 1.0;
     return sum / number;
 }
 
-/* Weights over the usual information; those that are similar are 1. */
+/* Divide information by the usual one, in place; weights of similar information are 1. */
 static void
-make_weights(double *weight, long long count, double usual)
+normalize_weights(double *weight, long long count, double usual)
 {
     for (long long k = 0; k < count; k++) {
         weight[k] = usual > 0 ? weight[k] / usual : 0.0;
-        weight[k] = weight[k] >= SIMILAR ? 1.0 : weight[k];
+        weight[k] = weight[k] >= SIMILAR_INFORMATION ? 1.0 : weight[k];
     }
 }
 
-/* Room for so many samples, or 0. */
+/* Lay out samples of zeros; returns 0 if there is no memory. */
 static int
-make_room(Samples *s, int which, long long count)
+lay_out_samples(Samples *s, int which, long long count)
 {
     double *data = buffer(which, 6 * count * sizeof(double));
     if (!data)
@@ -190,18 +194,18 @@ make_room(Samples *s, int which, long long count)
     return 1;
 }
 
-/* Divide the samples of angle and position by a number each. */
+/* Divide the samples of angle and position by a number each, as their noise. */
 static void
-divide(const Samples *s, const double *by)
+divide_samples(const Samples *s, const double *by)
 {
     for (int c = 0; c < 3; c++)
         for (long long k = 0; k < s->count; k++)
             s->x[c][k] /= by[c > 0];
 }
 
-/* The largest sample of the angle, or of the position. */
+/* Return the largest size of a sample of the angle, or of a coordinate. */
 static double
-largest_of(const Samples *s, int c)
+largest_sample(const Samples *s, int c)
 {
     double most = 0.0;
     for (int d = c; d <= 2 * c; d++)
@@ -211,8 +215,9 @@ largest_of(const Samples *s, int c)
 }
 
 /* Fill the cells of one body, the newest first, relative to its pose at the instant and in units of
-   the noise. `count` is the number of cells, 0 if too few, and `ahead` how many are newer than the
-   instant; empty cells follow. `exact` says that the motion is far larger than its noise. */
+   the noise, `unit` (2), rad and m. `count` is the number of cells, 0 if they are too few, and
+   `ahead` how many are newer than the instant; empty cells follow, for a window that is not full.
+   `exact` is set if the motion is larger than EXACT_RATIO times the noise. */
 static int
 fill_cells(const Call *call, long long instant, long long body, const Grid *grid, Samples *s,
            long long *count, long long *ahead, double *unit, int *exact)
@@ -222,10 +227,11 @@ fill_cells(const Call *call, long long instant, long long body, const Grid *grid
     long long frames = newest - windows[call->instants] + 1, signal = instant * bodies + body;
     long long oldest = 0;
     *ahead = -1, *count = 0;
+    /* The first pass finds the range of the cells. */
     for (int pass = 0; pass < 2; pass++) {
         double a = call->angle[now], turns = call->turns[now];
         double x = call->position[2 * now], y = call->position[2 * now + 1];
-        /* Where the body is not seen at the instant, about nothing. */
+        /* Without a pose at the instant, samples are relative to zero. */
         if (isnan(a))
             a = turns = x = y = 0.0;
         for (long long k = call->left_out[signal]; k < frames; k++) {
@@ -247,88 +253,89 @@ fill_cells(const Call *call, long long instant, long long body, const Grid *grid
         }
         if (*count < FEWEST_SAMPLES)
             *count = 0;
-        else if (!pass && !make_room(s, OF_CELLS, (long long)(LARGER * *count) + 1))
+        else if (!pass && !lay_out_samples(s, OF_CELLS, (long long)(MAX_SIZE_RATIO * *count) + 1))
             return NO_MEMORY;
         if (!*count)
             return DONE;
     }
     for (int c = 0; c < 2; c++) {
-        double most = largest_of(s, c), usual = usual_of(s->weight[c], *count);
-        /* There is no noise below rounding. */
-        unit[c] = larger(call->noise[signal] / sqrt(usual), most / MOST_EXACT);
-        *exact |= most > EXACT * unit[c];
-        make_weights(s->weight[c], *count, usual);
+        double most = largest_sample(s, c), usual = mean_of_similar(s->weight[c], *count);
+        /* The noise is no less than rounding. */
+        unit[c] = larger(call->noise[signal] / sqrt(usual), most / MAX_EXACT_RATIO);
+        *exact |= most > EXACT_RATIO * unit[c];
+        normalize_weights(s->weight[c], *count, usual);
     }
-    divide(s, unit);
+    divide_samples(s, unit);
     return DONE;
 }
 
-/* Choose the number of blocks of a window of which enough is seen, or 0. It has `full` blocks if it
-   is full, the oldest sample is in block `last`, and `ahead` are newer than the instant. `seen`
-   counts the blocks with samples up to each. */
+/* Return the number of blocks of the longest window with enough samples, or 0. A full window has
+   `full` blocks, `last` is the number of whole blocks up to the oldest sample, and `ahead` blocks
+   are newer than the instant. `filled[k]` is how many of the first k + 1 blocks have samples. */
 static long long
-find_size(long long full, long long last, long long ahead, int exact, const long long *seen,
+find_size(long long full, long long last, long long ahead, int exact, const long long *filled,
           long long blocks)
 {
-    /* Windows that are not full have few sizes, since models of each take time to make. */
-    long long sizes[32] = {FEWEST_SAMPLES}, number = 1, there = full < last ? full : last;
-    while ((long long)(sizes[number - 1] * LARGER) <= MOST_SAMPLES)
-        sizes[number] = (long long)(sizes[number - 1] * LARGER), number++;
-    /* Where stamps are not even a window has one frame more or less. */
+    /* Windows that are not full have few sizes, because models of a size take time to make. */
+    long long sizes[32] = {FEWEST_SAMPLES}, number = 1, present = full < last ? full : last;
+    while ((long long)(sizes[number - 1] * MAX_SIZE_RATIO) <= MAX_SAMPLES)
+        sizes[number] = (long long)(sizes[number - 1] * MAX_SIZE_RATIO), number++;
+    /* With uneven stamps a window has one frame more or less. */
     long long most = last == full - 1 ? last : full;
     for (long long k = number; k >= -1; most = k > 0 ? sizes[k - 1] : full, k--) {
-        /* At last, if the instant is the oldest of it. */
-        long long size = exact || k < 0 ? there : most < full ? most : full;
-        if (k >= 0 && size > LARGER * last)
+        /* The last attempt is the samples alone, for an instant that is the oldest of them. */
+        long long size = exact || k < 0 ? present : most < full ? most : full;
+        if (k >= 0 && size > MAX_SIZE_RATIO * last)
             continue;
         if (size < FEWEST_SAMPLES || size <= ahead)
             continue;
-        double here = seen[(size < blocks ? size : blocks) - 1];
-        if (here >= FEWEST_SAMPLES && here >= PRESENT * size)
+        double number_filled = filled[(size < blocks ? size : blocks) - 1];
+        if (number_filled >= FEWEST_SAMPLES && number_filled >= MIN_FILLED * size)
             return size;
     }
     return 0;
 }
 
-/* Choose the number of blocks of a window, 0 for none, -1 without memory, and of cells in a block.
-   A block is doubled until few are lacking, since frames may come in bunches. */
+/* Return the number of blocks of a window, 0 for none, -1 without memory; `block` is the number of
+   cells in each. A full window has `whole` cells. Blocks are doubled until few are empty, because
+   frames may come in bunches. */
 static long long
 choose_size(const Samples *s, long long count, long long whole, long long ahead, int exact,
             long long *block)
 {
-    long long there = 0, oldest = 0, size = 0, tried = (whole + MOST_SAMPLES - 1) / MOST_SAMPLES;
+    long long present = 0, oldest = 0, size = 0, tried = (whole + MAX_SAMPLES - 1) / MAX_SAMPLES;
     for (long long k = 0; k < count; k++)
         if (s->weight[0][k] > 0 && s->weight[1][k] > 0)
-            there++, oldest = k + 1;
+            present++, oldest = k + 1;
     *block = tried;
-    if (there < FEWEST_SAMPLES || ahead < 0 || ahead >= oldest)
+    if (present < FEWEST_SAMPLES || ahead < 0 || ahead >= oldest)
         return 0;
-    long long *seen = buffer(OF_WINDOW, count * sizeof(long long));
-    if (!seen)
+    long long *filled = buffer(OF_WINDOW, count * sizeof(long long));
+    if (!filled)
         return -1;
     for (; whole / tried >= FEWEST_SAMPLES; tried *= 2) {
         long long blocks = (count + tried - 1) / tried, sum = 0;
         for (long long b = 0; b < blocks; b++) {
-            int any = 0;
+            int is_filled = 0;
             for (long long k = b * tried; k < (b + 1) * tried && k < count; k++)
-                any |= s->weight[0][k] > 0 && s->weight[1][k] > 0;
-            seen[b] = sum += any;
+                is_filled |= s->weight[0][k] > 0 && s->weight[1][k] > 0;
+            filled[b] = sum += is_filled;
         }
-        long long found = find_size(whole / tried, oldest / tried, ahead / tried, exact, seen,
-                                    blocks);
-        if (!found)
+        long long number = find_size(whole / tried, oldest / tried, ahead / tried, exact, filled,
+                                     blocks);
+        if (!number)
             continue;
-        size = found, *block = tried;
-        if (size - seen[(size < blocks ? size : blocks) - 1] <= MOST_LACKING)
+        size = number, *block = tried;
+        if (size - filled[(size < blocks ? size : blocks) - 1] <= MAX_LOW_WEIGHT)
             break;
     }
     return size;
 }
 
-/* Average the samples in each block, the oldest first; the noise of a mean is `coarser` times that
-   of a sample. */
+/* Average the cells in each block, into samples in units of their noise, the oldest first. Their
+   noise is `coarser` (2) times that of a cell. */
 static void
-average(const Samples *cells, long long block, Samples *out, double *coarser)
+average_blocks(const Samples *cells, long long block, Samples *out, double *coarser)
 {
     for (long long b = 0; b < out->count; b++) {
         long long first = b * block, at = out->count - 1 - b, number = 0;
@@ -338,8 +345,9 @@ average(const Samples *cells, long long block, Samples *out, double *coarser)
                 best[c] = larger(best[c], cells->weight[c][k]);
         for (long long k = first; k < first + block; k++) {
             double a = cells->weight[0][k], p = cells->weight[1][k];
-            /* Poor samples are left out: all in a mean have the same share. */
-            if (!(a >= POOR * best[0] && p >= POOR * best[1] && a > 0 && p > 0))
+            /* All samples of a mean count equally, so poor ones are left out. */
+            int is_poor = !(a >= POOR_INFORMATION * best[0] && p >= POOR_INFORMATION * best[1]);
+            if (is_poor || !(a > 0 && p > 0))
                 continue;
             number++, variance[0] += 1 / a, variance[1] += 1 / p;
             for (int c = 0; c < 3; c++)
@@ -354,38 +362,39 @@ average(const Samples *cells, long long block, Samples *out, double *coarser)
         for (int c = 0; c < 2; c++)
             out->weight[c][at] = number * number / variance[c] / block;
         late /= number * block;
-        out->off[at] = fabs(late) < OFF ? 0.0 : late;
+        out->off[at] = fabs(late) < MAX_OFF_GRID ? 0.0 : late;
     }
     for (int c = 0; c < (block > 1 ? 2 : 0); c++) {
-        double usual = usual_of(out->weight[c], out->count);
+        double usual = mean_of_similar(out->weight[c], out->count);
         coarser[c] = 1 / sqrt(block * usual);
-        make_weights(out->weight[c], out->count, usual);
+        normalize_weights(out->weight[c], out->count, usual);
     }
-    divide(out, coarser);
+    divide_samples(out, coarser);
 }
 
-/* Put missing samples on parabolas through the nearest of the others, the older of two as near. */
+/* Put missing samples on parabolas through the nearest of the others; of two equally near ones, the
+   older is the first. */
 static void
 fill_missing(const Samples *s)
 {
     for (long long t = 0; t < s->count; t++) {
         if (s->weight[1][t] > 0)
             continue;
-        /* Moments of the places, and of the samples by these. */
+        /* Sums of powers of the places, and of the samples times these. */
         double m[5] = {0.0}, sums[3][3] = {{0.0}};
-        int found = 0;
-        for (long long step = 1; found < NEAREST && step < s->count; step++)
-            for (int side = -1; side <= 1 && found < NEAREST; side += 2) {
+        int number = 0;
+        for (long long step = 1; number < PARABOLA_SAMPLES && step < s->count; step++)
+            for (int side = -1; side <= 1 && number < PARABOLA_SAMPLES; side += 2) {
                 long long k = t + side * step;
                 if (k < 0 || k >= s->count || !(s->weight[1][k] > 0))
                     continue;
-                double place = (side * step + s->off[k]) / NEAREST, power = 1.0;
+                double place = (side * step + s->off[k]) / PARABOLA_SAMPLES, power = 1.0;
                 for (int n = 0; n < 5; n++, power *= place) {
                     m[n] += power;
                     for (int c = 0; c < 3 && n < 3; c++)
                         sums[c][n] += power * s->x[c][k];
                 }
-                found++;
+                number++;
             }
         /* The value of the parabola at the cell, by Cramer's rule. */
         double a = m[2] * m[4] - m[3] * m[3], b = m[2] * m[3] - m[1] * m[4];

@@ -12,9 +12,9 @@ from kinpole_ros.derivatives._models import (
     Process,
     _Functions,
     _half_window,
-    _lines,
-    _simple,
-    _values,
+    _line_derivatives,
+    _polynomial_prior,
+    _waves,
 )
 from kinpole_ros.planar._plane import Real
 
@@ -107,7 +107,9 @@ def _layout(count: int, block: int, exact: bool) -> tuple[tuple[int, list[_Membe
     for process in _models._processes(count, exact):
         functions = even, odd = _models._functions(process, count, block)
         seen = [
-            len(one.sizes) if exact else int(np.count_nonzero(one.sizes * largest > _models._SEEN))
+            len(one.sizes)
+            if exact
+            else int(np.count_nonzero(one.sizes * largest > _models._MIN_MODE_SIGMA))
             for one in (even, odd)
         ]
         width = whole if exact else min(limit for limit in limits if limit >= max(seen))
@@ -156,7 +158,7 @@ def modes_of(count: int, block: int = 1, exact: bool = False) -> Modes:
     even, odd = (np.concatenate(part) * root / 2 for part in rows)
     # Rest has no slope, and is more probable by all that this might be.
     occam.append(np.log([3 * amplitudes[-1]]))
-    prior, less = np.log([*priors, _simple()]), np.concatenate(occam)
+    prior, less = np.log([*priors, _polynomial_prior()]), np.concatenate(occam)
     kind = np.array([*(process.spectrum for process in by_model), -1])
     return Modes(
         even,
@@ -192,7 +194,7 @@ def _hardly_others(models: list[Process], amplitudes: int) -> tuple[np.ndarray, 
     )
     simple = (spectrum < 0).nonzero()[0]
     curved = length[simple, None] > 1
-    amplitude = np.minimum(simple % amplitudes, _models._HIDDEN)[:, None]
+    amplitude = np.minimum(simple % amplitudes, _models._PARABOLA_AMPLITUDE)[:, None]
     return simple, np.where(curved, first + amplitude, first[0])
 
 
@@ -228,16 +230,18 @@ def _derivatives(
 
     And of each process' functions, even and odd, (T, K, J), those that no mode has.
     """
-    lines = np.stack([_lines(count, time, order) for order in orders], axis=1)  # (T, K, 2)
+    lines = np.stack(
+        [_line_derivatives(count, time, order) for order in orders], axis=1
+    )  # (T, K, 2)
     found, functions = [lines], []
     for width, members in _layout(count, block, exact):
         for member in members:
-            values = _values(member.process, count, time, orders)
+            values = _waves(member.process, count, time, orders)
             rows = np.zeros((len(time), len(orders), width, 2))
             pair = []
             for parity, (one, seen) in enumerate(zip(member.functions, member.seen, strict=True)):
                 left = np.stack([value[parity] for value in values], axis=1)
-                left -= lines[..., parity, None] * one.along
+                left -= lines[..., parity, None] * one.on_line
                 rows[..., :seen, parity] = left @ one.right[:seen].T / one.sizes[:seen]
                 pair.append(left)
             found.append(rows.reshape(len(time), len(orders), -1))
