@@ -54,7 +54,7 @@ stamp_of(const Layout *layout, const unsigned char *message)
 
 /* Returns how many messages from message `first` on are of the layout, of `count` in all. */
 long long
-kinpole_count_alike(const Layout *layout, const unsigned char *messages, long long first,
+kinpole_count_matches(const Layout *layout, const unsigned char *messages, long long first,
                     long long count)
 {
     messages += first * layout->size;

@@ -47,10 +47,10 @@ class MessageLayout(Structure):
         self.mask, self.key, self.points = map(address_of, self._arrays)
         self._self = byref(self)
 
-    def count_alike(self, data: bytes, first: int, count: int) -> int:
+    def count_matches(self, data: bytes, first: int, count: int) -> int:
         """Return how many messages from `first` on are of the layout; `data` are `count`."""
-        alike: int = _count_alike(self._self, data, first, count)
-        return alike
+        matches: int = _count_matches(self._self, data, first, count)
+        return matches
 
     def read(self, data: bytes, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return stamps (T,), ns, and points (T, n, 3) of `count` messages from `first` on."""
@@ -67,9 +67,9 @@ def read_points(layout: PointLayout, data: bytes) -> np.ndarray:
     return points
 
 
-_count_alike = library.kinpole_count_alike
-_count_alike.argtypes = [c_void_p, c_char_p, c_longlong, c_longlong]
-_count_alike.restype = c_longlong
+_count_matches = library.kinpole_count_matches
+_count_matches.argtypes = [c_void_p, c_char_p, c_longlong, c_longlong]
+_count_matches.restype = c_longlong
 _read_messages = library.kinpole_read_messages
 _read_messages.argtypes = [c_void_p, c_char_p, c_longlong, c_longlong, c_void_p, c_void_p]
 _read_messages.restype = None

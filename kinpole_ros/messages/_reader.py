@@ -102,11 +102,11 @@ class MarkerReader:
         size = len(data) // count
         for k, layout in enumerate(self._layouts):
             if layout.size == size:
-                alike = layout.fields.count_alike(data, first, count)
-                if alike:
+                matches = layout.fields.count_matches(data, first, count)
+                if matches:
                     if k:
                         self._layouts.insert(0, self._layouts.pop(k))
-                    return layout, alike
+                    return layout, matches
         return None, 0
 
     def _remember_renamed(self, data: bytes) -> bool:
@@ -114,7 +114,7 @@ class MarkerReader:
         for layout in self._layouts:
             renamed = layout.renamed(data) if layout.size == len(data) else None
             # A stamp beyond the end of time is of no layout.
-            if renamed is not None and renamed.fields.count_alike(data, 0, 1):
+            if renamed is not None and renamed.fields.count_matches(data, 0, 1):
                 same = [k for k, one in enumerate(self._layouts) if one.mask is layout.mask]
                 if len(same) >= _MAX_RENAMED_LAYOUTS:
                     del self._layouts[same[-1]]

@@ -107,10 +107,10 @@ def joint_build(
     others = [(k, build) for k, build in builds if not isinstance(build, Rows)]
     topics = [k for k, rows in compiled for _ in rows.rows]
     given = compiled[0][1].given if compiled else XY
-    joined = Rows([row for _, rows in compiled for row in rows.rows], given)
+    all_rows = Rows([row for _, rows in compiled for row in rows.rows], given)
 
     def build_all(estimate: Estimate) -> list[tuple[int, bytes]]:
-        messages = [(topics[row], data) for row, data in joined.messages(estimate)]
+        messages = [(topics[row], data) for row, data in all_rows.messages(estimate)]
         messages += [(k, data) for k, build in others for data in build(estimate)[1]]
         return messages
 
