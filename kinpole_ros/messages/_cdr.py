@@ -9,7 +9,7 @@ equal bytes and a bag holds nothing of that memory.
 
 import re
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple, TypeAlias
 
@@ -21,6 +21,7 @@ from kinpole_ros.messages._types import SECOND, WITH_ROS, fields, message_class
 HEAD = 4  # bytes before the first field
 LITTLE = b'\x00\x01'  # the first two bytes of a little endian message
 TIME = struct.Struct('<iI')  # a stamp: s and ns
+_FLOAT64 = 8  # PointField.FLOAT64
 ALIGNMENT = 8  # bytes: no field is aligned to more
 _LENGTHS = {b'\x00\x00': struct.Struct('>I'), LITTLE: struct.Struct('<I')}  # by byte order
 _ARRAY = re.compile(r'(.+?)\[(<=)?(\d*)\]')
@@ -54,6 +55,25 @@ class Writer:
         self.data += TIME.pack(*divmod(stamp, SECOND))
         self.string(frame_id)
 
+    def cloud_fields(self, kinds: Mapping[str, int], points: int) -> int:
+        """
+        Write all between header and data of a PointCloud2 of one row of so many points.
+
+        `kinds` are the data types of its fields, of 4 or 8 bytes, one after the other. Returns the
+        size of the data in bytes.
+        """
+        self.pack('III', 1, points, len(kinds))
+        offset = 0
+        for name, kind in kinds.items():
+            self.string(name)
+            self.pack('I', offset)
+            self.data += bytes((kind,))
+            self.pack('I', 1)
+            offset += 8 if kind == _FLOAT64 else 4
+        self.data += b'\0'  # little endian
+        self.pack('III', offset, offset * points, offset * points)
+        return offset * points
+
     def doubles(self, values: np.ndarray) -> None:
         if values.size:
             self.align(8)
@@ -65,12 +85,6 @@ def stamp_bytes(stamps: np.ndarray) -> np.ndarray:
     times = np.empty((len(stamps), 2), '<u4')
     times[:, 0], times[:, 1] = np.divmod(stamps, SECOND)
     return times.view(np.uint8)
-
-
-def rows_of_bytes(rows: np.ndarray) -> list[bytes]:
-    """The bytes of each row of an array (T, n)."""
-    data, size = rows.tobytes(), rows.shape[1] * rows.itemsize
-    return [data[first : first + size] for first in range(0, len(data), size)]
 
 
 def serialize_message(message: Any) -> bytes:

@@ -20,15 +20,14 @@ from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.plane import Plane
 
 # Viewers of clouds look for x, y and z as float32.
-_POINT = np.dtype(
-    [
-        *((name, '<f4') for name in 'xyz'),
-        ('order', '<u4'),
-        *((name, '<f8') for name in ('time_deviation', 'angle_step', 'angle_step_deviation')),
-        *((f'step_{end}', '<f8') for end in ('x', 'y', 'xx', 'xy', 'yy')),
-    ]
-)
-_KINDS = {'<f4': PointField.FLOAT32, '<u4': PointField.UINT32, '<f8': PointField.FLOAT64}
+_KINDS = {
+    **dict.fromkeys('xyz', PointField.FLOAT32),
+    'order': PointField.UINT32,
+    **dict.fromkeys(('time_deviation', 'angle_step', 'angle_step_deviation'), PointField.FLOAT64),
+    **dict.fromkeys((f'step_{end}' for end in ('x', 'y', 'xx', 'xy', 'yy')), PointField.FLOAT64),
+}
+_CODES = {PointField.FLOAT32: '<f4', PointField.UINT32: '<u4', PointField.FLOAT64: '<f8'}
+_POINT = np.dtype([(name, _CODES[kind]) for name, kind in _KINDS.items()])
 
 
 def events(body: int, given: Plane) -> Build:
@@ -65,15 +64,7 @@ def _message(event: BodyEvent, frame_id: str, plane: Plane) -> bytes:
     )
     writer = Writer()
     writer.header(event.stamp, frame_id)
-    writer.pack('III', 1, 1, len(_POINT.names or ()))
-    for name in _POINT.names or ():
-        kind, offset = _POINT.fields[name][:2]
-        writer.string(name)
-        writer.pack('I', offset)
-        writer.data += bytes((_KINDS[kind.str],))
-        writer.pack('I', 1)
-    writer.data += b'\0'  # little endian
-    writer.pack('III', _POINT.itemsize, _POINT.itemsize, _POINT.itemsize)
+    writer.cloud_fields(_KINDS, 1)
     return bytes(writer.data + point.tobytes() + b'\1')
 
 
@@ -103,11 +94,9 @@ def read_event(data: bytes) -> tuple[int, dict[str, float]]:
     """
     cloud = deserialize_message(data, PointCloud2)
     content = bytes(cloud.data)
-    if [field.name for field in cloud.fields] != list(_POINT.names or ()):
+    if [field.name for field in cloud.fields] != list(_KINDS):
         raise ValueError('its fields are not those of a topic `event`')
     if cloud.is_bigendian or len(content) != _POINT.itemsize:
         raise ValueError(f'it has {len(content)} bytes of data for one event')
     point = np.frombuffer(content, _POINT)[0]
-    return stamp_to_ns(cloud.header.stamp), {
-        name: point[name].item() for name in _POINT.names or ()
-    }
+    return stamp_to_ns(cloud.header.stamp), {name: point[name].item() for name in _KINDS}

@@ -93,23 +93,11 @@ def quantities_of(estimate: Estimate, order: int) -> dict[str, Numbers | Vectors
 def _template(order: int, frame_id: str, bodies: int) -> tuple[bytes, int]:
     """A message with zeros for stamp and points, and the bytes before the points."""
     names = chain(*state_fields(order).values())
-    kinds = [*_FIRST_FIELDS.items(), *((name, PointField.FLOAT64) for name in names)]
     writer = Writer()
     writer.header(0, frame_id)
-    writer.pack('II', 1, bodies)
-    writer.pack('I', len(kinds))
-    offset = 0
-    for name, kind in kinds:
-        writer.string(name)
-        writer.pack('I', offset)
-        writer.data += bytes((kind,))
-        writer.pack('I', 1)
-        offset += 8 if kind == PointField.FLOAT64 else 4
-    writer.data += b'\0'  # little endian
-    writer.pack('II', offset, offset * bodies)
-    writer.pack('I', offset * bodies)
+    size = writer.cloud_fields(_FIRST_FIELDS | dict.fromkeys(names, PointField.FLOAT64), bodies)
     is_dense = b'\1'  # no number is NaN
-    return bytes(writer.data) + bytes(offset * bodies) + is_dense, len(writer.data)
+    return bytes(writer.data) + bytes(size) + is_dense, len(writer.data)
 
 
 def read_state(data: bytes) -> tuple[int, dict[str, Numbers | Vectors]]:
