@@ -9,11 +9,10 @@ from kinpole_ros.mechanism import marker_positions
 from kinpole_ros.mechanism._motions import ORDERS, BodyMotion
 from kinpole_ros.messages import DiagnosticsMaker
 from kinpole_ros.tracking.clock import MAX_PENDING, Clock, estimate_clock
-from kinpole_ros.tracking.counter import Counter, motion_costs
 from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.frame_counter import FrameCounter, motion_costs
 from kinpole_ros.tracking.parameters import settings_from
-from kinpole_ros.tracking.stamps import StampHistory
-from kinpole_ros.tracking.timeline import count_frames
+from kinpole_ros.tracking.timeline import Timeline
 from kinpole_ros.tracking.tracker import Tracker
 
 START = 10**18
@@ -95,12 +94,12 @@ def counted(late_by, share=0.02, seed=2, block=1):
     stamps += np.arange(len(stamps))
     points, _ = record(numbers / 200)
     clock, counts = estimate_clock(stamps[:400], None)
-    counter = Counter(clock, int(counts[391]))
+    counter = FrameCounter(clock, int(counts[391]))
     counter.noise = 2e-4
     sure, waited, first = [], [], 392
     while first < len(stamps):
         part = slice(first, first + block)
-        sure.extend(count_frames(counter, stamps[part], points[part])[0].tolist())
+        sure.extend(counter.count_frames(stamps[part], points[part])[0].tolist())
         first = min(first + block, len(stamps))
         waited.append(first - 392 - len(sure))
     return np.array(sure) - numbers[392 : 392 + len(sure)], max(waited)
@@ -204,14 +203,14 @@ def test_a_change_of_the_rate_is_noticed():
 def test_a_shift_by_half_a_period_updates_the_clock_once(monkeypatch, even, block):
     """As where a publisher begins anew. The clock was updated without end for the first frame."""
     updates = []
-    update = StampHistory.update
+    update = Timeline.update_clock
 
     def counted(self, *given):
         updates.append(given)
         assert len(updates) < 100
         return update(self, *given)
 
-    monkeypatch.setattr(StampHistory, 'update', counted)
+    monkeypatch.setattr(Timeline, 'update_clock', counted)
     times = 0.01 * np.concatenate((np.arange(even), np.arange(even, even + 60) + 0.5))
     points, rates = record(times, noise=1e-4)
     _, stamp, rate = track(START + np.rint(times * 1e9).astype(np.int64), points, block=block)
@@ -256,7 +255,7 @@ def test_times_increase_and_work_is_bounded_with_stamps_of_any_kind(seed, mode, 
     stamps = stamps_of_any_kind(seed)
     points, _ = record((stamps - START) * 1e-9)
     updates = []
-    update = StampHistory.update
+    update = Timeline.update_clock
 
     def counted(self, *given):
         updates.append(given)
@@ -266,7 +265,7 @@ def test_times_increase_and_work_is_bounded_with_stamps_of_any_kind(seed, mode, 
     given = {'window': 0.3, 'lag': 0.1, 'stamps': mode, 'body.markers': list(NAMES)}
     tracker = Tracker(settings_from(given))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(StampHistory, 'update', counted)
+        patch.setattr(Timeline, 'update_clock', counted)
         for k in range(0, len(stamps), block):
             part = slice(k, k + block)
             tracker.add(MarkerFrames(stamps[part], 'world', NAMES, points[part]), 1)
@@ -386,12 +385,12 @@ def test_bunches_are_spread_over_the_clock_and_named_where_they_are_not():
 def test_a_clock_far_finer_than_its_lateness_counts_in_bounded_work(monkeypatch) -> None:
     clock = Clock(0, 0.0, 5.0, 1e7, 1e7, 1e8, 0.0, 1.0)
     stamps = 10**9 + 5_000_000 * np.arange(60)
-    counter, most = Counter(clock, 0), []
-    costs = Counter._motion_costs
+    counter, most = FrameCounter(clock, 0), []
+    costs = FrameCounter._motion_costs
     monkeypatch.setattr(
-        Counter, '_motion_costs', lambda self: most.append(len(self._losses)) or costs(self)
+        FrameCounter, '_motion_costs', lambda self: most.append(len(self._losses)) or costs(self)
     )
-    counts, sure_with = count_frames(counter, stamps, np.zeros((60, 4, 3)))
+    counts, sure_with = counter.count_frames(stamps, np.zeros((60, 4, 3)))
     assert max(most) < 10_000
     assert len(counts) >= 60 - MAX_PENDING
     assert (np.diff(counts) > 0).all()

@@ -11,7 +11,7 @@ from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.outages import Outage
 from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.space import SpaceReport, updated
-from kinpole_ros.tracking.stamps import StampState
+from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.tracker import Tracker
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.tracking.matcher import BY_SHAPE, OTHERS, RENAMED, UNCERTAIN
 from kinpole_ros.tracking.plane import FIT, Plane, PlaneSetting, as_parameter
 from kinpole_ros.tracking.space import SpaceReport
-from kinpole_ros.tracking.stamps import StampState
+from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.tracker import Tracker
 
 Fault: TypeAlias = tuple[bytes, str]

@@ -180,6 +180,41 @@ def clock_of(
     return fitted, counts
 
 
+def count_until_slip(
+    stamps: np.ndarray, clock: Clock, before: int, slipped_at: int | None
+) -> int:
+    """
+    Return how many of the next stamps come before one that slips by a rounding step.
+
+    If even stamps slip, they were rounded all the time. The clock has to be updated before that
+    frame.
+
+    Parameters
+    ----------
+    stamps : (T,) int64
+        Stamps, ns.
+    clock : Clock
+        Their clock, at whose ticks they were up to now.
+    before : int
+        The stamp before them, ns.
+    slipped_at : int or None
+        A stamp for which the clock was updated already, ns.
+
+    """
+    since = stamps - clock.origin
+    ticks = np.rint((since - clock.phase) / clock.interval)
+    off = np.abs(since - clock.phase - ticks * clock.interval)
+    if np.maximum.reduce(off) <= COARSE / 2:
+        return len(stamps)
+    step = np.gcd(round(clock.resolution), since)
+    slips = (step >= COARSE) & (off > COARSE / 2) & (off <= (1 + TOLERANCE) * step)
+    # Two frames within a tick have another rate.
+    tick_before = np.rint((before - clock.origin - clock.phase) / clock.interval)
+    slips &= np.diff(ticks, prepend=tick_before) > 0
+    slips &= stamps != slipped_at
+    return int(slips.argmax()) if slips.any() else len(stamps)
+
+
 def _counts_if_near(stamps: np.ndarray, clock: Clock) -> np.ndarray | None:
     """Counts (N,) of frames by their clock, if all stamps (N,) are near its ticks."""
     counts = count_frames(stamps, clock)

@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,11 @@ class Settings:
     def highest_order(self) -> int:
         """The highest derivative of all results, also of those that no live topic asks for."""
         return self.derivative_order or 4
+
+    @cached_property
+    def window_ns(self) -> int:
+        """The window in ns."""
+        return round(self.window * 1e9)
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,29 @@ clock of the machine.
 """
 
 from collections import Counter
+from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.tracking.counter import Counter as FrameCounter
+from kinpole_ros.derivatives import FEWEST_SAMPLES
+from kinpole_ros.planar._plane import Real
+from kinpole_ros.tracking.arrivals import LastFrame, judge_arrivals
+from kinpole_ros.tracking.clock import (
+    DECISIVE_NATS,
+    HALF_LIFE,
+    MEMORY,
+    UNSETTLED,
+    Clock,
+    clock_of,
+    count_until_slip,
+    estimate_clock,
+)
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.frame_counter import FrameCounter
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.parameters import Settings
-from kinpole_ros.tracking.stamps import StampHistory, StampState
+from kinpole_ros.tracking.thresholds import MIN_SAMPLES
+from kinpole_ros.tracking.tick_evidence import FEWEST_WEIGHED, SIDE, TickEvidence, add_evidence
 
 # ns. The least time between two frames.
 _MIN_STEP = 1000
@@ -21,6 +36,38 @@ _MIN_STEP = 1000
 _MAX_INITIAL_LATENESS = 1 / 4
 # The rate is the same if the counts of this share of the frames agree with those before.
 _SAME_RATE_SHARE = 0.5
+_NO_COUNTS = np.zeros(0, np.int64)
+
+
+class StampState(NamedTuple):
+    """
+    How stamps lie on the estimated clock.
+
+    `interval`, `jitter` (rms) and `largest` lateness are in s. `regularized` is whether frames are
+    taken to be at the ticks of the clock. `nats` is the evidence of the motion for that, negative
+    if it is for the stamps. `costs` is whether the jitter moves markers by more than their noise.
+    """
+
+    interval: float
+    jitter: float
+    largest: float
+    regularized: bool
+    nats: float
+    costs: bool
+
+
+class TimedFrames(NamedTuple):
+    """
+    Frames of one layout whose times are certain.
+
+    `times` (T,), ns, and `counts` (T,) are those for the history. `numbers` (T,) are the frames,
+    counted through one call of the tracker, with which each became certain.
+    """
+
+    frames: MarkerFrames
+    times: np.ndarray
+    counts: np.ndarray
+    numbers: np.ndarray
 
 
 class Timeline:
@@ -28,41 +75,53 @@ class Timeline:
     The times of the frames of a history, since its start.
 
     After a jump of the stamps frames are at stamps or at ticks as in the timeline `before` it.
-    Repeated, late and lost frames are added to `counts`.
+    Repeated, late and lost frames are added to `totals`.
+
+    Attributes
+    ----------
+    clock : Clock or None
+        The clock of the recent stamps; None while too few have come.
+    at_ticks : bool
+        Whether frames are taken to be at the ticks of the clock.
+    until_update : int
+        Number of frames after which `update_clock` is to be called.
+
     """
 
     def __init__(
-        self,
-        settings: Settings,
-        counts: Counter[str],
-        history: History,
-        before: 'Timeline | None' = None,
+        self, settings: Settings, totals: Counter[str], before: 'Timeline | None' = None
     ) -> None:
-        self.history = history
-        self._window = round(settings.window * 1e9)
-        self._counts = counts
-        self._arrivals = Arrivals(self._window, counts)
-        earlier = None if before is None else before._stamps
-        self._stamps: StampHistory = StampHistory(settings.stamps, self._window, earlier)
-        self._regular = self._stamps.regular
+        self._settings, self._totals = settings, totals
+        self.clock: Clock | None = None
+        self.at_ticks = settings.stamps == 'arrival' if before is None else before.at_ticks
+        self.until_update = FEWEST_SAMPLES
+        self._evidence = TickEvidence(says_ticks=before is not None and before._evidence.says_ticks)
+        self._last: LastFrame | None = None
+        # Stamps of the frames, in parts, and which of the frames are used; number of all of them.
+        self._appended = [(np.zeros(0, np.int64), np.zeros(0, bool))]
+        self._seen = 0
+        # Frames since the last update, and used frames that were not compared with neighbors yet.
+        self._new = self._unweighed = 0
+        # Whether even stamps may slip; the last stamp that did, and whether it is the next one.
+        self._may_slip = self._has_slipped = False
+        self._slipped_at: int | None = None
         # None while frames are at their stamps.
         self._counter: FrameCounter | None = None
-        self._scale = settings.scale
-        # Frames that wait for their count, and counts of the next frames to be entered.
-        self._uncounted: list[MarkerFrames] = []
-        self._next_counts = np.zeros(0, np.int64)
-        # The time of some count, and the time between two counts, ns.
+        # Frames that wait for their count, and the counts that the first of them got since.
+        self._waiting: list[MarkerFrames] = []
+        self._waiting_counts = _NO_COUNTS
+        # The time, ns, of some count.
         self._anchor = 0, 0
-        self._step = 0
-
-    @property
-    def regular(self) -> bool:
-        """Whether frames are taken to be at the ticks of the clock."""
-        return self._regular
 
     def stamp_state(self) -> StampState | None:
         """Return how the stamps lie on the clock; None while too few have come."""
-        return self._stamps.state()
+        clock, evidence = self.clock, self._evidence
+        if clock is None:
+            return None
+        moved = clock.jitter / clock.interval * evidence.speed
+        costs = not self.at_ticks and evidence.nats > -DECISIVE_NATS and moved > 1.0
+        lengths = (length * 1e-9 for length in (clock.interval, clock.jitter, clock.largest))
+        return StampState(*lengths, self.at_ticks, evidence.nats, costs)
 
     def accept(self, stamps: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """
@@ -87,35 +146,69 @@ class Timeline:
 
         """
         # Stop where the clock is to be estimated again, or where the stamps slip against it.
-        count = min(len(stamps), self._stamps.until_update)
-        count = self._stamps.until_slip(stamps[:count])
+        stamps = stamps[: self.until_update]
+        if self._may_slip:
+            stamps = stamps[: self._count_until_slip(stamps)]
+        count = len(stamps)
         if not count:
             return np.zeros(0, int), 0, False
-        stamps = stamps[:count]
-        if self._arrivals.append_steady(stamps, points):
-            self._stamps.append(stamps, np.ones(count, bool))
+        if self._last is None:
+            self._last = LastFrame(int(stamps[0]) - 1, int(stamps[0]) - 1, None)
+        if self._are_steady(stamps):
+            self._last = LastFrame(int(stamps[-1]), int(stamps[-1]), points[count - 1].copy())
+            self._append(stamps, np.ones(count, bool))
             return np.arange(count), count, False
-        is_used, end, is_new = self._arrivals.accept(
-            stamps, points, self._regular, self._max_lateness()
-        )
+        window, lateness = self._settings.window_ns, self._max_lateness()
+        found = judge_arrivals(self._last, stamps, points, window, lateness, self.at_ticks)
+        self._last = found.last
+        self._totals['late'] += found.late
+        self._totals['repeated'] += found.repeated
+        end = len(found.is_used)
         if end:
-            self._stamps.append(stamps[:end][is_new], is_used[is_new])
-        return is_used.nonzero()[0], end, end < count
+            self._append(stamps[:end][found.is_new], found.is_used[found.is_new])
+        return found.is_used.nonzero()[0], end, end < count
+
+    def _are_steady(self, stamps: np.ndarray) -> bool:
+        """Whether each of the next stamps is later than those before, by a window at most."""
+        assert self._last is not None
+        window = self._settings.window_ns
+        if not 0 < int(stamps[0]) - self._last.newest <= window:
+            return False
+        if len(stamps) == 1:
+            return True
+        steps = stamps[1:] - stamps[:-1]
+        return bool(np.minimum.reduce(steps) > 0 and np.maximum.reduce(steps) <= window)
+
+    def _append(self, stamps: np.ndarray, is_used: np.ndarray) -> None:
+        """Append the stamps (T,), ns, of new frames, some of which are used."""
+        count = len(stamps)
+        self._appended.append((stamps, is_used))
+        self.until_update -= count
+        self._seen += count
+        self._new += count
+        self._unweighed += int(np.count_nonzero(is_used))
+
+    def _count_until_slip(self, stamps: np.ndarray) -> int:
+        """Return how many of the next stamps (T,), ns, come before one that slips."""
+        assert self.clock is not None and self._last is not None
+        first = count_until_slip(stamps, self.clock, self._last.stamp, self._slipped_at)
+        if not first:
+            self._has_slipped, self._slipped_at, self.until_update = True, int(stamps[0]), 0
+        return first
 
     def _max_lateness(self) -> int:
         """The most that a frame may be late, ns."""
-        clock = self._stamps.clock
-        if not self._regular and self._stamps.mode == 'capture':
+        if not self.at_ticks and self._settings.stamps == 'capture':
             return 0
-        if clock is None:
-            return round(_MAX_INITIAL_LATENESS * self._window) if self._regular else 0
-        return round(clock.largest + clock.interval)
+        if self.clock is None:
+            return round(_MAX_INITIAL_LATENESS * self._settings.window_ns) if self.at_ticks else 0
+        return round(self.clock.largest + self.clock.interval)
 
-    def count(
-        self, frames: MarkerFrames, numbers: np.ndarray
-    ) -> list[tuple[MarkerFrames, np.ndarray]]:
+    def time_frames(
+        self, frames: MarkerFrames, numbers: np.ndarray, history: History
+    ) -> list[TimedFrames]:
         """
-        Count the next frames; return those whose count is certain, also of the ones that waited.
+        Return the times of the next frames, and of those that waited, as far as they are certain.
 
         Parameters
         ----------
@@ -123,110 +216,161 @@ class Timeline:
             The next T frames.
         numbers : (T,) int
             Their indices among all frames of this call of the tracker.
+        history : History
+            The frames before.
 
         Returns
         -------
-        list of (MarkerFrames, (n,) int)
-            Frames to be entered next, and the number of the frame with which each became certain.
+        list of TimedFrames
+            Frames to be appended to the history, in parts of one layout.
 
         """
-        if self._counter is None and not self._uncounted:
-            return [(frames, numbers)]
-        parts = [*self._uncounted, frames]
+        if self._counter is None and not self._waiting:
+            counts = np.zeros(len(numbers), np.int64)
+            times = self._times_at_stamps([frames.stamps], history)
+            return [TimedFrames(frames, times, counts, numbers)]
+        parts = [*self._waiting, frames]
         if self._counter is None:
-            waiting = sum(len(part.stamps) for part in self._uncounted)
-            numbers = np.concatenate((np.repeat(numbers[:1], waiting), numbers))
+            times = self._times_at_stamps([part.stamps for part in parts], history)
+            counts = np.zeros(len(times), np.int64)
+            numbers = np.concatenate((np.repeat(numbers[:1], len(times) - len(numbers)), numbers))
         else:
             # A new counter may have counted frames that wait.
-            counted = np.repeat(numbers[:1], len(self._next_counts))
-            counts, certain_with = count_frames(self._counter, frames.stamps, frames.points)
-            self._next_counts = np.concatenate((self._next_counts, counts))
-            numbers = np.concatenate((counted, numbers[certain_with]))
-        self._uncounted, certain = [], []
+            counted, certain_with = self._counter.count_frames(frames.stamps, frames.points)
+            earlier = np.repeat(numbers[:1], len(self._waiting_counts))
+            numbers = np.concatenate((earlier, numbers[certain_with]))
+            counts = np.concatenate((self._waiting_counts, counted))
+            times = self._times_of(counts)
+        self._waiting, self._waiting_counts = [], _NO_COUNTS
+        certain, first = [], 0
         for part in parts:
-            number = min(len(part.stamps), len(numbers))
+            number = min(len(part.stamps), len(counts) - first)
+            rows = slice(first, first + number)
             if number:
-                certain.append((part_of(part, slice(number)), numbers[:number]))
+                of_part = part_of(part, slice(number)), times[rows], counts[rows], numbers[rows]
+                certain.append(TimedFrames(*of_part))
             if number < len(part.stamps):
-                self._uncounted.append(part_of(part, slice(number, None)))
-            numbers = numbers[number:]
+                self._waiting.append(part_of(part, slice(number, None)))
+            first += number
         return certain
 
-    def enter(self, stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the times, ns, and counts (T,) of frames that are appended to the history next."""
-        times = self.history['time']
-        before = int(times[-1]) if len(times) else int(stamps[0]) - _MIN_STEP
-        if self._counter is not None:
-            counts, self._next_counts = np.split(self._next_counts, [len(stamps)])
-            return self._times_of(counts), counts
-        times_now = stamps
-        several = len(stamps) > 1
-        if self._regular or stamps[0] <= before or (several and (stamps[1:] <= stamps[:-1]).any()):
-            times_now = _increasing(np.concatenate(((before,), stamps)))[1:]
-        return times_now, np.zeros(len(stamps), np.int64)
+    def _times_at_stamps(self, parts: list[np.ndarray], history: History) -> np.ndarray:
+        """Times (T,), ns, of the next frames, which are not counted, from their stamps."""
+        earlier = history['time']
+        before = int(earlier[-1]) if len(earlier) else int(parts[0][0]) - _MIN_STEP
+        times = []
+        for stamps in parts:
+            increase = stamps[0] > before
+            if len(stamps) > 1:
+                increase = increase and not (stamps[1:] <= stamps[:-1]).any()
+            if self.at_ticks or not increase:
+                stamps = _increasing(np.concatenate(((before,), stamps)))[1:]
+            times.append(stamps)
+            before = int(stamps[-1])
+        return np.concatenate(times) if times[1:] else times[0]
 
     def _times_of(self, counts: np.ndarray) -> np.ndarray:
         """Times (T,) of the ticks with these counts (T,), ns."""
+        assert self.clock is not None
         time, count = self._anchor
-        return np.asarray(time + (counts - count) * self._step)
+        return np.asarray(time + (counts - count) * max(round(self.clock.interval), 1))
 
-    @property
-    def clock_update_is_due(self) -> bool:
-        """Whether `update_clock` is to be called before more frames come."""
-        return self._stamps.until_update <= 0
-
-    def update_clock(self, samples: int, noise: np.ndarray) -> None:
+    def update_clock(self, history: History, samples: int, noise: Real) -> None:
         """
-        Estimate the clock, and the times of the frames of the history.
+        Estimate the clock, decide whether frames are at its ticks, and time the history.
 
         Parameters
         ----------
+        history : History
+            The frames so far; its times and counts are updated.
         samples : int
-            Number of frames in the window.
+            Number of frames in the window, whose motion decides.
         noise : (B,) float
-            Noise of a marker of each body, m.
+            Noise of a marker of each body, m, NaN while not known.
 
         """
-        lost = self._stamps.lost
-        uncounted = sum(len(part.stamps) for part in self._uncounted)
-        counted = self._counter is not None and self._counter.keeps_pace
-        counts = self._stamps.update(self.history, samples, uncounted, noise, counted)
-        self._counts['lost'] += self._stamps.lost - lost
-        if self._stamps.regular:
-            self._to_ticks(counts)
+        was_at_ticks = self.at_ticks
+        counts = self._estimate_clock(history)
+        self._weigh_motion(history, samples, counts, noise)
+        self.at_ticks = self._are_at_ticks()
+        # After a quarter more frames, and at the latest after a twentieth of those remembered.
+        self.until_update = min(max(1, self._seen // 4), MEMORY // 20)
+        assert self.clock is not None
+        self._may_slip = (
+            self._settings.stamps == 'auto' and not self.at_ticks and self.clock.is_even
+        )
+        if self.at_ticks:
+            self._count_history(history, counts)
             if self._counter is not None:
-                self._counter.noise = float(np.fmax.reduce(noise)) / self._scale
-        elif self._regular:
-            self._to_stamps()
+                self._counter.noise = float(np.fmax.reduce(noise)) / self._settings.scale
+        elif was_at_ticks:
+            self._counter = None
+            history['time'][...] = _increasing(history['stamp'])
 
-    def _to_ticks(self, counts: np.ndarray) -> None:
-        """Put frames at ticks; the newest have these counts (n,)."""
-        clock, history = self._stamps.clock, self.history
+    def _estimate_clock(self, history: History) -> np.ndarray:
+        """Estimate the clock; return the counts (n,) of the newest frames of the history."""
+        stamps, is_used = (np.concatenate(arrays) for arrays in zip(*self._appended, strict=True))
+        stamps, is_used = stamps[-MEMORY:], is_used[-MEMORY:]
+        uncounted = sum(len(part.stamps) for part in self._waiting)
+        clock, counts = estimate_clock(stamps, self.clock)
+        if self._counter is not None and self._counter.keeps_pace:
+            # The frames of the history were counted by the motion: the clock is that of the counts.
+            which = np.flatnonzero(is_used)
+            which = which[: len(which) - uncounted][-len(history) :]
+            own = history['count'][len(history) - len(which) :]
+            clock, counts = clock_of(clock, counts, stamps, which, own)
+        is_used = is_used[len(is_used) - len(counts) :]
+        self._appended = [(stamps[len(stamps) - len(counts) :], is_used)]
+        self._count_lost(clock, counts)
+        self.clock = clock
+        counts = counts[is_used]
+        return np.asarray(counts[: len(counts) - uncounted])
+
+    def _count_lost(self, clock: Clock, counts: np.ndarray) -> None:
+        """Count the frames that were lost between the new ones."""
+        steps = np.diff(counts)[max(len(counts) - self._new - UNSETTLED - 1, 0) : -UNSETTLED]
+        self._new = 0
+        # Stamps far from all ticks do not show any loss.
+        if self.at_ticks or clock.largest < clock.interval / 2:
+            self._totals['lost'] += int((steps - 1).clip(0).sum())
+
+    def _weigh_motion(
+        self, history: History, samples: int, counts: np.ndarray, noise: Real
+    ) -> None:
+        """Add the evidence of the motion in the frames that were not compared yet."""
+        assert self.clock is not None
+        number = min(samples, len(counts), self._unweighed + SIDE)
+        if self._seen < MIN_SAMPLES or number < FEWEST_WEIGHED:
+            return
+        self._unweighed = UNSETTLED + SIDE
+        interval, half_life = self.clock.interval, HALF_LIFE * self._settings.window_ns
+        self._evidence = add_evidence(
+            self._evidence, history, counts, number, interval, half_life, noise
+        )
+
+    def _are_at_ticks(self) -> bool:
+        """Whether frames are taken to be at ticks from now on."""
+        clock = self.clock
+        if self._settings.stamps != 'auto' or clock is None:
+            return self.at_ticks
+        rounded = clock.is_rounded or self._has_slipped
+        rounded = rounded and self._seen >= MIN_SAMPLES and self._evidence.nats > -DECISIVE_NATS
+        self._has_slipped = False
+        # No clock explains lateness of a window or more.
+        in_window = clock.largest < self._settings.window_ns
+        return (self._evidence.says_ticks or rounded) and in_window
+
+    def _count_history(self, history: History, counts: np.ndarray) -> None:
+        """Put the frames of the history at ticks; the newest have these counts (n,)."""
+        clock = self.clock
         assert clock is not None
-        self._regular = True
-        self._step = max(round(clock.interval), 1)
         first = max(len(history) - len(counts), 0)
         counts = counts[len(counts) - (len(history) - first) :]
         if self._counter is not None:
-            # Counts by the motion are better than those by the stamps alone.
-            own = history['count'][first:]
-            offsets, frequencies = np.unique(counts - own, return_counts=True)
-            offset = int(offsets[frequencies.argmax()]) if len(own) else 0
-            if np.mean(np.abs(counts - own - offset) <= 1) > _SAME_RATE_SHARE:
-                counts = own + offset
-                self._counter.move(offset)
-                self._counter.follow(clock)
-            else:
-                self._counter = None
+            counts = self._keep_counts(history['count'][first:], counts)
         if self._counter is None:
-            self._counter = FrameCounter(clock, int(counts[0]) if len(counts) else -1)
-            if len(counts):
-                markers = history['markers'][first + 1 :].view(float)
-                stamps = history['stamp'][first + 1 :]
-                counted, _ = count_frames(self._counter, stamps, markers)
-                counts = np.concatenate((counts[:1], counted, self._counter.take_pending()))
-            waiting = [count_frames(self._counter, p.stamps, p.points)[0] for p in self._uncounted]
-            self._next_counts = np.concatenate([self._next_counts[:0], *waiting])
+            counts = self._start_counter(history, first, counts)
+        assert self._counter is not None
         count = self._counter.count
         self._anchor = clock.origin + round(clock.phase + count * clock.interval), count
         self._counter.learn_losses(counts)
@@ -239,139 +383,33 @@ class Timeline:
             before = np.minimum(before, latest)
         history['time'][:first] = before
 
-    def _to_stamps(self) -> None:
-        """Put frames at their stamps."""
-        self._regular, self._counter = False, None
-        self.history['time'][...] = _increasing(self.history['stamp'])
+    def _keep_counts(self, own: np.ndarray, counts: np.ndarray) -> np.ndarray:
+        """Return the counts (n,) by the motion, `own`, on the new clock, if its rate is the same."""
+        assert self._counter is not None and self.clock is not None
+        # Counts by the motion are better than those by the stamps alone.
+        offsets, frequencies = np.unique(counts - own, return_counts=True)
+        offset = int(offsets[frequencies.argmax()]) if len(own) else 0
+        if np.mean(np.abs(counts - own - offset) <= 1) > _SAME_RATE_SHARE:
+            self._counter.move(offset)
+            self._counter.follow(self.clock)
+            return own + offset
+        self._counter = None
+        return counts
+
+    def _start_counter(self, history: History, first: int, counts: np.ndarray) -> np.ndarray:
+        """Count the frames of the history from `first` on, and those that wait, by the motion."""
+        assert self.clock is not None
+        self._counter = FrameCounter(self.clock, int(counts[0]) if len(counts) else -1)
+        if len(counts):
+            markers = history['markers'][first + 1 :].view(float)
+            counted, _ = self._counter.count_frames(history['stamp'][first + 1 :], markers)
+            counts = np.concatenate((counts[:1], counted, self._counter.take_pending()))
+        waiting = [self._counter.count_frames(p.stamps, p.points)[0] for p in self._waiting]
+        self._waiting_counts = np.concatenate([_NO_COUNTS, *waiting])
+        return counts
 
 
 def _increasing(stamps: np.ndarray) -> np.ndarray:
     """Times (T,) that increase, from stamps that may not."""
     least = _MIN_STEP * np.arange(len(stamps))
     return np.asarray(np.maximum.accumulate(stamps - least) + least)
-
-
-def count_frames(
-    counter: FrameCounter, stamps: np.ndarray, points: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Count frames.
-
-    Parameters
-    ----------
-    counter : FrameCounter
-        Counts frames one after the other.
-    stamps : (T,) int64
-        Stamps, ns.
-    points : (T, ...) float
-        Markers, NaN for those not seen.
-
-    Returns
-    -------
-    (R,) int64, (R,) int
-        Counts that are certain, and the index of the frame with which each became certain.
-
-    """
-    counts, certain_with = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-    first = 0
-    while first < len(stamps):
-        number = counter.count_unambiguous(stamps[first:])
-        if number:
-            counts.append(counter.append_unambiguous(points[first : first + number]))
-            certain_with.append(np.arange(first, first + number))
-            first += number
-        if first < len(stamps):
-            counts.append(counter.append(int(stamps[first]), points[first]))
-            certain_with.append(np.full(len(counts[-1]), first))
-            first += 1
-    return np.concatenate(counts), np.concatenate(certain_with)
-
-
-class Arrivals:
-    """
-    Decides by the stamps which frames follow those before.
-
-    A frame that comes late is left out, and so is one that comes twice. A clock that steps back, or
-    a gap longer than the window, restarts everything. Frames that are left out are added to
-    `counts`.
-    """
-
-    def __init__(self, window: int, counts: Counter[str]) -> None:
-        self._window = window
-        self._counts = counts
-        # Stamp and points of the last frame, used or not, and the latest stamp.
-        self._last = self._newest = 0
-        self._last_points: np.ndarray | None = None
-
-    def append_steady(self, stamps: np.ndarray, points: np.ndarray) -> bool:
-        """Use the next frames if each is later than those before, by a window at most."""
-        count = len(stamps)
-        if self._last_points is None:
-            self._last = self._newest = int(stamps[0]) - 1
-        if not 0 < int(stamps[0]) - self._newest <= self._window:
-            return False
-        if count > 1:
-            steps = stamps[1:] - stamps[:-1]
-            if np.minimum.reduce(steps) <= 0 or np.maximum.reduce(steps) > self._window:
-                return False
-        self._last = self._newest = int(stamps[-1])
-        self._last_points = points[count - 1].copy()
-        return True
-
-    def accept(
-        self, stamps: np.ndarray, points: np.ndarray, may_be_late: bool, max_lateness: int
-    ) -> tuple[np.ndarray, int, np.ndarray]:
-        """
-        Decide which of the next frames are used, where these are not steady.
-
-        Parameters
-        ----------
-        stamps, points
-            As for `Timeline.accept`.
-        may_be_late : bool
-            Whether frames may come late. Otherwise each has to be later than all before.
-        max_lateness : int
-            The most that they may be late, ns.
-
-        Returns
-        -------
-        is_used : (n,) bool
-            Which of the first n frames are used.
-        n : int
-            The frame that restarts everything, or their number.
-        is_new : (n,) bool
-            Which of the n frames are not repeated.
-
-        """
-        end = len(stamps)
-        # The latest stamp before each frame.
-        latest = np.maximum.accumulate(np.concatenate(((self._newest,), stamps[:-1])))
-        before = np.concatenate(((self._last,), stamps[:-1]))
-        ahead = stamps - latest
-        too_late = ahead <= -max_lateness
-        # A frame that is too late is just late. Two in a row, the second newer than the first,
-        # come from a clock that was set back.
-        restarts = too_late & (before < latest) & (before < stamps)
-        restarts |= np.abs(ahead) > self._window
-        end = int(restarts.argmax()) if restarts.any() else end
-        ahead, too_late = ahead[:end], too_late[:end]
-        repeated = self._repeated((stamps == before)[:end], points)
-        if may_be_late:
-            late, twice, is_used = too_late, repeated, ~(too_late | repeated)
-        else:
-            late, twice, is_used = ahead < 0, ahead == 0, ahead > 0
-        self._counts['late'] += int(late.sum())
-        self._counts['repeated'] += int(twice.sum())
-        is_new = ~repeated
-        if end:
-            self._newest = max(self._newest, int(np.maximum.reduce(stamps[:end])))
-            self._last, self._last_points = int(stamps[end - 1]), points[end - 1].copy()
-        return is_used, end, is_new
-
-    def _repeated(self, same_stamp: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Which frames (T,) are equal to the one before, of those with the same stamp."""
-        repeated = np.zeros(len(same_stamp), bool)
-        for k in same_stamp.nonzero()[0].tolist():
-            before = points[k - 1] if k else self._last_points
-            repeated[k] = before is not None and np.array_equal(points[k], before, equal_nan=True)
-        return repeated

@@ -28,7 +28,6 @@ from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.posed import learn_poses
 from kinpole_ros.tracking.results import Results, add_deformation, estimate_of
 from kinpole_ros.tracking.space import Space, SpaceReport
-from kinpole_ros.tracking.stamps import StampState
 from kinpole_ros.tracking.step import (
     DEFORMED,
     FULL,
@@ -39,7 +38,7 @@ from kinpole_ros.tracking.step import (
     Step,
 )
 from kinpole_ros.tracking.thresholds import MEMORY_FRAMES, N_SIGMA, NEGLIGIBLE, ROUNDED
-from kinpole_ros.tracking.timeline import Timeline
+from kinpole_ros.tracking.timeline import StampState, TimedFrames, Timeline
 
 # The history has at least this many frames, and this many windows.
 MIN_HISTORY_FRAMES, MIN_HISTORY_WINDOWS = 1024, 4
@@ -59,7 +58,7 @@ class Tracker:
         self.settings = settings
         self.bodies = tuple(settings.bodies)
         self._counts: Counter[str] = Counter()
-        self._window = round(settings.window * 1e9)
+        self._window = settings.window_ns
         self._frame_id = ''
         # Whether the input are poses of bodies instead of markers.
         self._posed = False
@@ -86,7 +85,7 @@ class Tracker:
         )
         self._run_number = next(_run_numbers)
         self._start_bodies()
-        self._timeline = Timeline(self.settings, self._counts, self._history, before)
+        self._timeline = Timeline(self.settings, self._counts, before)
         self._event_search = EventSearch(self._window, count)
         self._events: list[BodyEvent] = []
 
@@ -246,7 +245,8 @@ class Tracker:
             self._counts['frames'] += len(stamps)
             first = 0
             while first < len(stamps):
-                self._update_clock_if_due()
+                if self._timeline.until_update <= 0:
+                    self._update_clock()
                 remaining = slice(first, None)
                 used, end, restarts = self._timeline.accept(
                     stamps[remaining], frames.points[remaining]
@@ -254,8 +254,8 @@ class Tracker:
                 if len(used):
                     used += first
                     taken = frames if len(used) == len(stamps) else part_of(frames, used)
-                    for part, numbers in self._timeline.count(taken, number + used):
-                        estimates += self._take_timed(part, numbers, order)
+                    for part in self._timeline.time_frames(taken, number + used, self._history):
+                        estimates += self._take_timed(part, order)
                 first += end
                 if restarts:
                     estimates += self._flush_results()
@@ -264,16 +264,14 @@ class Tracker:
             self._counts['markers_unknown'] = self._assignment.unknown
         return estimates + self._flush_results()
 
-    def _take_timed(
-        self, frames: MarkerFrames, numbers: np.ndarray, order: int | None
-    ) -> list[Estimate]:
+    def _take_timed(self, timed: TimedFrames, order: int | None) -> list[Estimate]:
         """Take frames whose times are known; return the results before a restart."""
+        frames, *times, numbers = timed
         estimates: list[Estimate] = []
         width = self._calibration.width
         in_space = self._assign(frames)
         if self._calibration.width > width:
             estimates += self._flush_results()
-        times = self._timeline.enter(frames.stamps)
         self._pass_frames(frames, times)
         results = self._reserve_results(len(frames.stamps), order)
         first, count = 0, len(frames.stamps)
@@ -356,13 +354,13 @@ class Tracker:
     def learn_if_due(self) -> None:
         """Learn from the history now if an update is due; otherwise the next `add` does."""
         self._names_changed = self._update_if_due()
-        self._update_clock_if_due()
+        if self._timeline.until_update <= 0:
+            self._update_clock()
 
-    def _update_clock_if_due(self) -> None:
-        if self._timeline.clock_update_is_due:
-            # The clock depends on the noise, which is to be the same live and in replay.
-            self._names_changed = self._update_if_due()
-            self._timeline.update_clock(self.samples, self.noise())
+    def _update_clock(self) -> None:
+        # The clock depends on the noise, which is to be the same live and in replay.
+        self._names_changed = self._update_if_due()
+        self._timeline.update_clock(self._history, self.samples, self.noise())
 
     def _update_if_due(self) -> bool:
         """Learn if an update is due; return whether names stand for other markers since."""
@@ -506,7 +504,6 @@ class Tracker:
         self._assignment.plane = self._space.plane
         assert self._assignment.plane is not None
         self._start_bodies()
-        self._timeline.history = self._history
         for frame, times in early:
             self._update_if_due()
             in_space = self._assign(frame)

@@ -19,11 +19,13 @@ MAX_HYPOTHESES, MAX_COST_DIFFERENCE = 32, 20.0
 MAX_ERROR_PROBABILITY = 1 / 100
 # Frames that are ahead of the clock by more ticks have another rate.
 MAX_AHEAD_TICKS = 1
+# Lost frames in a row that are charged at most: a driver that hangs loses several at once.
+MOST_CHARGED_LOSSES = 2
 # Highest degree of the polynomials that are fitted to the motion.
 MAX_DEGREE = 6
 
 
-class Counter:
+class FrameCounter:
     """
     Counts frames as they come, by a clock and by the motion.
 
@@ -33,13 +35,14 @@ class Counter:
     """
 
     def __init__(self, clock: Clock, count: int) -> None:
-        self.count, self.noise = count, np.nan
+        self.clock, self.count, self.noise = clock, count, np.nan
         self._loss_nats = LOSS_NATS
+        # The correction of the counts, ticks, while the phase of the clock is wrong.
+        self._ticks_ahead = 0
         # Coordinates of the markers in the pending frames and in some before them.
         self._values: deque[Real] = deque(maxlen=UNSETTLED + MAX_PENDING + 1)
         self._earlier_counts = np.zeros(0, np.int64)
         self._clear_pending()
-        self.follow(clock)
 
     def _clear_pending(self) -> None:
         """Start with no pending frame."""
@@ -47,8 +50,7 @@ class Counter:
 
     def follow(self, clock: Clock) -> None:
         """Use a new estimate of the clock, with the same counts."""
-        self.clock, self._shift = clock, 0
-        self._late_nats = clock.interval / max(clock.lateness, 1.0)
+        self.clock, self._ticks_ahead = clock, 0
 
     @property
     def pending(self) -> int:
@@ -58,13 +60,44 @@ class Counter:
     @property
     def keeps_pace(self) -> bool:
         """Whether frames come no faster than the clock ticks."""
-        return self._shift <= MAX_AHEAD_TICKS
+        return self._ticks_ahead <= MAX_AHEAD_TICKS
+
+    def count_frames(self, stamps: np.ndarray, points: Real) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Count the next frames.
+
+        Parameters
+        ----------
+        stamps : (T,) int64
+            Stamps, ns.
+        points : (T, ...) float
+            Markers, NaN for those not seen.
+
+        Returns
+        -------
+        (R,) int64, (R,) int
+            Counts that are certain, and the index of the frame with which each became certain.
+
+        """
+        counts, certain_with = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+        first = 0
+        while first < len(stamps):
+            number = self.count_unambiguous(stamps[first:])
+            if number:
+                counts.append(self.append_unambiguous(points[first : first + number]))
+                certain_with.append(np.arange(first, first + number))
+                first += number
+            if first < len(stamps):
+                counts.append(self.append(int(stamps[first]), points[first]))
+                certain_with.append(np.full(len(counts[-1]), first))
+                first += 1
+        return np.concatenate(counts), np.concatenate(certain_with)
 
     def count_unambiguous(self, stamps: np.ndarray) -> int:
         """Return how many of the next frames (T,) have only one possible count."""
         if self.pending:
             return 0
-        ticks = self.clock.ticks(stamps) + self._shift
+        ticks = self.clock.ticks(stamps) + self._ticks_ahead
         expected = self.count + np.arange(1, len(stamps) + 1)
         doubtful = (np.floor(ticks) > expected) | (np.floor(ticks + TOLERANCE) < expected)
         return int(doubtful.argmax()) if np.count_nonzero(doubtful) else len(stamps)
@@ -97,11 +130,11 @@ class Counter:
         """
         self._values.append(points.ravel())
         number = self.pending + 1
-        tick = float(self.clock.ticks(np.array(stamp))) + self._shift
+        tick = float(self.clock.ticks(np.array(stamp))) + self._ticks_ahead
         most = math.floor(tick) - self.count - number
         if most < 0:
             # A frame before its tick: the phase of the clock was not known well.
-            self._shift += max(self.count + number - math.floor(tick + TOLERANCE), 0)
+            self._ticks_ahead += max(self.count + number - math.floor(tick + TOLERANCE), 0)
             most = 0
         if not most:
             # No frame was lost before the pending ones either.
@@ -143,9 +176,10 @@ class Counter:
         lost = np.unique(np.concatenate((before, np.arange(least, most + 1))))
         parent, which = ((lost >= before[:, None]) & (lost <= most)).nonzero()
         lost_now = lost[which] - before[parent]
-        self._costs = self._costs[parent] + self._loss_nats * np.minimum(lost_now, 2)
-        # One frame costs no more: a driver hangs about as often as frames are lost.
-        self._costs += np.minimum((most - lost[which]) * self._late_nats, LOSS_NATS)
+        self._costs = self._costs[parent] + self._loss_nats * np.minimum(lost_now, MOST_CHARGED_LOSSES)
+        # Cap lateness at one lost frame: both are equally likely.
+        late_nats = self.clock.interval / max(self.clock.lateness, 1.0)
+        self._costs += np.minimum((most - lost[which]) * late_nats, LOSS_NATS)
         self._losses = np.column_stack((self._losses[parent], lost[which]))
 
     def _accept(self, accepted: int, losses: np.ndarray, costs: Real) -> np.ndarray:
