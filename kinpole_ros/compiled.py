@@ -42,3 +42,29 @@ def pass_array(array: np.ndarray | None, dtype: Any = float) -> Any:
         return None
     array = np.ascontiguousarray(array, dtype)
     return _Bytes.from_buffer(array if array.flags.writeable else array.copy())
+
+
+def _listed(symbol: str) -> list[tuple[str, str]]:
+    """Return the names and values of a list that C exports as text, `name=value;` for each."""
+    text = ctypes.c_char_p.in_dll(library, symbol).value
+    assert text is not None
+    pairs = (entry.split('=') for entry in text.decode().split(';') if entry)
+    return [(name, value) for name, value in pairs]
+
+
+def codes_of(symbol: str) -> dict[str, int]:
+    """Return the numbers of an enum of C by their names."""
+    return {name: int(value) for name, value in _listed(symbol)}
+
+
+def names_of(symbol: str) -> tuple[str, ...]:
+    """Return the names of some fields of a struct of C."""
+    return tuple(name for name, _ in _listed(symbol))
+
+
+def structure_of(symbol: str) -> type[ctypes.Structure]:
+    """Return a struct of C, whose pointers take addresses."""
+    kinds = {'long long': ctypes.c_longlong, 'double': ctypes.c_double}
+    fields = [(name, kinds.get(kind, ctypes.c_void_p)) for name, kind in _listed(symbol)]
+    assert all('*' in kind or kind in kinds for _, kind in _listed(symbol))
+    return type(symbol, (ctypes.Structure,), {'_fields_': fields})

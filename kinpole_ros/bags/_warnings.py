@@ -17,7 +17,7 @@ from kinpole_ros.messages import (
     wrong_pose_fault,
 )
 from kinpole_ros.tracking.parameters import DEPRECATED, Settings, deprecation_warnings
-from kinpole_ros.tracking.results import OFF_PATH
+from kinpole_ros.tracking.rejection import OFF_PATH
 
 # By the reasons that the tracker gives.
 _FIXES = {

@@ -10,7 +10,7 @@
 #include <string.h>
 
 #include "../derivatives/_call.h"
-#include "_frames.h"
+#include "_rejection.h"
 
 #pragma GCC optimize("O3", "cx-limited-range")
 
@@ -26,8 +26,6 @@ typedef struct {
 
 /* Why the loop ends, besides the return values of `kinpole_derive`. */
 enum { UNUSUAL = 2, SEEN_AGAIN, DEFORMED, FULL };
-/* Why a body has no result; larger numbers go first: see results.py. */
-enum { KNOWN, NOT_FULL, TOO_NOISY, NOISE_UNKNOWN, NOT_SEEN, OFF_PATH };
 
 /* The arrays of one call of `kinpole_derive`. `heading` is the angle of the body, and `angle` that by
    which its hub moves: the heading plus what a tilted body turns beyond it. */
@@ -39,8 +37,6 @@ typedef struct {
 
 /* A result is due this share of an interval before its frame is as old as the lag. */
 static const double EARLY = 0.75, TURN = 6.283185307179586;
-/* Poses off a pin in a window that are outliers at most. */
-enum { MAX_OFF_PIN = 2 };
 
 static Number
 unit_at(double angle)
@@ -149,6 +145,7 @@ take_frame(Frames *f)
         f->height[row * f->bodies + b] = seen ? sum / seen : NAN;
         f->extra_turn[row * f->bodies + b] = 0.0;
     }
+    kinpole_unwrap(f);
     kinpole_follow_paths(f);
     if (f->tilts)
         follow_tilts(f, f->tilts + k * f->bodies);
@@ -162,27 +159,6 @@ take_frame(Frames *f)
     }
     f->frame++, f->until_update--;
     return again ? SEEN_AGAIN : DONE;
-}
-
-/* Whether a body was on its pin in all frames of the window but two at most. */
-static int
-holds_on_pin(const Frames *f, long long oldest, long long b)
-{
-    if (!(isfinite(creal(f->pin[b])) && f->pin_since[b] <= f->time[oldest]))
-        return 0;
-    int off = 0;
-    for (long long row = oldest; row < f->end; row++) {
-        const double *information = f->information + 2 * row * f->bodies + b;
-        if (!(information[0] > 0.0 && information[f->bodies] > 0.0))
-            continue;
-        long long at = row * f->bodies + b;
-        double turned = f->error[b] / (information[0] * f->scale[b]);
-        double placed = f->error[b] / (information[f->bodies] * f->scale[f->bodies + b]);
-        double square =
-            square_of(f->position[at] + unit_at(f->angle[at]) * f->pin_arm[b] - f->pin[b]);
-        off += square > f->n_sigma * f->n_sigma * (placed + square_of(f->pin_arm[b]) * turned);
-    }
-    return off <= MAX_OFF_PIN;
 }
 
 /* Computes the poses of the hubs in the window from `oldest` on; whether any body tilts. */
@@ -256,7 +232,7 @@ compute_result(const Frames *f, Call *call, Results *r, Workspace *work, long lo
     long long bodies = f->bodies, newest = f->end - 1, t = r->count, deformed = 0;
     for (long long b = 0; b < bodies; b++) {
         long long to = t * bodies + b;
-        int pinned = holds_on_pin(f, oldest, b);
+        int pinned = kinpole_holds_on_pin(f, oldest, b);
         r->pin[to] = pinned ? f->pin[b] : NAN + I * NAN;
         r->pin_variance[to] = pinned ? f->pin_variance[b] : NAN;
         work->hub[b] = pinned ? 0.0 : f->hub[b];
@@ -294,11 +270,10 @@ compute_result(const Frames *f, Call *call, Results *r, Workspace *work, long lo
     for (long long b = 0; b < bodies; b++) {
         long long at = now * bodies + b, to = t * bodies + b, orders = call->orders;
         const double *information = f->information + 2 * now * bodies + b;
-        int seen = information[0] > 0.0 && information[bodies] > 0.0 && now <= newest - f->newest[b];
+        int missing = kinpole_reason(f, now, b), seen = missing < NOT_SEEN;
         const double *rate = work->derivatives + (2 * orders + 1) * bodies + b;
         const double *velocity = work->derivatives + 2 * (bodies + b);
         int found = isfinite(*rate) && isfinite(velocity[0]) && isfinite(velocity[1]);
-        int missing = seen ? f->reason[b] : isnan(f->angle[at]) ? NOT_SEEN : OFF_PATH;
         r->missing[to] = missing ? missing : found ? KNOWN : NOT_FULL;
         r->size[to] = f->size[b], r->height[to] = f->height[at];
         r->reference[to] = work->hub[b];
@@ -378,3 +353,11 @@ kinpole_follow(Frames *f, Call *call, Results *r)
             return code;
     }
 }
+
+const char *const kinpole_frames_fields = FRAMES_COUNTS(AS_FIELD_TEXT) FRAMES_WINDOW(AS_FIELD_TEXT)
+    FRAMES_LIMITS(AS_FIELD_TEXT) FRAMES_HISTORY(AS_FIELD_TEXT) FRAMES_LEARNED(AS_FIELD_TEXT)
+        FRAMES_STATE(AS_FIELD_TEXT) FRAMES_NEW(AS_FIELD_TEXT) FRAMES_CORRECTED(AS_FIELD_TEXT);
+const char *const kinpole_frames_columns = FRAMES_HISTORY(AS_FIELD_TEXT);
+const char *const kinpole_frames_learned = FRAMES_LEARNED(AS_FIELD_TEXT);
+const char *const kinpole_frames_state = FRAMES_STATE(AS_FIELD_TEXT);
+const char *const kinpole_frames_new = FRAMES_NEW(AS_FIELD_TEXT);

@@ -6,14 +6,9 @@ import numpy as np
 
 from kinpole_ros.planar import Fit, fit_pose_with_factors, procrustes_factors
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
-from kinpole_ros.tracking.thresholds import MIN_SAMPLES, ROUNDED
+from kinpole_ros.tracking.rejection import marker_limits
+from kinpole_ros.tracking.thresholds import MIN_SAMPLES
 
-# A marker farther off than this is an outlier, in standard deviations of residuals.
-OUTLIER_SIGMAS = 6.0
-# The same as a share of the body size, while the residuals are not known.
-YOUNG_OUTLIER = 0.03
-# rad. Errors of an angle with more noise are not small, and its whole turns are not known.
-MAX_ANGLE_NOISE = 0.15
 # The place of a marker is kept after so many frames.
 SETTLED_FRAMES = 1000
 
@@ -119,14 +114,10 @@ class Bodies:
         self.factors = procrustes_factors(self.shape, self.weights)
         self.middle = self.factors.mean
         self.mature = self.fits >= MIN_SAMPLES
-        usual = OUTLIER_SIGMAS * np.sqrt(np.maximum(self.misfit, ROUNDED**2 * self.spread))
-        young = np.maximum(YOUNG_OUTLIER * self.size, 2 * usual)
-        self.limit = np.where(self.mature, usual, young)
-        self.largest = np.where(self.mature, usual**2, np.inf)[:, None] * self.relative
-        # A marker on soft tissue that moves by less keeps its name.
-        doubtful = np.maximum(self.limit, YOUNG_OUTLIER * self.size)
-        self.doubtful = (doubtful**2)[:, None] * self.relative
-        self.loosest = self.error / MAX_ANGLE_NOISE**2
+        relative, error = self.relative, self.error
+        self.limit, self.largest, self.doubtful, self.loosest = marker_limits(
+            self.mature, self.misfit, error, self.spread, self.size, relative
+        )
 
     @property
     def error(self) -> Real:

@@ -16,6 +16,7 @@ from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.identity import find_candidates, fit_points
+from kinpole_ros.tracking.rejection import MAX_SQUARE_RATIO, SPOILING_LIMITS
 from kinpole_ros.tracking.statistics import bulk_maximum, mean_square
 from kinpole_ros.tracking.thresholds import MIN_SAMPLES, RECENT_FRAMES
 
@@ -27,14 +28,9 @@ DROPPED = 'markers_of_misfits'
 # rad. An exchange of markers that turns the body farther from its prediction comes last: any two
 # markers of an equilateral triangle may be exchanged, and it fits.
 _NEAR_ANGLE = 0.25 * np.pi
-# An outlier of so many limits spoils a learned shape for longer than a new start takes.
-_SPOILING_LIMITS = 3.0
 # Markers may be exchanged if a body is this far, rad, from its predicted angle, while it turns by
 # less than the second angle, rad per frame.
 _REVERSED, _SLOW_STEP = 0.75 * np.pi, 0.25 * np.pi
-# Mean square residual of a corrected body over that of the body; 0.1% of chi-squares of three
-# degrees exceed it.
-_MAX_SQUARE_RATIO = 5.4
 _NOWHERE = complex(np.nan, np.nan)
 
 
@@ -108,7 +104,7 @@ def _correct_body(
         markers[b], order = correction.points, order[correction.order]
         fit = fit_pose(markers[b], shape, np.where(np.isnan(markers[b]), 0, weights))
         square = mean_square(fit.residual / noise_ratio, fit.freedom)[0]
-        if square > _MAX_SQUARE_RATIO * bodies.misfit[b]:
+        if square > MAX_SQUARE_RATIO * bodies.misfit[b]:
             # Where one marker is wrong another may be, by less than makes it an outlier.
             markers[b] = np.nan
         counts.update({kind: n for kind, n in correction.counts.items() if kind != EXCHANGED})
@@ -312,7 +308,7 @@ def consensus_shape(
     limit = max(sigmas * np.sqrt(squares[best]), least * size)
     residual = np.abs(fits.residual[best])
     worst = np.where(np.isnan(residual), 0.0, residual).max(axis=-1)
-    if worst.max() <= _SPOILING_LIMITS * limit:
+    if worst.max() <= SPOILING_LIMITS * limit:
         return None
     points, counts = points.copy(), Counter[str]()
     angles = np.where(worst > limit, np.nan, fits.angle[best])

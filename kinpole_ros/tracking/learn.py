@@ -6,7 +6,7 @@ import numpy as np
 
 from kinpole_ros.planar import procrustes_factors
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
-from kinpole_ros.tracking.bodies import OUTLIER_SIGMAS, SETTLED_FRAMES, Bodies
+from kinpole_ros.tracking.bodies import SETTLED_FRAMES, Bodies
 from kinpole_ros.tracking.corrections import consensus_shape
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.noise import (
@@ -16,6 +16,7 @@ from kinpole_ros.tracking.noise import (
     marker_variances,
     white_noise,
 )
+from kinpole_ros.tracking.rejection import MOVED_FRAMES, OUTLIER_SIGMAS, is_unsteady
 from kinpole_ros.tracking.statistics import (
     bulk_maximum,
     divided_differences,
@@ -28,8 +29,6 @@ from kinpole_ros.tracking.thresholds import MEMORY_FRAMES, MIN_DOF, MIN_SAMPLES,
 MISFIT_FRAMES = 200
 # `bulk_maximum` is a 70% quantile, which is 1.08 to 1.22 times the mean of a chi-square.
 MISFIT_RATIO = 1.15
-# A marker has moved if it was seen in half of so many frames and fitted in none.
-MOVED_FRAMES = 100
 # A settled place moves if the mean residual exceeds this share of the root of the misfit.
 MAX_MEAN_RESIDUAL = 0.25
 # Variances of single markers are estimated if the largest mean square exceeds the median so often.
@@ -43,8 +42,8 @@ def refit(bodies: Bodies, history: History) -> None:
     before = history['angle'].copy()
     left_out = (history['information'] == 0).all(axis=1) & np.isfinite(before)
     fit = bodies.fit(np.where(history['used'], history['markers'], np.nan))
-    is_unsteady = (bodies.spread > bodies.loosest) & (fit.spread < bodies.loosest)
-    has_pose = np.isfinite(fit.angle) & ~is_unsteady
+    unsteady = is_unsteady(bodies.spread, fit.spread, bodies.loosest)
+    has_pose = np.isfinite(fit.angle) & ~unsteady
     with np.errstate(invalid='ignore'):
         turns = np.nan_to_num(np.rint((before - fit.angle) / (2 * np.pi)))
     # Near half a turn the new angle may have the other sign; the whole turns stay the same.

@@ -16,33 +16,7 @@ from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.quantities import ARRAYS, Motion
-
-# Why a body has no result, by the numbers of _follow.c, of markers and of poses.
-_COMMON = '', 'window not full'
-OFF_PATH = 'its pose is far off its path, and may be wrong'
-_OF_MARKERS = np.array(
-    [
-        *_COMMON,
-        'markers too close for their noise',
-        'noise not known yet',
-        'too few markers seen, or all at one place',
-        OFF_PATH,
-    ],
-    object,
-)
-_OF_POSES = np.array(
-    [
-        *_COMMON,
-        'the noise of its angle is too large',
-        'noise not known yet',
-        'no pose of it came',
-        OFF_PATH,
-    ],
-    object,
-)
-# The numbers of two of them.
-TOO_NOISY, NOISE_UNKNOWN = 2, 3
-
+from kinpole_ros.tracking.rejection import REASONS_OF_MARKERS, REASONS_OF_POSES
 
 class _Part(NamedTuple):
     """Where an array is in the buffer of results."""
@@ -200,7 +174,7 @@ def estimate_of(
             return stored('freedom') - 1
         if name != 'missing':
             return stored(name)
-        reasons = (_OF_POSES if posed else _OF_MARKERS)[stored('reason')]
+        reasons = (REASONS_OF_POSES if posed else REASONS_OF_MARKERS)[stored('reason')]
         if plane is None:
             reasons[...] = 'plane not known yet'
         return reasons

@@ -1,62 +1,27 @@
 """Usual frames, taken by compiled code on the arrays of the history and the bodies."""
 
-from ctypes import POINTER, Structure, byref, c_double, c_longlong, c_void_p
-from typing import Any, ClassVar
+from ctypes import POINTER, byref, c_void_p
 
 import numpy as np
 
-from kinpole_ros.compiled import address_of, library
+from kinpole_ros.compiled import address_of, library, names_of, structure_of
 from kinpole_ros.derivatives import Call, go_on, new_call, pass_tables
-from kinpole_ros.tracking.bodies import MAX_ANGLE_NOISE, Bodies
+from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.parameters import Settings
-from kinpole_ros.tracking.results import NOISE_UNKNOWN, TOO_NOISY, Results
+from kinpole_ros.tracking.rejection import FAR, GAP, NEAR, NEWEST_FACTOR, reasons_of
+from kinpole_ros.tracking.results import Results
 from kinpole_ros.tracking.thresholds import N_SIGMA
 
-# A pose is wrong if it is off the cubic through its neighbors by so many standard deviations. The
-# newest has no later neighbors: it is wrong if it is off every polynomial through those before, by
-# the second factor times as many.
-FAR, NEWEST_FACTOR = 7.0, 3.0
-# A pose within this share of the body size, or this angle, rad, of the curve is never wrong.
-NEAR = 0.01
-# A frame later than so many intervals follows a gap.
-GAP = 2.5
-# What is unusual of a body in a frame: see _frames.h.
-ODD, NAME_DOUBTFUL = 1, 2
 # Why the compiled loop ends: see _follow.c.
 DONE, TABLE_LACKING, UNUSUAL, SEEN_AGAIN, DEFORMED, FULL = 0, 1, 2, 3, 4, 5
 
-_SCALARS = (
-    *('bodies', 'width', 'first', 'end', 'due', 'frame', 'frames', 'until_update'),
-    *('hidden_is_unusual', 'window', 'samples', 'posed'),
+# `Frames` of _frames.h, and its fields by their owners.
+_Frames = structure_of('kinpole_frames_fields')
+_COLUMNS, _LEARNED, _STATES, _NEW_FRAMES = (
+    names_of(f'kinpole_frames_{part}') for part in ('columns', 'learned', 'state', 'new')
 )
-_REALS = 'lag', 'interval', 'far', 'newest_factor', 'near', 'gap', 'n_sigma'
-_COLUMNS = (
-    *('stamp', 'time', 'count', 'goes_on', 'used', 'angle', 'turns', 'information'),
-    *('height', 'heights', 'extra_turn', 'position', 'residual', 'markers'),
-)
-_LEARNED = (
-    *('shape', 'hub', 'middle', 'pin', 'pin_arm', 'known_shape', 'weights', 'largest', 'doubtful'),
-    *('spread', 'loosest', 'last_angle', 'jump_scale', 'size', 'error', 'scale', 'noise'),
-    *('freedom', 'pin_variance', 'tilt_turn', 'pin_since', 'reason'),
-)
-_STATES = (
-    *('unusual', 'wrong', 'newest', 'seen_last'),
-    *('total_turn', 'sure_angle', 'sure_tilt'),
-)
-_NEW_FRAMES = 'new_stamp', 'new_time', 'new_count', 'points', 'point_heights', 'tilts'
-
-
-class _Frames(Structure):
-    """`Frames` of _frames.h."""
-
-    _fields_: ClassVar[Any] = [
-        *((name, c_longlong) for name in _SCALARS),
-        *((name, c_double) for name in _REALS),
-        *((name, c_void_p) for name in (*_COLUMNS, *_LEARNED, *_STATES, *_NEW_FRAMES, 'corrected')),
-    ]
-
 
 _try_frame = library.kinpole_try_frame
 _try_frame.argtypes = [POINTER(_Frames), c_void_p]
@@ -70,7 +35,7 @@ class Step:
 
     Attributes
     ----------
-    fields : Structure
+    fields : _Frames
         `Frames` of _frames.h.
     unusual : (B,) uint8
         What is unusual of each body in the last frame.
@@ -118,12 +83,11 @@ class Step:
         """Use these arrays, after an update of the bodies or growth of the history."""
         fields, self._history = self.fields, history
         fields.bodies, fields.width = bodies.shape.shape
-        hub, observable = bodies.hub, bodies.noise**2 < MAX_ANGLE_NOISE**2 * bodies.spread
+        hub = bodies.hub
         if self._posed:
             # The derivatives assume independent errors of position and angle: so at the middle.
             hub = np.where(hub == 0, bodies.middle, hub)
-            observable = bodies.angle_noise < MAX_ANGLE_NOISE
-        measured = np.isfinite(bodies.noise)
+        angle_noise = bodies.angle_noise if self._posed else None
         learned = {
             'hub': hub,
             'pin': self._pins.center,
@@ -133,9 +97,8 @@ class Step:
             'known_shape': bodies.markers(),
             'noise': np.where(bodies.noise > 0, bodies.noise, 1.0),
             'tilt_turn': bodies.extra_turn,
-            'reason': np.where(measured, np.where(observable, 0, TOO_NOISY), NOISE_UNKNOWN),
+            'reason': reasons_of(bodies.noise, bodies.spread, angle_noise),
         }
-        learned['reason'] = learned['reason'].astype(np.uint8)
         for name in _LEARNED:
             value = learned[name] if name in learned else getattr(bodies, name)
             array = np.ascontiguousarray(value)

@@ -20,23 +20,16 @@ from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.events import BodyEvent, EventSearch
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.learn import MOVED_FRAMES, freedom_of, learn, path_scale
+from kinpole_ros.tracking.learn import freedom_of, learn, path_scale
 from kinpole_ros.tracking.matcher import Matcher
 from kinpole_ros.tracking.outages import Outage, one_more
 from kinpole_ros.tracking.parameters import Settings, of_poses
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.posed import learn_poses
+from kinpole_ros.tracking.rejection import MOVED_FRAMES, NAME_DOUBTFUL, ODD
 from kinpole_ros.tracking.results import Results, add_deformation, estimate_of
 from kinpole_ros.tracking.space import Space, SpaceReport
-from kinpole_ros.tracking.step import (
-    DEFORMED,
-    FULL,
-    NAME_DOUBTFUL,
-    ODD,
-    SEEN_AGAIN,
-    UNUSUAL,
-    Step,
-)
+from kinpole_ros.tracking.step import DEFORMED, FULL, SEEN_AGAIN, UNUSUAL, Step
 from kinpole_ros.tracking.thresholds import MEMORY_FRAMES, N_SIGMA, NEGLIGIBLE, ROUNDED
 from kinpole_ros.tracking.timeline import StampState, TimedFrames, Timeline
 

@@ -1,18 +1,16 @@
 /*
- * The usual frame: poses fitted to markers, and poses that leave the path of their body found.
- *
- * Everything unusual is reported to tracker.py, which decides and calls again. Arrays are those of
- * History and Bodies; names and shapes are given there. All are row-major.
+ * Which poses are not used, and why: poses off the path of their body, and off its pin.
  */
 
 #include <math.h>
 
-#include "_frames.h"
+#include "_rejection.h"
 
 #pragma GCC optimize("O3", "cx-limited-range")
 
 enum { LONGEST = 3, LOOK_BACK = 4 * LONGEST, NODES = 4 };
-static const double ROUNDING = 4 * 2.220446049250313e-16, TINY = 2.2250738585072014e-308;
+/* Poses off a pin in a window that are outliers at most. */
+enum { MAX_OFF_PIN = 2 };
 static const double TURN = 6.283185307179586;
 
 /* An angle in [-pi, pi]. */
@@ -20,89 +18,6 @@ static double
 wrapped(Number angle)
 {
     return creal(angle) - TURN * rint(creal(angle) / TURN);
-}
-
-/* Fits the pose of body `b` to its markers (n,), and writes the newest row; what is unusual. */
-static int
-fit(const Frames *f, long long b, const Number *points, int goes_on)
-{
-    long long n = f->width, newest = f->end - 1, at = newest * f->bodies + b;
-    const Number *shape = f->shape + b * n;
-    const double *weights = f->weights + b * n;
-    Number *residual = f->residual + at * n, middle = 0.0, mean = 0.0, cross = 0.0;
-    double total = 0.0, spread = 0.0, reach = 0.0, own_reach = 0.0;
-    int found = 0;
-    for (long long k = 0; k < n; k++)
-        if (weights[k] > 0.0 && !isnan(creal(points[k])) && !isnan(cimag(points[k]))) {
-            total += weights[k];
-            middle += weights[k] * points[k];
-            mean += weights[k] * shape[k];
-            f->used[at * n + k] = 1;
-        } else {
-            f->used[at * n + k] = 0;
-            found |= weights[k] > 0.0 || isnan(creal(points[k])) ? 0 : NEW_MARKER;
-        }
-    middle /= total, mean /= total;
-    for (long long k = 0; k < n; k++)
-        if (f->used[at * n + k]) {
-            Number arm = points[k] - middle, own = shape[k] - mean;
-            double square = square_of(own), far = square_of(arm);
-            cross += weights[k] * conj(own) * arm;
-            spread += weights[k] * square;
-            reach = far > reach ? far : reach, own_reach = square > own_reach ? square : own_reach;
-        }
-    double length = cabs(cross);
-    int fits = length > TINY && sqrt(reach) > ROUNDING * cabs(middle) &&
-        sqrt(own_reach) > ROUNDING * cabs(mean);
-    Number turn = fits ? cross / length : NAN;
-    double angle = fits ? atan2(cimag(turn), creal(turn)) : NAN;
-    for (long long k = 0; k < n; k++) {
-        if (!f->used[at * n + k] || !fits) {
-            f->used[at * n + k] = 0, residual[k] = NAN + NAN * I;
-            continue;
-        }
-        residual[k] = (points[k] - middle) * conj(turn) - (shape[k] - mean);
-        double square = square_of(residual[k]);
-        found |= (square > f->largest[b * n + k] ? ODD : 0);
-        found |= (square > f->doubtful[b * n + k] ? NAME_DOUBTFUL : 0);
-    }
-    if (goes_on && newest > f->first && cos(angle - f->angle[at - f->bodies]) < 0.0)
-        found |= ODD;
-    /* Of markers too close together for their noise, while others of the body are hidden. */
-    int known = fits && !(f->spread[b] > f->loosest[b] && spread < f->loosest[b]);
-    f->angle[at] = known ? angle : NAN;
-    f->position[at] = known ? middle - turn * mean : NAN;
-    double *information = f->information + 2 * newest * f->bodies + b;
-    information[0] = !known ? 0.0 : f->posed ? 1.0 : spread;
-    information[f->bodies] = !known ? 0.0 : f->posed ? 1.0 :
-        1.0 / (1.0 / total + square_of(mean) / spread);
-    return found;
-}
-
-/* Counts the whole turns of the newest angles from the last ones that were known. */
-static void
-unwrap(const Frames *f)
-{
-    for (long long b = 0; b < f->bodies; b++) {
-        long long at = (f->end - 1) * f->bodies + b;
-        double turns = f->end - 1 > f->first ? f->turns[at - f->bodies] : 0.0;
-        double angle = f->angle[at], last = f->last_angle[b];
-        if (!isnan(angle)) {
-            turns -= isnan(last) ? 0.0 : rint((angle - last) / TURN);
-            f->last_angle[b] = angle;
-        }
-        f->turns[at] = turns;
-    }
-}
-
-/* Fits a frame of markers (B, n) into the newest row; what is unusual of any body. */
-int
-kinpole_fit_frame(const Frames *f, const Number *markers, int goes_on)
-{
-    int found = 0;
-    for (long long b = 0; b < f->bodies; b++)
-        found |= f->unusual[b] = fit(f, b, markers + b * f->width, goes_on);
-    return found;
 }
 
 /* Weights of values at nodes in the polynomial through them, at a time; the gain of white noise. */
@@ -227,13 +142,12 @@ doubtful_newest(const Path *p, const double *most)
     return 0;
 }
 
-/* Completes the newest row. Poses that it shows to be wrong get no information, and are added to
-   `wrong` (B,); `newest` (B,) gets how many of the newest cannot be told from wrong ones yet. */
+/* Poses that the newest row shows to be wrong get no information, and are added to `wrong` (B,); `newest`
+   (B,) gets how many of the newest cannot be told from wrong ones yet. */
 void
 kinpole_follow_paths(const Frames *f)
 {
     long long *wrong = f->wrong, *newest = f->newest;
-    unwrap(f);
     for (long long b = 0; b < f->bodies; b++) {
         double least[2] = {f->near, f->near * f->size[b]}, most[2], more[2];
         Path path;
@@ -259,3 +173,34 @@ kinpole_follow_paths(const Frames *f)
         newest[b] = doubtful_newest(&path, more);
     }
 }
+
+/* Whether a body was on its pin in all frames of the window but two at most. */
+int
+kinpole_holds_on_pin(const Frames *f, long long oldest, long long b)
+{
+    if (!(isfinite(creal(f->pin[b])) && f->pin_since[b] <= f->time[oldest]))
+        return 0;
+    int off = 0;
+    for (long long row = oldest; row < f->end; row++) {
+        const double *information = f->information + 2 * row * f->bodies + b;
+        if (!(information[0] > 0.0 && information[f->bodies] > 0.0))
+            continue;
+        long long at = row * f->bodies + b;
+        double turned = f->error[b] / (information[0] * f->scale[b]);
+        double placed = f->error[b] / (information[f->bodies] * f->scale[f->bodies + b]);
+        double square =
+            square_of(f->position[at] + (cos(f->angle[at]) + I * sin(f->angle[at])) * f->pin_arm[b] - f->pin[b]);
+        off += square > f->n_sigma * f->n_sigma * (placed + square_of(f->pin_arm[b]) * turned);
+    }
+    return off <= MAX_OFF_PIN;
+}
+
+int
+kinpole_reason(const Frames *f, long long now, long long b)
+{
+    const double *information = f->information + 2 * now * f->bodies + b;
+    int seen = information[0] > 0.0 && information[f->bodies] > 0.0 && now < f->end - f->newest[b];
+    return seen ? f->reason[b] : isnan(f->angle[now * f->bodies + b]) ? NOT_SEEN : OFF_PATH;
+}
+
+const char *const kinpole_unusual_bits = UNUSUAL_BITS(AS_CODE_TEXT), *const kinpole_reasons = REASONS(AS_CODE_TEXT);

@@ -1,0 +1,94 @@
+/*
+ * Poses fitted to the markers of a frame.
+ *
+ * Arrays are those of _frames.h.
+ */
+
+#include <math.h>
+
+#include "_rejection.h"
+
+#pragma GCC optimize("O3", "cx-limited-range")
+
+static const double ROUNDING = 4 * 2.220446049250313e-16, TINY = 2.2250738585072014e-308;
+static const double TURN = 6.283185307179586;
+
+/* Fits the pose of body `b` to its markers (n,), and writes the newest row; what is unusual. */
+static int
+fit(const Frames *f, long long b, const Number *points, int goes_on)
+{
+    long long n = f->width, newest = f->end - 1, at = newest * f->bodies + b;
+    const Number *shape = f->shape + b * n;
+    const double *weights = f->weights + b * n;
+    Number *residual = f->residual + at * n, middle = 0.0, mean = 0.0, cross = 0.0;
+    double total = 0.0, spread = 0.0, reach = 0.0, own_reach = 0.0;
+    int found = 0;
+    for (long long k = 0; k < n; k++)
+        if (weights[k] > 0.0 && !isnan(creal(points[k])) && !isnan(cimag(points[k]))) {
+            total += weights[k];
+            middle += weights[k] * points[k];
+            mean += weights[k] * shape[k];
+            f->used[at * n + k] = 1;
+        } else {
+            f->used[at * n + k] = 0;
+            found |= weights[k] > 0.0 || isnan(creal(points[k])) ? 0 : NEW_MARKER;
+        }
+    middle /= total, mean /= total;
+    for (long long k = 0; k < n; k++)
+        if (f->used[at * n + k]) {
+            Number arm = points[k] - middle, own = shape[k] - mean;
+            double square = square_of(own), far = square_of(arm);
+            cross += weights[k] * conj(own) * arm;
+            spread += weights[k] * square;
+            reach = far > reach ? far : reach, own_reach = square > own_reach ? square : own_reach;
+        }
+    double length = cabs(cross);
+    int fits = length > TINY && sqrt(reach) > ROUNDING * cabs(middle) &&
+        sqrt(own_reach) > ROUNDING * cabs(mean);
+    Number turn = fits ? cross / length : NAN;
+    double angle = fits ? atan2(cimag(turn), creal(turn)) : NAN;
+    for (long long k = 0; k < n; k++) {
+        if (!f->used[at * n + k] || !fits) {
+            f->used[at * n + k] = 0, residual[k] = NAN + NAN * I;
+            continue;
+        }
+        residual[k] = (points[k] - middle) * conj(turn) - (shape[k] - mean);
+        found |= verdict_on_marker(f, b, k, square_of(residual[k]));
+    }
+    if (goes_on && newest > f->first && cos(angle - f->angle[at - f->bodies]) < 0.0)
+        found |= ODD;
+    int known = fits && !is_unsteady(f, b, spread);
+    f->angle[at] = known ? angle : NAN;
+    f->position[at] = known ? middle - turn * mean : NAN;
+    double *information = f->information + 2 * newest * f->bodies + b;
+    information[0] = !known ? 0.0 : f->posed ? 1.0 : spread;
+    information[f->bodies] = !known ? 0.0 : f->posed ? 1.0 :
+        1.0 / (1.0 / total + square_of(mean) / spread);
+    return found;
+}
+
+/* Counts the whole turns of the newest angles from the last ones that were known. */
+void
+kinpole_unwrap(const Frames *f)
+{
+    for (long long b = 0; b < f->bodies; b++) {
+        long long at = (f->end - 1) * f->bodies + b;
+        double turns = f->end - 1 > f->first ? f->turns[at - f->bodies] : 0.0;
+        double angle = f->angle[at], last = f->last_angle[b];
+        if (!isnan(angle)) {
+            turns -= isnan(last) ? 0.0 : rint((angle - last) / TURN);
+            f->last_angle[b] = angle;
+        }
+        f->turns[at] = turns;
+    }
+}
+
+/* Fits a frame of markers (B, n) into the newest row; what is unusual of any body. */
+int
+kinpole_fit_frame(const Frames *f, const Number *markers, int goes_on)
+{
+    int found = 0;
+    for (long long b = 0; b < f->bodies; b++)
+        found |= f->unusual[b] = fit(f, b, markers + b * f->width, goes_on);
+    return found;
+}

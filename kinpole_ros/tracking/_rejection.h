@@ -1,0 +1,54 @@
+/*
+ * Which markers and poses are not used, and why: the rules that run for every frame.
+ *
+ * rejection.py has the limits, all verdicts, and the rules that need more than one frame of one body.
+ */
+
+#ifndef KINPOLE_REJECTION_H
+#define KINPOLE_REJECTION_H
+
+#include "_frames.h"
+
+/* What is unusual of a body in a frame, as bits: a marker does not fit its place, or the body turned by
+   more than a quarter; a marker is so far off that its name is doubtful; a marker has no place yet. */
+#define UNUSUAL_BITS(CODE)                                                                               \
+    CODE(ODD, 1)                                                                                         \
+    CODE(NAME_DOUBTFUL, 2)                                                                               \
+    CODE(NEW_MARKER, 4)
+
+/* Why a body has no result; larger numbers go first. The texts are in rejection.py. */
+#define REASONS(CODE)                                                                                    \
+    CODE(KNOWN, 0)                                                                                       \
+    CODE(NOT_FULL, 1)                                                                                    \
+    CODE(TOO_NOISY, 2)                                                                                   \
+    CODE(NOISE_UNKNOWN, 3)                                                                               \
+    CODE(NOT_SEEN, 4)                                                                                    \
+    CODE(OFF_PATH, 5)
+
+enum { UNUSUAL_BITS(AS_CODE) };
+enum { REASONS(AS_CODE) };
+
+/* The verdict on marker `k` of body `b`, whose residual has this square. */
+static inline int
+verdict_on_marker(const Frames *f, long long b, long long k, double square)
+{
+    long long at = b * f->width + k;
+    return (square > f->largest[at] ? ODD : 0) | (square > f->doubtful[at] ? NAME_DOUBTFUL : 0);
+}
+
+/* Whether a pose is fitted to markers too close together for their noise, of this spread, while others
+   of the body are hidden. */
+static inline int
+is_unsteady(const Frames *f, long long b, double spread)
+{
+    return f->spread[b] > f->loosest[b] && spread < f->loosest[b];
+}
+
+/* Leaves out the poses that the newest row shows to be off their paths; see `wrong` and `newest`. */
+void kinpole_follow_paths(const Frames *f);
+/* Whether a body was on its pin in all frames from row `oldest` on, but for outliers. */
+int kinpole_holds_on_pin(const Frames *f, long long oldest, long long b);
+/* Why a body has no result for row `now`, as far as its pose says. */
+int kinpole_reason(const Frames *f, long long now, long long b);
+
+#endif

@@ -1,0 +1,234 @@
+"""
+What is not used of the frames, and why: every verdict and its threshold.
+
+C applies the rules that run for every frame (`_rejection.h`), with the limits given here. A rule
+that needs a search for a correction is in `corrections` or `identity`, and takes its limits here.
+
+| what | verdict | rule | applied in |
+| --- | --- | --- | --- |
+| a frame | LATE | older than the newest, or by more than the clock's lateness | `judge_arrivals` |
+| a frame | REPEATED | the stamp, and with a clock the points, of the frame before | `judge_arrivals` |
+| a frame | RESET | a step by more than a window, or two frames in a row set back | `judge_arrivals` |
+| a marker | ODD | off its place by `OUTLIER_SIGMAS` | `verdict_on_marker` in C |
+| a body | ODD | turned by more than a quarter since the frame before | `fit` in C |
+| a marker | NAME_DOUBTFUL | ODD, and off by `YOUNG_OUTLIER` of the size | `verdict_on_marker` in C |
+| a marker | NEW_MARKER | no place on its body yet | `fit` in C |
+| a marker | LEFT_OUT, EXCHANGED | ODD, and the best correction leaves it out, or moves it | `correct_frame` |
+| a body | MIRRORED, DROPPED | ODD, fits mirrored, or with no correction | `correct_frame` |
+| a body | (not counted) | corrected, but its misfit is above `MAX_SQUARE_RATIO` | `correct_frame` |
+| a pose | NOT_SEEN | less than two markers, or all at one place | `fit` in C |
+| a pose | NOT_SEEN | its markers are too close for their noise: `MAX_ANGLE_NOISE` | `is_unsteady` in C |
+| a pose | OFF_PATH | off the cubic through its neighbors by `FAR` | `wrong_before_last` in C |
+| a pose | OFF_PATH | newest, and off all polynomials by `NEWEST_FACTOR` | `doubtful_newest` in C |
+| a pin | off | off its pin by `N_SIGMA` in more than two frames | `kinpole_holds_on_pin` in C |
+| a pin | dropped | off its pin by `N_SIGMA` in `CONFIRMING_FRAMES` in a row | `Pins.update` |
+| a result | TOO_NOISY | `MAX_ANGLE_NOISE` | `reasons_of` |
+| a result | NOISE_UNKNOWN | less than `MIN_SAMPLES` frames | `reasons_of` |
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.compiled import codes_of
+from kinpole_ros.planar._plane import Real
+from kinpole_ros.tracking.thresholds import ROUNDED
+
+# A marker farther off than this is an outlier, in standard deviations of residuals.
+OUTLIER_SIGMAS = 6.0
+# The same as a share of the body size, while the residuals are not known.
+YOUNG_OUTLIER = 0.03
+# rad. Errors of an angle with more noise are not small, and its whole turns are not known.
+MAX_ANGLE_NOISE = 0.15
+# Mean square residual of a corrected body over that of the body; 0.1% of chi-squares of three
+# degrees exceed it.
+MAX_SQUARE_RATIO = 5.4
+# An outlier of so many limits spoils a learned shape for longer than a new start takes.
+SPOILING_LIMITS = 3.0
+# A marker has moved if it was seen in half of so many frames and fitted in none.
+MOVED_FRAMES = 100
+# A pose is wrong if it is off the cubic through its neighbors by so many standard deviations. The
+# newest has no later neighbors: it is wrong if it is off every polynomial through those before, by
+# the second factor times as many.
+FAR, NEWEST_FACTOR = 7.0, 3.0
+# A pose within this share of the body size, or this angle, rad, of the curve is never wrong.
+NEAR = 0.01
+# A frame later than so many intervals follows a gap.
+GAP = 2.5
+
+# What is unusual of a body in a frame, and why it has no result: see _rejection.h.
+UNUSUAL = codes_of('kinpole_unusual_bits')
+REASONS = codes_of('kinpole_reasons')
+ODD, NAME_DOUBTFUL = UNUSUAL['ODD'], UNUSUAL['NAME_DOUBTFUL']
+
+OFF_PATH = 'its pose is far off its path, and may be wrong'
+_TEXTS = {
+    'KNOWN': '',
+    'NOT_FULL': 'window not full',
+    'TOO_NOISY': 'markers too close for their noise',
+    'NOISE_UNKNOWN': 'noise not known yet',
+    'NOT_SEEN': 'too few markers seen, or all at one place',
+    'OFF_PATH': OFF_PATH,
+}
+_TEXTS_OF_POSES = {
+    'TOO_NOISY': 'the noise of its angle is too large',
+    'NOT_SEEN': 'no pose of it came',
+}
+# Why a body has no result, by the numbers of C, of markers and of poses.
+REASONS_OF_MARKERS = np.array([_TEXTS[name] for name in REASONS], object)
+REASONS_OF_POSES = np.array([(_TEXTS | _TEXTS_OF_POSES)[name] for name in REASONS], object)
+
+
+class MarkerLimits(NamedTuple):
+    """
+    How far the markers of B bodies may be off their places.
+
+    `limit` (B,), m, is that of a marker. `largest` and `doubtful` (B, n), m^2, are squares, the
+    second for the name. `loosest` (B,), m^2, is the least spread of markers that show an angle.
+    """
+
+    limit: Real
+    largest: Real
+    doubtful: Real
+    loosest: Real
+
+
+def marker_limits(
+    mature: np.ndarray, misfit: Real, error: Real, spread: Real, size: Real, relative: Real
+) -> MarkerLimits:
+    """
+    Compute how far markers may be off their places.
+
+    Parameters
+    ----------
+    mature : (B,) bool
+        Whether there are enough fits for the misfit.
+    misfit, error : (B,) float
+        Variance of a coordinate of a marker about its place, and the same with rounding, m^2.
+    spread, size : (B,) float
+        Sum of squared arms, m^2, and diameter, m.
+    relative : (B, n) float
+        Variance of each marker over that of the others.
+
+    """
+    usual = OUTLIER_SIGMAS * np.sqrt(np.maximum(misfit, ROUNDED**2 * spread))
+    young = np.maximum(YOUNG_OUTLIER * size, 2 * usual)
+    limit = np.where(mature, usual, young)
+    largest = np.where(mature, usual**2, np.inf)[:, None] * relative
+    # A marker on soft tissue that moves by less keeps its name.
+    doubtful = (np.maximum(limit, YOUNG_OUTLIER * size) ** 2)[:, None] * relative
+    return MarkerLimits(limit, largest, doubtful, error / MAX_ANGLE_NOISE**2)
+
+
+def reasons_of(noise: Real, spread: Real, angle_noise: Real | None) -> np.ndarray:
+    """
+    Return the codes (B,) of why bodies have no results.
+
+    Parameters
+    ----------
+    noise, spread : (B,) float
+        Noise of a coordinate of a marker, m, NaN while not known; sum of squared arms, m^2.
+    angle_noise : (B,) float or None
+        Noise of the angles, rad, where the input are poses.
+
+    """
+    if angle_noise is None:
+        is_steady = noise**2 < MAX_ANGLE_NOISE**2 * spread
+    else:
+        is_steady = angle_noise < MAX_ANGLE_NOISE
+    steady = np.where(is_steady, REASONS['KNOWN'], REASONS['TOO_NOISY'])
+    return np.where(np.isfinite(noise), steady, REASONS['NOISE_UNKNOWN']).astype(np.uint8)
+
+
+def is_unsteady(bodies_spread: Real, spread: Real, loosest: Real) -> np.ndarray:
+    """Return which poses are fitted to markers too close together; as `is_unsteady` of C."""
+    return np.asarray((bodies_spread > loosest) & (spread < loosest))
+
+
+class LastFrame(NamedTuple):
+    """The last frame that came, used or not: its stamp, ns, and points; the latest stamp so far."""
+
+    stamp: int
+    newest: int
+    points: np.ndarray | None
+
+
+class Arrivals(NamedTuple):
+    """
+    The verdicts on the first n of the next frames.
+
+    `is_used` (n,) says which frames are used, and `is_new` (n,) which are not repeated. `late` and
+    `repeated` are how many are left out for which reason. `last` is frame n - 1. If n is less than
+    the number of frames, frame n restarts everything.
+    """
+
+    is_used: np.ndarray
+    is_new: np.ndarray
+    late: int
+    repeated: int
+    last: LastFrame
+
+
+def judge_arrivals(
+    last: LastFrame,
+    stamps: np.ndarray,
+    points: np.ndarray,
+    window: int,
+    max_lateness: int,
+    may_be_late: bool,
+) -> Arrivals:
+    """
+    Decide which of the next frames are used.
+
+    Parameters
+    ----------
+    last : LastFrame
+        The frame before.
+    stamps : (T,) int64
+        Stamps, ns.
+    points : (T, ...) float
+        Markers, which distinguish a repeated frame from one with the same stamp.
+    window : int
+        The longest step between two frames, ns.
+    max_lateness : int
+        The most that a frame may be late, ns.
+    may_be_late : bool
+        Whether late frames are used. Otherwise each frame has to be later than all before.
+
+    Returns
+    -------
+    Arrivals
+        The verdicts.
+
+    """
+    # The latest stamp before each frame.
+    latest = np.maximum.accumulate(np.concatenate(((last.newest,), stamps[:-1])))
+    before = np.concatenate(((last.stamp,), stamps[:-1]))
+    ahead = stamps - latest
+    too_late = ahead <= -max_lateness
+    # A frame that is too late is just late. Two in a row, the second newer than the first, come
+    # from a clock that was set back.
+    restarts = too_late & (before < latest) & (before < stamps)
+    restarts |= np.abs(ahead) > window
+    end = int(restarts.argmax()) if restarts.any() else len(stamps)
+    ahead, too_late = ahead[:end], too_late[:end]
+    repeated = _find_repeated((stamps == before)[:end], points, last.points)
+    if may_be_late:
+        late, twice, is_used = too_late, repeated, ~(too_late | repeated)
+    else:
+        late, twice, is_used = ahead < 0, ahead == 0, ahead > 0
+    if end:
+        newest = max(last.newest, int(np.maximum.reduce(stamps[:end])))
+        last = LastFrame(int(stamps[end - 1]), newest, points[end - 1].copy())
+    return Arrivals(is_used, ~repeated, int(late.sum()), int(twice.sum()), last)
+
+
+def _find_repeated(
+    same_stamp: np.ndarray, points: np.ndarray, before: np.ndarray | None
+) -> np.ndarray:
+    """Find the frames (T,) that are equal to the one before, of those with the same stamp."""
+    repeated = np.zeros(len(same_stamp), bool)
+    for k in same_stamp.nonzero()[0].tolist():
+        earlier = points[k - 1] if k else before
+        repeated[k] = earlier is not None and np.array_equal(points[k], earlier, equal_nan=True)
+    return repeated
