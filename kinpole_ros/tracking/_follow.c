@@ -14,18 +14,23 @@
 
 #pragma GCC optimize("O3", "cx-limited-range")
 
-/* Results (T, ...) of at most `instants` instants, of which `count` are filled; none while a window has
-   fewer than `fewest` frames. `derivatives` are those of `Call`. See results.py. */
+/* Results (T, ...) of at most `instants` instants, of which `count` are filled, and `deformed` are of
+   bodies whose markers move against each other; none while a window has fewer than `fewest` frames.
+   `rows` (T, 3) are those of the history, of the instant and of the oldest and newest of its window.
+   `derivatives` are those of `Call`. See results.py. */
 typedef struct {
-    long long instants, count, fewest;
-    long long *stamp, *due;
+    long long instants, count, fewest, deformed;
+    long long *stamp, *due, *rows;
     double *derivatives, *size, *height, *pin_variance, *angle, *information, *noise;
     Number *pin, *shape, *reference, *position, *middle;
     unsigned char *missing;
 } Results;
 
 /* Why the loop ends, besides the return values of `kinpole_derive`. */
-enum { UNUSUAL = 2, SEEN_AGAIN, DEFORMED, FULL };
+#define EXITS(CODE)                                                                                      \
+    CODE(UNUSUAL, 2)                                                                                     \
+    CODE(FULL, 3)
+enum { EXITS(AS_CODE) };
 
 /* The arrays of one call of `kinpole_derive`. `heading` is the angle of the body, and `angle` that by
    which its hub moves: the heading plus what a tilted body turns beyond it. */
@@ -113,6 +118,19 @@ follow_tilts(const Frames *f, const Number *tilts)
     }
 }
 
+/* Notes that a body is seen, and the gap before if it was as long as a window. */
+static void
+note_seen(const Frames *f, long long b, long long stamp)
+{
+    long long since = f->seen_last[b], lasted = stamp - since, *outage = f->outages + OUTAGE_FIELDS * b;
+    f->seen_last[b] = stamp;
+    if (since < 0 || lasted < f->window)
+        return;
+    outage[OUTAGE_LATEST] = since, outage[OUTAGE_LATEST + 1] = lasted;
+    if (!outage[OUTAGE_TIMES]++ || lasted > outage[OUTAGE_LONGEST + 1])
+        outage[OUTAGE_LONGEST] = since, outage[OUTAGE_LONGEST + 1] = lasted;
+}
+
 /* Takes the next frame, if it is usual or was corrected. */
 static int
 take_frame(Frames *f)
@@ -135,7 +153,6 @@ take_frame(Frames *f)
     f->goes_on[row] = goes_on;
     memcpy(f->markers + row * all, points, all * sizeof *points);
     memcpy(f->heights + row * all, heights, all * sizeof *heights);
-    int again = 0;
     for (long long b = 0; b < f->bodies; b++) {
         double sum = 0.0;
         long long seen = 0;
@@ -149,16 +166,11 @@ take_frame(Frames *f)
     kinpole_follow_paths(f);
     if (f->tilts)
         follow_tilts(f, f->tilts + k * f->bodies);
-    for (long long b = 0; b < f->bodies; b++) {
-        if (isnan(f->angle[row * f->bodies + b]))
-            continue;
-        /* Python repeats this for all bodies if one is seen again. */
-        again |= f->seen_last[b] >= 0 && f->stamp[row] - f->seen_last[b] >= f->window;
-        if (!again)
-            f->seen_last[b] = f->stamp[row];
-    }
+    for (long long b = 0; b < f->bodies; b++)
+        if (!isnan(f->angle[row * f->bodies + b]))
+            note_seen(f, b, f->stamp[row]);
     f->frame++, f->until_update--;
-    return again ? SEEN_AGAIN : DONE;
+    return DONE;
 }
 
 /* Computes the poses of the hubs in the window from `oldest` on; whether any body tilts. */
@@ -229,7 +241,7 @@ copy_derivatives(const Frames *f, const Call *call, Results *r)
 static int
 compute_result(const Frames *f, Call *call, Results *r, Workspace *work, long long oldest, long long now)
 {
-    long long bodies = f->bodies, newest = f->end - 1, t = r->count, deformed = 0;
+    long long bodies = f->bodies, newest = f->end - 1, t = r->count, deforms = 0;
     for (long long b = 0; b < bodies; b++) {
         long long to = t * bodies + b;
         int pinned = kinpole_holds_on_pin(f, oldest, b);
@@ -284,14 +296,16 @@ compute_result(const Frames *f, Call *call, Results *r, Workspace *work, long lo
         for (int c = 0; c < 2; c++)
             r->information[(2 * t + c) * bodies + b] =
                 seen ? information[c * bodies] * f->scale[c * bodies + b] : 0.0;
-        deformed |= r->missing[to] == KNOWN && f->freedom[b] > 0.0;
+        deforms |= r->missing[to] == KNOWN && f->freedom[b] > 0.0;
     }
     copy_derivatives(f, call, r);
     memcpy(r->shape + t * bodies * f->width, f->known_shape,
            bodies * f->width * sizeof *r->shape);
     r->stamp[t] = f->stamp[now], r->due[t] = f->frame - 1;
-    r->count++;
-    return deformed ? DEFORMED : DONE;
+    r->rows[3 * t] = now - f->first, r->rows[3 * t + 1] = oldest - f->first;
+    r->rows[3 * t + 2] = newest - f->first;
+    r->count++, r->deformed += deforms;
+    return DONE;
 }
 
 /* Computes the results that are due with the newest frame. */
@@ -328,7 +342,7 @@ compute_due(Frames *f, Call *call, Results *r)
                 break;
             }
             code = compute_result(f, call, r, &work, oldest, f->first + f->due);
-            if (code == DONE || code == DEFORMED)
+            if (code == DONE)
                 f->due++;
         }
         free(data);
@@ -361,3 +375,4 @@ const char *const kinpole_frames_columns = FRAMES_HISTORY(AS_FIELD_TEXT);
 const char *const kinpole_frames_learned = FRAMES_LEARNED(AS_FIELD_TEXT);
 const char *const kinpole_frames_state = FRAMES_STATE(AS_FIELD_TEXT);
 const char *const kinpole_frames_new = FRAMES_NEW(AS_FIELD_TEXT);
+const char *const kinpole_exits = EXITS(AS_CODE_TEXT);

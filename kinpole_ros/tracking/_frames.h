@@ -90,12 +90,17 @@ typedef double complex Number;
     FIELD(long long *, pin_since)                                                                        \
     FIELD(unsigned char *, reason)
 
+/* Of each body, and last of the whole frame: number of gaps of a window or more; begin and length, ns, of
+   the latest and of the longest. */
+enum { OUTAGE_TIMES, OUTAGE_LATEST, OUTAGE_LONGEST = 3, OUTAGE_FIELDS = 5 };
+
 /* The state of the bodies that only C writes: see step.py. */
 #define FRAMES_STATE(FIELD)                                                                              \
     FIELD(unsigned char *, unusual)                                                                      \
     FIELD(long long *, wrong)                                                                            \
     FIELD(long long *, newest)                                                                           \
     FIELD(long long *, seen_last)                                                                        \
+    FIELD(long long *, outages)                                                                          \
     FIELD(double *, total_turn)                                                                          \
     FIELD(double *, sure_angle)                                                                          \
     FIELD(Number *, sure_tilt)

@@ -1,6 +1,9 @@
 """Times without a body, or without any frame."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
+
+import numpy as np
 
 
 class Outage(NamedTuple):
@@ -11,10 +14,20 @@ class Outage(NamedTuple):
     longest: tuple[int, int]
 
 
-def one_more(outage: Outage | None, since: int, lasted: int) -> Outage:
-    """Add a gap, which began at `since` and `lasted` so long, ns."""
-    new = since, lasted
-    if outage is None:
-        return Outage(1, new, new)
-    longest = max(outage.longest, new, key=lambda gap: gap[1])
-    return Outage(outage.times + 1, new, longest)
+def no_outages(bodies: int) -> np.ndarray:
+    """Return the gaps (B + 1, 5) of bodies, and last of all frames, before there is any."""
+    return np.zeros((bodies + 1, 5), np.int64)
+
+
+def note_gap(outages: np.ndarray, since: int, lasted: int) -> None:
+    """Note a gap without any frame; C notes those of bodies."""
+    times, _, _, _, longest = outages[-1].tolist()
+    outages[-1, :3] = times + 1, since, lasted
+    if not times or lasted > longest:
+        outages[-1, 3:] = since, lasted
+
+
+def named_outages(outages: np.ndarray, bodies: Sequence[str]) -> dict[str, Outage]:
+    """Return the gaps by body; '' for those without any frame."""
+    rows = zip((*bodies, ''), outages.tolist(), strict=True)
+    return {name: Outage(n, (a, b), (c, d)) for name, (n, a, b, c, d) in rows if n}

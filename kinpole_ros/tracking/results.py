@@ -16,7 +16,7 @@ from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.quantities import ARRAYS, Motion
-from kinpole_ros.tracking.rejection import REASONS_OF_MARKERS, REASONS_OF_POSES
+from kinpole_ros.tracking.rejection import REASONS, REASONS_OF_MARKERS, REASONS_OF_POSES
 
 class _Part(NamedTuple):
     """Where an array is in the buffer of results."""
@@ -26,9 +26,11 @@ class _Part(NamedTuple):
     offset: int
 
 
+# Where `fields` has the number of results of deformed bodies.
+_DEFORMED = 3
 # Where the arrays that C fills begin, in the order of the fields of `Results` of _follow.c.
 _FIELDS = (
-    *('stamp', 'due', 'position', 'size', 'height', 'pin_variance', 'frame_angle', 'information'),
+    *('stamp', 'due', 'rows', 'position', 'size', 'height', 'pin_variance', 'frame_angle', 'information'),
     *('noise', 'pin', 'shape', 'reference', 'frame_position', 'middle', 'reason'),
 )
 
@@ -42,6 +44,7 @@ def _layout_of(
     arrays: dict[str, tuple[tuple[int, ...], Any]] = {
         'stamp': ((instants,), np.int64),
         'due': ((instants,), np.int64),
+        'rows': ((instants, 3), np.int64),
         # From here to `freedom`: derivatives as `derive_poses` has them.
         'position': ((orders, *each), complex),
         'angle': ((orders, *each), float),
@@ -72,17 +75,18 @@ class Results:
     The results of up to so many instants, of bodies with some markers, as _follow.c fills them.
 
     `fields` are those of `Results` there: the number of instants that there is memory for, how many
-    have results, the fewest samples of a window, and where the arrays begin.
+    have results, the fewest samples of a window, how many results are of deformed bodies, and where
+    the arrays begin.
     """
 
     def __init__(self, instants: int, orders: int, bodies: int, markers: int) -> None:
         self.instants, self.orders, self._bodies = instants, orders, bodies
         self._layout, offsets, self._of_motion, size = _layout_of(instants, orders, bodies, markers)
         self._buffer = np.empty(size, np.uint8)
-        self.fields = np.empty(3 + len(offsets), np.int64)
-        self.fields[:3] = instants, 0, FEWEST_SAMPLES
+        self.fields = np.empty(4 + len(offsets), np.int64)
+        self.fields[:4] = instants, 0, FEWEST_SAMPLES, 0
         self._address = address_of(self._buffer)
-        np.add(offsets, self._address, out=self.fields[3:])
+        np.add(offsets, self._address, out=self.fields[4:])
 
     @property
     def count(self) -> int:
@@ -110,37 +114,41 @@ class Results:
         return Motion.of_fields(fields, (count, self._bodies), self._buffer)
 
 
-def add_deformation(
-    results: Results, bodies: Bodies, history: History, now: int, oldest: int, interval: float
-) -> None:
-    """
-    Add to the covariances of the last result what the deformation of bodies adds.
+def add_deformation(results: Results, first: int, bodies: Bodies, history: History) -> None:
+    """Add to the covariances of the results from `first` on what the deformation of bodies adds."""
+    if not results.fields[_DEFORMED]:
+        return
+    for t in range(first, results.count):
+        usable = results.array('reason')[t] == REASONS['KNOWN']
+        for b in np.flatnonzero(usable & (bodies.freedom > 0)).tolist():
+            _add_deformation_of(results, t, bodies, b, history)
 
-    `now` and `oldest` are rows of the history, `interval` is in s.
-    """
-    last, order = results.count - 1, results.orders - 1
-    of_position, of_angle = map(results.array, ('position_covariance', 'angle_covariance'))
-    span, freedom = map(results.array, ('span', 'freedom'))
-    first = max(0, oldest - (len(history) - oldest))
-    usable = results.array('reason')[last] == 0
-    for b in np.flatnonzero(usable & (bodies.freedom > 0)).tolist():
-        residual = hold_hidden(history['residual'][first:, b : b + 1])[:, 0]
-        slow = deformation_covariance(
-            residual,
-            now - first,
-            oldest - first,
-            interval,
-            float(span[last, b]),
-            float(freedom[last, b]) - 1,
-            float(bodies.white[b] * np.sqrt(bodies.hidden_factor[b])),
-            float(bodies.freedom[b]),
-            order,
-        )
-        turned, placed = results.array('information')[last, :, b]
-        of_angle[:, :, last, b] += slow / turned
-        of_position[:, :, last, b] += slow * _spread_at(
-            results.array('reference')[last, b], bodies.middle[b], turned, placed
-        )
+
+def _add_deformation_of(
+    results: Results, t: int, bodies: Bodies, b: int, history: History
+) -> None:
+    """Add to the covariances of a body at an instant what its deformation adds."""
+    now, oldest, newest = results.array('rows')[t].tolist()
+    time = history['time']
+    interval = int(time[newest] - time[oldest]) / max(newest - oldest, 1) * 1e-9
+    first = max(0, oldest - (newest + 1 - oldest))
+    residual = hold_hidden(history['residual'][first : newest + 1, b : b + 1])[:, 0]
+    slow = deformation_covariance(
+        residual,
+        now - first,
+        oldest - first,
+        interval,
+        float(results.array('span')[t, b]),
+        float(results.array('freedom')[t, b]) - 1,
+        float(bodies.white[b] * np.sqrt(bodies.hidden_factor[b])),
+        float(bodies.freedom[b]),
+        results.orders - 1,
+    )
+    turned, placed = results.array('information')[t, :, b]
+    results.array('angle_covariance')[:, :, t, b] += slow / turned
+    hub = results.array('reference')[t, b]
+    spread = _spread_at(hub, bodies.middle[b], turned, placed)
+    results.array('position_covariance')[:, :, t, b] += slow * spread
 
 
 def _spread_at(hub: complex, middle: complex, turned: float, placed: float) -> float:

@@ -4,7 +4,7 @@ from ctypes import POINTER, byref, c_void_p
 
 import numpy as np
 
-from kinpole_ros.compiled import address_of, library, names_of, structure_of
+from kinpole_ros.compiled import address_of, codes_of, library, names_of, structure_of
 from kinpole_ros.derivatives import Call, go_on, new_call, pass_tables
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins
@@ -14,8 +14,9 @@ from kinpole_ros.tracking.rejection import FAR, GAP, NEAR, NEWEST_FACTOR, reason
 from kinpole_ros.tracking.results import Results
 from kinpole_ros.tracking.thresholds import N_SIGMA
 
-# Why the compiled loop ends: see _follow.c.
-DONE, TABLE_LACKING, UNUSUAL, SEEN_AGAIN, DEFORMED, FULL = 0, 1, 2, 3, 4, 5
+# Why the compiled loop ends: see _follow.c, and for the first two _call.h.
+DONE, TABLE_LACKING = 0, 1
+UNUSUAL = codes_of('kinpole_exits')['UNUSUAL']
 
 # `Frames` of _frames.h, and its fields by their owners.
 _Frames = structure_of('kinpole_frames_fields')
@@ -45,6 +46,8 @@ class Step:
         How many of the newest poses may be wrong, and are not used yet.
     seen_last : (B,) int64
         Stamp of the last frame with a pose of each body, ns, -1 for none.
+    outages : (B + 1, 5) int64
+        Gaps without each body, and last without any frame: see _frames.h.
     total_turn : (B,) float
         Turns of tilting bodies about the normal, beyond those of their headings, up to the last
         pose that is certainly right, rad; its angle is `sure_angle`, and its tilt `sure_tilt`.
@@ -52,8 +55,15 @@ class Step:
     """
 
     def __init__(
-        self, settings: Settings, bodies: Bodies, pins: Pins, history: History, posed: bool
+        self,
+        settings: Settings,
+        bodies: Bodies,
+        pins: Pins,
+        history: History,
+        posed: bool,
+        outages: np.ndarray,
     ) -> None:
+        self.outages = outages
         self._settings, self._pins, self._posed = settings, pins, posed
         self.unusual = np.zeros(bodies.count, np.uint8)
         self.wrong, self.newest = np.zeros((2, bodies.count), np.int64)
@@ -137,8 +147,8 @@ class Step:
         self.fields.frame, self.fields.frames = 0, number
         self.fields.hidden_is_unusual = hidden_is_unusual
 
-    def follow(self, until_update: int, results: Results) -> int:
-        """Take at most so many frames, and compute results; return why the loop ended."""
+    def follow(self, until_update: int, results: Results) -> bool:
+        """Take usual frames, at most so many; return whether the next frame is unusual."""
         fields, history, call = self.fields, self._history, self._call
         fields.until_update = min(until_update, fields.frames - fields.frame)
         if history.reserve(fields.until_update):
@@ -153,7 +163,8 @@ class Step:
             tables = go_on(call, code)
         del tables
         history.end = fields.end
-        return int(code)
+        assert code in (DONE, UNUSUAL), code
+        return bool(code == UNUSUAL)
 
     def try_next(self, markers: np.ndarray) -> int:
         """Fit markers (B, n), complex, of the next frame; return what is unusual."""

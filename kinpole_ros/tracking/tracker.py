@@ -22,14 +22,14 @@ from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.learn import freedom_of, learn, path_scale
 from kinpole_ros.tracking.matcher import Matcher
-from kinpole_ros.tracking.outages import Outage, one_more
+from kinpole_ros.tracking.outages import Outage, named_outages, no_outages, note_gap
 from kinpole_ros.tracking.parameters import Settings, of_poses
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.posed import learn_poses
 from kinpole_ros.tracking.rejection import MOVED_FRAMES, NAME_DOUBTFUL, ODD
 from kinpole_ros.tracking.results import Results, add_deformation, estimate_of
 from kinpole_ros.tracking.space import Space, SpaceReport
-from kinpole_ros.tracking.step import DEFORMED, FULL, SEEN_AGAIN, UNUSUAL, Step
+from kinpole_ros.tracking.step import Step
 from kinpole_ros.tracking.thresholds import MEMORY_FRAMES, N_SIGMA, NEGLIGIBLE, ROUNDED
 from kinpole_ros.tracking.timeline import StampState, TimedFrames, Timeline
 
@@ -55,7 +55,7 @@ class Tracker:
         self._frame_id = ''
         # Whether the input are poses of bodies instead of markers.
         self._posed = False
-        self._outages: dict[str, Outage] = {}
+        self._outages = no_outages(len(self.bodies))
         self._earlier_wrong = np.zeros(len(self.bodies), int)
         self._start()
 
@@ -91,7 +91,9 @@ class Tracker:
         self.matcher = Matcher(
             settings, self._assignment, self._calibration, self._history, self._counts
         )
-        self._step = Step(settings, self._calibration, self._pins, self._history, self._posed)
+        self._step = Step(
+            settings, self._calibration, self._pins, self._history, self._posed, self._outages
+        )
         self._frame_count = self._new_frames = self._counted_frames = 0
         # Searches for the names of markers in a row that had no result.
         self._futile_searches = self._next_search = 0
@@ -174,7 +176,7 @@ class Tracker:
 
     def outages(self) -> dict[str, Outage]:
         """Return gaps of a window or more, by body; '' for gaps without any frame."""
-        return self._outages
+        return named_outages(self._outages, self.bodies)
 
     def absent_markers(self) -> dict[str, list[str]]:
         """Return the markers that the last message lacks, of bodies with less than two in it."""
@@ -281,10 +283,10 @@ class Tracker:
                 self._pass_frames(frames, times)
                 self._step.fields.frame = first
                 results = self._reserve_results(count - first, order)
-            code, is_known = UNUSUAL, self._assignment.plane is not None
+            is_unusual, is_known = True, self._assignment.plane is not None
             if is_known and self.matcher.in_order and not self._calibration.exchanged:
-                code = self._follow(self._next_update - self._frame_count, results)
-            if code == UNUSUAL:
+                is_unusual = self._follow(self._next_update - self._frame_count, results)
+            if is_unusual:
                 self._take_unusual(in_space, results)
             first = self._step.fields.frame
         self._search_events(first, numbers)
@@ -308,26 +310,15 @@ class Tracker:
         new_frames = frames.stamps, *times, self._points, self._heights, self._tilts
         self._step.pass_frames(len(frames.stamps), new_frames, self.matcher.has_unassigned)
 
-    def _follow(self, until_update: int, results: Results) -> int:
-        """Take usual frames and compute the results that are due; return why the loop ended."""
-        step, history = self._step, self._history
-        fields = step.fields
-        while True:
-            before = fields.frame
-            code = step.follow(until_update, results)
-            taken = fields.frame - before
-            until_update -= taken
-            self._frame_count += taken
-            self._new_frames += taken
-            if code == SEEN_AGAIN:
-                self._note_outages(int(history['stamp'][-1]))
-            elif code == DEFORMED:
-                now, oldest = fields.due - 1, len(history) - fields.samples
-                interval = fields.interval * 1e-9
-                add_deformation(results, self._calibration, history, now, oldest, interval)
-            else:
-                assert code != FULL
-                return code
+    def _follow(self, until_update: int, results: Results) -> bool:
+        """Take usual frames, and compute the results that are due; whether the next is unusual."""
+        fields, computed = self._step.fields, results.count
+        before = fields.frame
+        is_unusual = self._step.follow(until_update, results)
+        self._frame_count += fields.frame - before
+        self._new_frames += fields.frame - before
+        add_deformation(results, computed, self._calibration, self._history)
+        return is_unusual
 
     def _reserve_results(self, frames: int, order: int | None) -> Results:
         """Reserve memory for the results that so many frames can complete."""
@@ -397,7 +388,7 @@ class Tracker:
         """Restart after a jump of the stamps."""
         newest = int(self._history['stamp'][-1]) if len(self._history) else stamp
         if stamp > newest:
-            self._outages[''] = one_more(self._outages.get(''), newest, stamp - newest)
+            note_gap(self._outages, newest, stamp - newest)
         self._counts['resets'] += 1
         self._start(self._timeline)
 
@@ -466,15 +457,6 @@ class Tracker:
             2 ** max(self._futile_searches - 1, 0), MAX_SEARCH_INTERVAL
         )
         return corrected
-
-    def _note_outages(self, stamp: int) -> None:
-        """Note bodies that are seen again after a window or more."""
-        seen, seen_last = np.isfinite(self._history['angle'][-1]), self._step.seen_last
-        lasted = np.where(seen_last >= 0, stamp - seen_last, 0)
-        for b in np.flatnonzero(seen & (lasted >= self._window)).tolist():
-            body, since = self.bodies[b], int(seen_last[b])
-            self._outages[body] = one_more(self._outages.get(body), since, int(lasted[b]))
-        seen_last[seen] = stamp
 
     def _restart_bodies(self, which: np.ndarray) -> None:
         """Forget everything learned of some bodies (B,)."""
