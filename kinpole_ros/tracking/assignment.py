@@ -7,6 +7,7 @@ in fixed slots. Most layouts repeat, so the rows of each layout are looked up on
 
 from collections.abc import Sequence
 from ctypes import Structure, byref, c_double, c_longlong, c_void_p
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
@@ -54,6 +55,7 @@ class Layout(NamedTuple):
     unknown_names: int
     unassigned: np.ndarray
     is_numbered: bool
+    slots: 'Slots'
 
 
 class _Slots(Structure):
@@ -65,14 +67,61 @@ class _Slots(Structure):
         *(('basis', 9 * c_double), ('rows', c_void_p)),
     ]
 
-    def __init__(self, rows: np.ndarray, points: int, scale: float, plane: Plane | None) -> None:
-        self.array, self.plane = rows, plane
-        self._contiguous = np.ascontiguousarray(rows, np.int64)
-        super().__init__(count=rows.size, points=points, scale=scale, farthest=FARTHEST_MARKER)
-        self.rows = address_of(self._contiguous)
-        if plane is not None:
-            self.has_axes, self.axes = plane.axes is not None, plane.axes or (0, 0, 0)
-            self.basis = tuple(plane.basis.ravel().tolist())
+
+class Slots(NamedTuple):
+    """The rows (...) of messages that slots take, as C has them; `owner` keeps its array alive."""
+
+    rows: np.ndarray
+    fields: _Slots
+    owner: np.ndarray
+
+
+def slots_of(rows: np.ndarray, points: int, scale: float, plane: Plane | None) -> Slots:
+    """Return the slots that take these rows (...) of messages with so many `points`."""
+    owner = np.ascontiguousarray(rows, np.int64)
+    fields = _Slots(count=rows.size, points=points, scale=scale, farthest=FARTHEST_MARKER)
+    fields.rows = address_of(owner)
+    if plane is not None:
+        fields.has_axes, fields.axes = plane.axes is not None, plane.axes or (0, 0, 0)
+        fields.basis = tuple(plane.basis.ravel().tolist())
+    return Slots(rows, fields, owner)
+
+
+@dataclass
+class PlacedFrames:
+    """
+    Frames of one layout whose markers are in the slots of the bodies.
+
+    Attributes
+    ----------
+    frames : MarkerFrames
+        The frames, with contiguous points.
+    layout : Layout
+        Where their markers are in the message.
+    points, heights : (T, B, n)
+        Markers in the plane, complex, m, NaN for none, and for all while the plane is not known;
+        their heights along its normal, m. C reads both; `Matcher` corrects rows before that.
+    in_space : (T, B, n, 3) float or None
+        Markers in the frame of the message, m, of poses or while the plane is not known.
+    is_nameless : bool
+        Whether the names are indices, which may change at any time.
+    arranged : int
+        The last of the frames that was matched by shape since it is nameless, -1 for none.
+
+    """
+
+    frames: MarkerFrames
+    layout: Layout
+    points: np.ndarray
+    heights: np.ndarray
+    in_space: np.ndarray | None
+    is_nameless: bool = False
+    arranged: int = -1
+
+    @property
+    def identities(self) -> tuple[str, ...]:
+        """Names of the rows of the message."""
+        return self.frames.identities
 
 
 class MarkerAssignment:
@@ -89,16 +138,10 @@ class MarkerAssignment:
         Number of markers of all bodies.
     unknown : int
         Rows of the last new layout that no body names.
-    absent : list of list of str
-        Markers of each body that the last message lacks.
-    identities : tuple of str
-        Names of the rows of the last message.
     posed : bool
         Whether a row is the pose of a body, and stands for all its points.
     plane : Plane or None
         The plane of the motion; None while it is not known.
-    layout : Layout or None
-        That of the last message.
 
     """
 
@@ -120,22 +163,19 @@ class MarkerAssignment:
         )
         self.count = sum(map(len, self.markers))
         self.unknown = 0
-        self.absent: list[list[str]] = []
-        self.identities: tuple[str, ...] = ()
         # Slots (body, marker) that names stand for now, where these are not those of the
         # parameters, and the slot that takes the place of each, counted through all bodies.
         self._aliases: dict[str, tuple[int, int]] = {}
         self._order: np.ndarray | None = None
-        self._points = np.zeros((0, 0, 3))
-        # The slots of the last layout and plane.
-        self._slots: _Slots | None = None
-        # Of poses: their axes, and whether the z axis of a body points against the normal, -1 while
-        # not known.
-        self._axes = np.zeros((0, 0, 2, 3))
+        # Of poses: whether the z axis of a body points against the normal, -1 while not known.
         self._upside_down = np.full(len(self.markers), -1)
-        self.layout: Layout | None = None
 
-    def assign(self, frames: MarkerFrames) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    def set_plane(self, plane: Plane | None) -> None:
+        """Put the markers of the next frames in this plane."""
+        self.plane = plane
+        self._layouts.clear()
+
+    def assign(self, frames: MarkerFrames) -> PlacedFrames:
         """
         Put the markers of frames into the slots of the bodies.
 
@@ -148,56 +188,49 @@ class MarkerAssignment:
 
         Returns
         -------
-        points : (T, B, width) complex
-            Markers in the plane, m, NaN for none, and for all while the plane is not known.
-        heights : (T, B, width) float
-            Their heights along its normal, m.
-        in_space : (T, B, width, 3) float or None
-            Markers in the frame of the message, m, of poses or while the plane is not known.
+        PlacedFrames
+            The markers by the names of their rows.
 
         """
-        self.identities = frames.identities
-        self.layout = self._layout_of(frames.identities)
-        self.absent = self.layout.absent
-        self._points = np.ascontiguousarray(frames.points, float)
-        if frames.axes is not None:
-            self._axes = frames.axes
-        return self.assign_again(0)
+        layout = self._layout_of(frames.identities)
+        frames = frames._replace(points=np.ascontiguousarray(frames.points, float))
+        return PlacedFrames(frames, layout, *self._place(frames, layout, 0))
 
-    def assign_again(self, first: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return the same of the last frames from `first` on, by what is known of names now."""
-        assert self.layout is not None
-        rows, points = self.layout.rows, self._points[first:]
+    def assign_again(self, placed: PlacedFrames, first: int) -> None:
+        """Place the frames from `first` on again, by what is known of names now."""
+        placed.layout = self._layout_of(placed.identities)
+        points, heights, _ = self._place(placed.frames, placed.layout, first)
+        placed.points[first:], placed.heights[first:] = points, heights
+
+    def _place(
+        self, frames: MarkerFrames, layout: Layout, first: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return points, heights and points in space of the frames from `first` on."""
+        points, slots = frames.points[first:], layout.slots
         if not self.posed and self.plane is not None:
-            return *self._in_plane(points, rows), None
-        in_space = np.empty((len(points), *rows.shape, 3))
-        slots = byref(self._slots_of(rows))
-        _assign(slots, address_of(points), len(points), None, None, address_of(in_space))
+            return *self._in_plane(points, slots), None
+        in_space = np.empty((len(points), *slots.rows.shape, 3))
+        into = None, None, address_of(in_space)
+        _assign(byref(slots.fields), address_of(points), len(points), *into)
         if self.posed:
-            axes = self._axes[first:]
+            assert frames.axes is not None
+            axes = frames.axes[first:]
             none = np.full((len(axes), 1, 2, 3), np.nan)
-            axes = np.concatenate((axes, none), axis=1).take(rows[:, 0], axis=1)
+            axes = np.concatenate((axes, none), axis=1).take(slots.rows[:, 0], axis=1)
             in_space[:, :, 1:] += _ARM * axes
         if self.plane is not None:
-            return *self._project_poses(in_space), in_space
-        return *self._in_plane(points, rows), in_space
+            return *map(np.ascontiguousarray, self._project_poses(in_space)), in_space
+        return *map(np.ascontiguousarray, self._in_plane(points, slots)), in_space
 
-    def _slots_of(self, rows: np.ndarray) -> _Slots:
-        """Return the slots that take these rows; the last ones if nothing has changed."""
-        slots = self._slots
-        if slots is None or slots.array is not rows or slots.plane is not self.plane:
-            self._slots = slots = _Slots(rows, len(self.identities), self.scale, self.plane)
-        return slots
-
-    def _in_plane(self, points: np.ndarray, rows: np.ndarray) -> InPlane:
-        """Return these rows (...) of points (T, n, 3) in the plane; NaN while it is not known."""
-        shape = len(points), *rows.shape
+    def _in_plane(self, points: np.ndarray, slots: Slots) -> InPlane:
+        """Return slots (...) of points (T, n, 3) in the plane; NaN while it is not known."""
+        shape = len(points), *slots.rows.shape
         if self.plane is None:
             nowhere = np.full(shape, complex(np.nan, np.nan))
             return nowhere, nowhere.real
         flat, heights = np.empty(shape, complex), np.empty(shape)
         into = address_of(flat), address_of(heights), None
-        _assign(byref(self._slots_of(rows)), address_of(points), len(points), *into)
+        _assign(byref(slots.fields), address_of(points), len(points), *into)
         return flat, heights
 
     def _project_poses(self, poses: np.ndarray) -> InPlane:
@@ -257,40 +290,36 @@ class MarkerAssignment:
         with np.errstate(divide='ignore', invalid='ignore'):
             return np.asarray((first + 1j * side * second) / np.sqrt(2 * (1 + side * third)))
 
-    def project_all(self, frame: int) -> InPlane:
-        """Return all points (m,) of one of the last frames in the plane, and their heights, m."""
-        points = self._points[frame][None]
-        flat, heights = self._in_plane(points, np.arange(points.shape[1]))
+    def project_rows(self, points: np.ndarray, rows: np.ndarray) -> InPlane:
+        """Return rows (m,) of the points (n, 3) of a frame in the plane, and their heights, m."""
+        slots = slots_of(rows, len(points), self.scale, self.plane)
+        flat, heights = self._in_plane(points[None], slots)
         return flat[0], heights[0]
 
-    def project_unassigned(self, frame: int) -> np.ndarray:
-        """Return the points (e,) of one of the last frames that are in no slot, in the plane."""
-        assert self.layout is not None
-        return self._in_plane(self._points[frame][None], self.layout.unassigned)[0][0]
-
-    def correct_names(self, rows: np.ndarray, for_all: bool) -> None:
+    def correct_names(self, placed: PlacedFrames, rows: np.ndarray, for_all: bool) -> None:
         """
-        Use these rows for messages of the last layout from now on.
+        Use these rows for messages with the layout of `placed` from now on.
 
         Parameters
         ----------
+        placed : PlacedFrames
+            Frames of that layout; they are not placed again.
         rows : (B, n) int
             Rows of the markers, -1 for none.
         for_all : bool
             Whether the names of the rows stand for the same markers in other layouts too.
 
         """
-        layout = self.layout
-        assert layout is not None
-        none = len(self.identities)
+        layout, identities = placed.layout, placed.identities
+        none = len(identities)
         rows = np.where(rows < 0, none, rows)
-        self._layouts[self.identities] = self.layout = _make_layout(
-            self.identities, rows, layout.named_rows, layout.absent
+        self._layouts[identities] = placed.layout = self._make_layout(
+            identities, rows, layout.named_rows, layout.absent
         )
         if not for_all:
             return
         for b, k in zip(*np.nonzero(rows < none), strict=True):
-            name = self.identities[rows[b, k]]
+            name = identities[rows[b, k]]
             self._aliases.pop(name, None)
             if rows[b, k] != layout.named_rows[b, k]:
                 self._aliases[name] = int(b), int(k)
@@ -302,15 +331,13 @@ class MarkerAssignment:
         self._order = order if self._order is None else self._order.ravel()[order]
         self._layouts.clear()
         self._aliases.clear()
-        if self.identities:
-            self.layout = self._layout_of(self.identities)
 
-    def absent_of_bodies(self) -> list[list[str]]:
-        """Return the markers that the last message lacks, of bodies with less than two in it."""
-        if self.layout is None or self._by_shape:
+    def absent_of_bodies(self, placed: PlacedFrames) -> list[list[str]]:
+        """Return the markers that a message lacks, of bodies with less than two in it."""
+        if self._by_shape:
             return []
-        count = (self.layout.rows < len(self.identities)).sum(axis=1).tolist()
-        return [names if n < 2 else [] for n, names in zip(count, self.absent, strict=True)]
+        count = (placed.layout.rows < len(placed.identities)).sum(axis=1).tolist()
+        return [names if n < 2 else [] for n, names in zip(count, placed.layout.absent, strict=True)]
 
     def _layout_of(self, identities: tuple[str, ...]) -> Layout:
         """Look up the layout of a message, or make it."""
@@ -336,12 +363,30 @@ class MarkerAssignment:
         self.unknown = 0 if self._by_shape else len(set(range(none)) - set(rows.ravel().tolist()))
         if len(self._layouts) > _MOST_LAYOUTS:
             self._layouts.clear()
-        layout = _make_layout(identities, self._with_aliases(identities, rows), rows, absent)
+        layout = self._make_layout(identities, self._with_aliases(identities, rows), rows, absent)
         if self.posed:
             # Names of poses are taken at their word.
             layout = layout._replace(unassigned=layout.unassigned[:0], is_numbered=False)
         self._layouts[identities] = layout
         return layout
+
+    def _make_layout(
+        self,
+        identities: tuple[str, ...],
+        rows: np.ndarray,
+        named: np.ndarray,
+        absent: list[list[str]],
+    ) -> Layout:
+        none = len(identities)
+        corrected = (rows != named) & (rows < none)
+        foreign = int(np.isin(rows[corrected], named).sum())
+        unknown = int(corrected.sum()) - foreign
+        unassigned = np.setdiff1d(np.arange(none), rows)
+        is_numbered = identities == tuple(map(str, range(none)))
+        is_complete = bool((rows < none).all())
+        slots = slots_of(rows, none, self.scale, self.plane)
+        counts = foreign, unknown
+        return Layout(rows, named, is_complete, absent, *counts, unassigned, is_numbered, slots)
 
     def _with_aliases(self, identities: tuple[str, ...], named: np.ndarray) -> np.ndarray:
         """Rows with the markers that have other names for now; a name of its own goes first."""
@@ -374,19 +419,6 @@ def _axes_of(poses: np.ndarray) -> np.ndarray:
     """The unit axes (3, T, B, 3) of the frames of poses (T, B, 3, 3), m."""
     arms = (poses[:, :, 1:] - poses[:, :, :1]) / _ARM
     return np.stack((*arms.transpose(2, 0, 1, 3), np.cross(arms[:, :, 0], arms[:, :, 1])))
-
-
-def _make_layout(
-    identities: tuple[str, ...], rows: np.ndarray, named: np.ndarray, absent: list[list[str]]
-) -> Layout:
-    none = len(identities)
-    corrected = (rows != named) & (rows < none)
-    foreign = int(np.isin(rows[corrected], named).sum())
-    unknown = int(corrected.sum()) - foreign
-    unassigned = np.setdiff1d(np.arange(none), rows)
-    is_numbered = identities == tuple(map(str, range(none)))
-    is_complete = bool((rows < none).all())
-    return Layout(rows, named, is_complete, absent, foreign, unknown, unassigned, is_numbered)
 
 
 class MarkerPlaces:

@@ -12,7 +12,7 @@ import numpy as np
 
 from kinpole_ros.planar import Fit
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.tracking.assignment import Layout, MarkerAssignment
+from kinpole_ros.tracking.assignment import MarkerAssignment, PlacedFrames
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.grouping import group
 from kinpole_ros.tracking.history import History
@@ -106,108 +106,90 @@ class Matcher:
         self._next_regrouping, self._regroupings = MIN_SAMPLES, 0
         # Residual variances, m^2, of the recent best fits by `match`, right or wrong.
         self._variances: deque[float] = deque(maxlen=MEMORY_FRAMES)
-        self._arranged_this_frame = False
+        # The frames in hand, for `wrong_shapes`.
+        self._last: PlacedFrames | None = None
 
-    @property
-    def is_nameless(self) -> bool:
-        """Whether the names of the last frames are indices, which may change at any time."""
-        return self._nameless
-
-    @property
-    def in_order(self) -> bool:
-        """Whether each marker of the last frames is taken to be where its name says."""
-        is_full = len(self._assignment.identities) == self.full_count
-        return not self._nameless or (
+    def is_in_order(self, placed: PlacedFrames) -> bool:
+        """Whether each marker of the frames is taken to be where its name says."""
+        is_full = len(placed.identities) == self.full_count
+        return not placed.is_nameless or (
             is_full and not self._by_shape and self._arranged >= MIN_SAMPLES
         )
 
-    @property
-    def has_unassigned(self) -> bool:
-        """Whether the last frames have points in no slot of a body."""
-        return len(self._layout.unassigned) > 0 and not self._by_shape
+    def has_unassigned(self, placed: PlacedFrames) -> bool:
+        """Whether the frames have points in no slot of a body."""
+        return len(placed.layout.unassigned) > 0 and not self._by_shape
 
-    def begin(self, stamps: np.ndarray, points: Complex, heights: Real) -> None:
-        """
-        Use these frames, whose markers are assigned by name; the arrays are corrected in place.
-
-        Parameters
-        ----------
-        stamps : (T,) int64
-            ns.
-        points : (T, B, n) complex
-            Markers in the plane, m, NaN for none.
-        heights : (T, B, n) float
-            Their heights, m.
-
-        """
-        self._stamps, self._points, self._heights = stamps, points, heights
-        if not self._layout.is_numbered and not self._by_shape:
+    def begin(self, placed: PlacedFrames) -> None:
+        """Begin with frames whose markers are placed by name; hides bodies that are withheld."""
+        self._last = placed
+        if not placed.layout.is_numbered and not self._by_shape:
             # A driver that names markers once does so always.
             self._may_be_nameless = False
-        self._nameless = self._may_be_nameless and self._layout.is_numbered
-        self._count_corrected(0, 1)
+        placed.is_nameless = self._may_be_nameless and placed.layout.is_numbered
+        self._count_corrected(placed, 0, 1)
         if self._withholds:
-            points[:, self.withheld] = np.nan
+            placed.points[:, self.withheld] = np.nan
 
-    def is_incomplete_cloud(self) -> bool:
+    def is_incomplete_cloud(self, placed: PlacedFrames) -> bool:
         """
         Return whether the last frames are a cloud without names of an unusual size.
 
         Such a frame cannot be matched by shape while the plane is not known. The usual size is
         learned from these calls.
         """
-        if not (self._may_be_nameless and self._layout.is_numbered):
+        if not placed.is_nameless:
             return False
-        self._update_full_count()
-        return len(self._assignment.identities) != self.full_count
+        self._update_full_count(placed)
+        return len(placed.identities) != self.full_count
 
-    def arrange(self, k: int) -> bool:
+    def arrange(self, placed: PlacedFrames, k: int) -> bool:
         """
         Match frame `k` by shape if names mean nothing.
 
         Returns whether all bodies have to start again, since earlier frames were assigned wrongly.
         """
-        self._arranged_this_frame = False
-        if not self._nameless:
+        if not placed.is_nameless:
             return False
         restarts = False
         if self._arranged < MIN_SAMPLES:
-            has_changed = self._update_full_count()
+            has_changed = self._update_full_count(placed)
             restarts = has_changed and not self.has_shape.all()
             self._arranged += 1
-        is_full = len(self._assignment.identities) == self.full_count
+        is_full = len(placed.identities) == self.full_count
         if is_full and not self._by_shape:
             return restarts
         was_in_order = not self.disordered
-        self._arrange_by_shape(k, is_full, restarts)
+        self._arrange_by_shape(placed, k, is_full, restarts)
         self._counts[BY_SHAPE] += 1
-        self._arranged_this_frame = True
+        placed.arranged = k
         # Frames before the disorder was noticed did not show the bodies they were taken for.
         return restarts or (was_in_order and self.disordered)
 
-    def assign_again(self, first: int) -> None:
-        """Assign the frames from `first` on again, since the names of markers were corrected."""
-        self._points[first:], self._heights[first:], _ = self._assignment.assign_again(first)
+    def assign_again(self, placed: PlacedFrames, first: int) -> None:
+        """Place the frames from `first` on again, since the names of markers were corrected."""
+        self._assignment.assign_again(placed, first)
         if self.withheld.any():
-            self._points[first:, self.withheld] = np.nan
+            placed.points[first:, self.withheld] = np.nan
 
-    def is_doubtful(self, k: int, fit: Fit, hidden: np.ndarray) -> bool:
+    def is_doubtful(self, placed: PlacedFrames, k: int, fit: Fit, hidden: np.ndarray) -> bool:
         """
         Return whether frame `k` has an unassigned point that may be one of the hidden markers.
 
         Parameters
         ----------
-        k : int
-            Its index among the last frames.
+        placed, k : PlacedFrames, int
+            The frames, and which of them.
         fit : Fit
             Poses of the bodies in the frame, of shape (B,).
         hidden : (B, n) bool
             Markers that were not seen.
 
         """
-        if not len(self._layout.unassigned) or self._by_shape or self._arranged_this_frame:
+        unassigned = placed.layout.unassigned
+        if not len(unassigned) or self._by_shape or placed.arranged == k:
             return False
-        points = self._assignment.project_unassigned(k)
+        points, _ = self._assignment.project_rows(placed.frames.points[k], unassigned)
         points = points[~np.isnan(points)]
         if not len(points):
             return False
@@ -220,29 +202,29 @@ class Matcher:
         lost = np.isnan(fit.angle) & (self._bodies.learned_count >= 2) & ~self.withheld
         return bool((lost & (len(points) + (~hidden).sum(axis=1) >= 2)).any())
 
-    def correct_names(self, k: int) -> bool:
+    def correct_names(self, placed: PlacedFrames, k: int) -> bool:
         """Correct the names from frame `k` on; return whether any was wrong."""
         # One body that has all points, and poses, cannot be confused.
-        is_alone = len(self._names) == 1 and not len(self._layout.unassigned)
-        if self._by_shape or self._arranged_this_frame or is_alone or self._assignment.posed:
+        layout = placed.layout
+        is_alone = len(self._names) == 1 and not len(layout.unassigned)
+        if self._by_shape or placed.arranged == k or is_alone or self._assignment.posed:
             return False
-        layout = self._layout
-        points, _ = self._assignment.project_all(k)
+        points, _ = self._project(placed, k)
         assigned = np.where(layout.rows < len(points), layout.rows, -1)
         hidden = (assigned >= 0) & np.isnan(np.append(points, np.nan)[assigned])
         named = np.where(hidden, -1, assigned)
         named[self.withheld] = -1
         fits = self._fits_by_name(points, named, self._bodies.markers())
-        rows = merge_names(self._match(k, points, named, fits), named)
+        rows = merge_names(self._match(placed, k, points, named, fits), named)
         if rows is None:
             return False
-        self._count_corrected(k, -1)
+        self._count_corrected(placed, k, -1)
         # A hidden marker that found no other point keeps its name.
         rows = np.where(hidden & (rows < 0), assigned, rows)
-        self._assignment.correct_names(rows, not self._nameless)
-        self._count_corrected(k, 1)
-        self._note_corrections()
-        self.assign_again(k)
+        self._assignment.correct_names(placed, rows, not placed.is_nameless)
+        self._count_corrected(placed, k, 1)
+        self._note_corrections(placed)
+        self.assign_again(placed, k)
         return True
 
     @property
@@ -305,24 +287,23 @@ class Matcher:
                 found[name] = 'mirrored' if self._fits_mirrored(b) else 'nowhere'
         return found
 
-    @property
-    def _layout(self) -> Layout:
-        layout = self._assignment.layout
-        assert layout is not None
-        return layout
+    def _project(self, placed: PlacedFrames, k: int) -> tuple[Complex, Real]:
+        """Return all points (m,) of a frame in the plane, and their heights, m."""
+        points = placed.frames.points[k]
+        return self._assignment.project_rows(points, np.arange(len(points)))
 
-    def _count_corrected(self, first: int, sign: int) -> None:
+    def _count_corrected(self, placed: PlacedFrames, first: int, sign: int) -> None:
         """Count corrected names in the frames from `first` on, or take the count back."""
-        frames = sign * (len(self._stamps) - first)
-        if self._layout.foreign_names:
-            self._counts[OTHERS] += frames * self._layout.foreign_names
-        if self._layout.unknown_names:
-            self._counts[RENAMED] += frames * self._layout.unknown_names
+        frames, layout = sign * (len(placed.frames.stamps) - first), placed.layout
+        if layout.foreign_names:
+            self._counts[OTHERS] += frames * layout.foreign_names
+        if layout.unknown_names:
+            self._counts[RENAMED] += frames * layout.unknown_names
 
-    def _note_corrections(self) -> None:
+    def _note_corrections(self, placed: PlacedFrames) -> None:
         """Remember which markers were corrected."""
-        layout, names = self._layout, self._assignment.identities
-        if self._nameless:
+        layout, names = placed.layout, placed.identities
+        if placed.is_nameless:
             return
         corrected = (layout.rows != layout.named_rows) & (layout.rows < len(names))
         for b, k in zip(*np.nonzero(corrected), strict=True):
@@ -331,9 +312,9 @@ class Matcher:
             if note in self.notes or len(self.notes) < _MOST_NOTES:
                 self.notes[note] += 1
 
-    def _update_full_count(self) -> bool:
+    def _update_full_count(self, placed: PlacedFrames) -> bool:
         """Count the points of a cloud; return whether the full count, known before, changed."""
-        size = len(self._assignment.identities)
+        size = len(placed.identities)
         self._cloud_sizes[size] += 1
         numbers = [int(n) for names in self._assignment.markers for n in names if n.isdecimal()]
         named = max(numbers, default=-1) + 1
@@ -346,28 +327,31 @@ class Matcher:
         before, self.full_count = self.full_count, max(score, key=lambda n: score[n], default=0)
         return before not in (0, self.full_count)
 
-    def _arrange_by_shape(self, k: int, is_full: bool, restarts: bool) -> None:
+    def _arrange_by_shape(
+        self, placed: PlacedFrames, k: int, is_full: bool, restarts: bool
+    ) -> None:
         """Assign the points of a frame by shape; to bodies without one by name, if it is full."""
-        points, heights = self._assignment.project_all(k)
+        points, heights = self._project(placed, k)
         # Learned shapes are void after a restart.
         shapes = self.given if restarts else self._bodies.markers()
         has_shape = (~np.isnan(shapes)).sum(axis=1) >= 2
-        named = np.where(self._layout.rows < len(points), self._layout.rows, -1)
+        rows = placed.layout.rows
+        named = np.where(rows < len(points), rows, -1)
         # While it is not known whether the order is stable, the names are tried first.
         learns_order = is_full and self._arranged < MIN_SAMPLES and not self.disordered
         names = np.where(self.has_shape[:, None] | (not learns_order), -1, named)
         fits = np.zeros(len(has_shape), bool)
         if learns_order:
             fits = self._fits_by_name(points, names, shapes)
-        found = self._match(k, points, names, fits, shapes)
+        found = self._match(placed, k, points, names, fits, shapes)
         rows = np.where(has_shape[:, None], found.indices, named if is_full else -1)
         if is_full:
             as_named = ((rows == named) | np.isnan(shapes)).all(axis=1)
             rows = np.where(as_named[:, None], named, rows)
             self._check_order(as_named | self.has_shape | ~has_shape)
         rows[self.withheld] = -1
-        self._points[k] = np.where(rows >= 0, np.append(points, np.nan)[rows], np.nan)
-        self._heights[k] = np.where(rows >= 0, np.append(heights, np.nan)[rows], np.nan)
+        placed.points[k] = np.where(rows >= 0, np.append(points, np.nan)[rows], np.nan)
+        placed.heights[k] = np.where(rows >= 0, np.append(heights, np.nan)[rows], np.nan)
         self._times_found += np.isfinite(found.turn)
         self._counts[UNCERTAIN] += int((found.uncertain & ~self.withheld).sum())
 
@@ -389,6 +373,7 @@ class Matcher:
 
     def _match(
         self,
+        placed: PlacedFrames,
         k: int,
         points: Complex,
         named: np.ndarray,
@@ -403,21 +388,22 @@ class Matcher:
         variance = np.inf
         if len(self._variances) >= MIN_SAMPLES:
             variance = float(np.median(self._variances))
-        expected = Expected(*self._predict(k), named, fits, variance, self._pins)
+        expected = Expected(*self._predict(placed.frames.stamps[k]), named, fits, variance, self._pins)
         found = match(points, shapes, self._bodies.limit, expected)
         self._variances.extend(found.variance[np.isfinite(found.variance)].tolist())
         return found
 
-    def _predict(self, k: int) -> tuple[Complex, Complex]:
-        """Poses (B,) of the bodies in a frame, predicted from those before."""
+    def _predict(self, stamp: int) -> tuple[Complex, Complex]:
+        """Poses (B,) of the bodies in the next frame, predicted from those before."""
         stamps, position, angle = (
             self._history[name][-RECENT_FRAMES:] for name in ('stamp', 'position', 'angle')
         )
-        return predict_poses(stamps, position, angle, int(self._stamps[k]))
+        return predict_poses(stamps, position, angle, int(stamp))
 
     def _fits_mirrored(self, b: int) -> bool:
         """Whether the points of the last frame have a body's given shape mirrored."""
-        points, _ = self._assignment.project_all(-1)
+        assert self._last is not None
+        points, _ = self._project(self._last, -1)
         shapes = self.given[b : b + 1].conj()
         nowhere = np.full(1, complex(np.nan, np.nan))
         expected = Expected(nowhere, nowhere, np.full(shapes.shape, -1), np.zeros(1, bool))

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from kinpole_ros.tracking.assignment import MarkerAssignment
+from kinpole_ros.tracking.assignment import MarkerAssignment, PlacedFrames
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins, find_hubs
 from kinpole_ros.tracking.corrections import EXCHANGED, correct_frame
@@ -71,7 +71,8 @@ class Tracker:
         settings = of_poses(self.settings) if self._posed else self.settings
         self._assignment = MarkerAssignment(settings, self._posed)
         self._space = Space(self.settings.plane, count, self._assignment.width)
-        self._assignment.plane = self._space.plane
+        self._assignment.set_plane(self._space.plane)
+        self._placed: PlacedFrames | None = None
         # Frames before the plane was known, with their times and counts.
         self._before_plane: deque[tuple[MarkerFrames, list[np.ndarray]]] = deque(
             maxlen=MIN_HISTORY_FRAMES
@@ -126,7 +127,7 @@ class Tracker:
     @property
     def identities(self) -> tuple[str, ...]:
         """Identities of the markers in the last message."""
-        return self._assignment.identities
+        return () if self._placed is None else self._placed.identities
 
     def space(self) -> SpaceReport:
         """Return the tilt of the motion against the plane, and how far it leaves the plane."""
@@ -180,7 +181,9 @@ class Tracker:
 
     def absent_markers(self) -> dict[str, list[str]]:
         """Return the markers that the last message lacks, of bodies with less than two in it."""
-        lacks = zip(self.bodies, self._assignment.absent_of_bodies(), strict=False)
+        if self._placed is None:
+            return {}
+        lacks = zip(self.bodies, self._assignment.absent_of_bodies(self._placed), strict=False)
         return {body: names for body, names in lacks if names}
 
     def stamp_state(self) -> StampState | None:
@@ -264,35 +267,35 @@ class Tracker:
         frames, *times, numbers = timed
         estimates: list[Estimate] = []
         width = self._calibration.width
-        in_space = self._assign(frames)
+        placed = self._assign(frames)
         if self._calibration.width > width:
             estimates += self._flush_results()
-        self._pass_frames(frames, times)
+        self._pass_frames(placed, times)
         results = self._reserve_results(len(frames.stamps), order)
         first, count = 0, len(frames.stamps)
         while first < count:
             self._search_events(first, numbers)
             if self._update_if_due():
-                self.matcher.assign_again(first)
-                self._step.fields.hidden_is_unusual = self.matcher.has_unassigned
+                self.matcher.assign_again(placed, first)
+                self._step.fields.hidden_is_unusual = self.matcher.has_unassigned(placed)
             if self._assignment.plane is not self._space.plane:
                 self._keep_results(results, numbers)
                 estimates += self._flush_results()
                 self._replay_in_plane()
-                in_space = self._assign(frames)
-                self._pass_frames(frames, times)
+                placed = self._assign(frames)
+                self._pass_frames(placed, times)
                 self._step.fields.frame = first
                 results = self._reserve_results(count - first, order)
             is_unusual, is_known = True, self._assignment.plane is not None
-            if is_known and self.matcher.in_order and not self._calibration.exchanged:
+            if is_known and self.matcher.is_in_order(placed) and not self._calibration.exchanged:
                 is_unusual = self._follow(self._next_update - self._frame_count, results)
             if is_unusual:
-                self._take_unusual(in_space, results)
+                self._take_unusual(placed, times, results)
             first = self._step.fields.frame
         self._search_events(first, numbers)
         self._keep_results(results, numbers)
-        if in_space is not None and self._assignment.plane is not None:
-            self._space.add(in_space)
+        if placed.in_space is not None and self._assignment.plane is not None:
+            self._space.add(placed.in_space)
         return estimates
 
     def _search_events(self, first: int, numbers: np.ndarray) -> None:
@@ -304,11 +307,13 @@ class Tracker:
         for event in self._event_search.search(self._history, bodies, hub, first - 1):
             self._events.append(event._replace(due=int(numbers[max(event.due, 0)])))
 
-    def _pass_frames(self, frames: MarkerFrames, times: Sequence[np.ndarray]) -> None:
-        """Pass the last frames, with their times and counts, to the compiled step."""
-        self._frames_in_hand = frames, times
-        new_frames = frames.stamps, *times, self._points, self._heights, self._tilts
-        self._step.pass_frames(len(frames.stamps), new_frames, self.matcher.has_unassigned)
+    def _pass_frames(self, placed: PlacedFrames, times: Sequence[np.ndarray]) -> None:
+        """Pass frames, with their times and counts, to the compiled step."""
+        stamps, in_space, tilts = placed.frames.stamps, placed.in_space, None
+        if in_space is not None and self._assignment.plane is not None:
+            tilts = self._assignment.tilts(in_space)
+        new_frames = stamps, *times, placed.points, placed.heights, tilts
+        self._step.pass_frames(len(stamps), new_frames, self.matcher.has_unassigned(placed))
 
     def _follow(self, until_update: int, results: Results) -> bool:
         """Take usual frames, and compute the results that are due; whether the next is unusual."""
@@ -362,17 +367,13 @@ class Tracker:
         events, self._events = self._events, []
         return [estimate_of(results, *about, tuple(events))]
 
-    def _assign(self, frames: MarkerFrames) -> np.ndarray | None:
-        """Assign markers to the bodies, and pass them to the matcher; return those in space."""
-        points, heights, in_space = self._assignment.assign(frames)
+    def _assign(self, frames: MarkerFrames) -> PlacedFrames:
+        """Place the markers of frames in the slots of the bodies."""
+        self._placed = placed = self._assignment.assign(frames)
         if self._assignment.width > self._calibration.width:
             self._widen()
-        # The matcher corrects both in place.
-        self._points, self._heights = np.ascontiguousarray(points), np.ascontiguousarray(heights)
-        has_tilts = in_space is not None and self._assignment.plane is not None
-        self._tilts = self._assignment.tilts(in_space) if has_tilts else None
-        self.matcher.begin(np.asarray(frames.stamps), self._points, self._heights)
-        return in_space
+        self.matcher.begin(placed)
+        return placed
 
     def _widen(self) -> None:
         """Make room for more markers, of a body that takes all markers."""
@@ -392,27 +393,29 @@ class Tracker:
         self._counts['resets'] += 1
         self._start(self._timeline)
 
-    def _take_unusual(self, in_space: np.ndarray | None, results: Results) -> None:
-        """Take the next frame, one of those `in_space`, after correcting its markers."""
+    def _take_unusual(
+        self, placed: PlacedFrames, times: Sequence[np.ndarray], results: Results
+    ) -> None:
+        """Take the next frame, after correcting its markers."""
         k = self._step.fields.frame
         if self._assignment.plane is None:
-            frames, times = self._frames_in_hand
-            part = slice(k, k + 1)
-            self._before_plane.append((part_of(frames, part), [array[part] for array in times]))
+            part, in_space = slice(k, k + 1), placed.in_space
+            frame = part_of(placed.frames, part), [array[part] for array in times]
+            self._before_plane.append(frame)
             assert in_space is not None
-            unusable = self.matcher.is_incomplete_cloud()
+            unusable = self.matcher.is_incomplete_cloud(placed)
             self._space.add(np.full_like(in_space[part], np.nan) if unusable else in_space[part])
-            self._step.correct_next(self._points[k])
+            self._step.correct_next(placed.points[k])
         else:
-            self._step.correct_next(self._corrected(k))
+            self._step.correct_next(self._corrected(placed, k))
         self._follow(1, results)
 
-    def _corrected(self, k: int) -> np.ndarray:
+    def _corrected(self, placed: PlacedFrames, k: int) -> np.ndarray:
         """Return the markers (B, n) that frame `k` is fitted to, NaN for those left out."""
         bodies, matcher = self._calibration, self.matcher
-        if matcher.is_nameless and matcher.arrange(k):
+        if matcher.arrange(placed, k):
             self._restart_bodies(np.ones(bodies.count, bool))
-        markers, heights = self._points[k], self._heights[k]
+        markers, heights = placed.points[k], placed.heights[k]
         if len(bodies.unseen):
             bodies.begin(markers)
             self._step.bind(bodies, self._history)
@@ -423,8 +426,9 @@ class Tracker:
             markers[...] = np.take_along_axis(markers, bodies.order, axis=1)
             heights[...] = np.take_along_axis(heights, bodies.order, axis=1)
         unusual = self._step.try_next(markers)
-        if (unusual & NAME_DOUBTFUL or matcher.has_unassigned) and self._correct_names(k, unusual):
-            unusual = self._step.try_next(markers)
+        if unusual & NAME_DOUBTFUL or matcher.has_unassigned(placed):
+            if self._correct_names(placed, k, unusual):
+                unusual = self._step.try_next(markers)
         fitted = markers
         if unusual & ODD:
             odd = (self._step.unusual & ODD) > 0
@@ -440,18 +444,19 @@ class Tracker:
             bodies.exchanged_for += 1
         return fitted
 
-    def _correct_names(self, k: int, unusual: int) -> bool:
+    def _correct_names(self, placed: PlacedFrames, k: int, unusual: int) -> bool:
         """Correct wrong names of markers in the frame; return whether there were any."""
         if not unusual & NAME_DOUBTFUL:
-            unseen = np.isnan(self._points[k])
+            markers = placed.points[k]
+            unseen = np.isnan(markers)
             if not unseen.any():
                 return False
-            if not self.matcher.is_doubtful(k, self._calibration.fit(self._points[k]), unseen):
+            if not self.matcher.is_doubtful(placed, k, self._calibration.fit(markers), unseen):
                 return False
         # Bodies that are not rigid are doubtful in every frame, and a search takes long.
         if self._frame_count < self._next_search:
             return False
-        corrected = self.matcher.correct_names(k)
+        corrected = self.matcher.correct_names(placed, k)
         self._futile_searches = 0 if corrected else self._futile_searches + 1
         self._next_search = self._frame_count + min(
             2 ** max(self._futile_searches - 1, 0), MAX_SEARCH_INTERVAL
@@ -476,14 +481,14 @@ class Tracker:
         self._before_plane.clear()
         due = self._step.fields.due - (len(self._history) - len(early))
         seen_last = self._step.seen_last
-        self._assignment.plane = self._space.plane
+        self._assignment.set_plane(self._space.plane)
         assert self._assignment.plane is not None
         self._start_bodies()
         for frame, times in early:
             self._update_if_due()
-            in_space = self._assign(frame)
-            self._pass_frames(frame, times)
-            self._take_unusual(in_space, self._reserve_results(0, None))
+            placed = self._assign(frame)
+            self._pass_frames(placed, times)
+            self._take_unusual(placed, times, self._reserve_results(0, None))
         self._step.fields.due = max(due, 0)
         self._step.seen_last[:] = seen_last
 
