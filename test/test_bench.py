@@ -244,10 +244,10 @@ class Turning(Tracker):
         found = super().add(frames, order)
         # What is not learned yet would turn it back.
         self.learn_if_due()
-        self._calibration.shape *= np.exp(1e-7j * len(frames.stamps))
-        self._calibration.shape += 1e-9 * len(frames.stamps)
-        self._calibration.update()
-        self._step.bind(self._calibration, self._history)
+        self.state.bodies.shape *= np.exp(1e-7j * len(frames.stamps))
+        self.state.bodies.shape += 1e-9 * len(frames.stamps)
+        self.state.bodies.update()
+        self._step.bind(self.state.bodies, self._history)
         return found
 
 

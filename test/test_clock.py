@@ -269,7 +269,7 @@ def test_times_increase_and_work_is_bounded_with_stamps_of_any_kind(seed, mode, 
         for k in range(0, len(stamps), block):
             part = slice(k, k + block)
             tracker.add(MarkerFrames(stamps[part], 'world', NAMES, points[part]), 1)
-            assert (np.diff(tracker._history['time']) > 0).all()
+            assert (np.diff(tracker.state.history['time']) > 0).all()
 
 
 def test_rounding_lapses_when_stamps_become_true():

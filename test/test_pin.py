@@ -66,7 +66,7 @@ def ever_taken(frames: list[MarkerFrames]) -> bool:
         # Pins come and go at beats, of which there is one in so many frames.
         last = first + 64
         tracker.add(joined(frames[first:last]), None)
-        if np.isfinite(tracker._pins.center[0]):
+        if np.isfinite(tracker.state.pins.center[0]):
             return True
         first = last
     return False
@@ -169,7 +169,7 @@ def test_a_slow_hinge_is_recognized_as_surely_as_a_fast_one() -> None:
         motion = about(0.3 + 0.2j, 0.1 - 0.05j, lambda t, w=rate: w * t)
         tracker = Tracker(settings_from({}))
         tracker.add(joined(seen(motion, count, 1e-4)), None)
-        assert np.isfinite(tracker._pins.center[0]), rate
+        assert np.isfinite(tracker.state.pins.center[0]), rate
 
 
 def test_a_hinge_at_rest_stays_one_and_has_no_poles() -> None:
@@ -192,9 +192,9 @@ def test_a_pin_is_found_and_kept_while_markers_come_and_go(seed: int) -> None:
     tracker = Tracker(settings_from({}))
     tracker.add(joined(frames[:800]), None)
     for frame in frames[800:]:
-        assert np.isfinite(tracker._pins.center[0])
+        assert np.isfinite(tracker.state.pins.center[0])
         tracker.add(frame, None)
-    pins = tracker._pins
+    pins = tracker.state.pins
     assert np.abs(pins.center[0] - (0.3 + 0.2j)) < 4 * np.sqrt(pins.variance[0])
 
 
@@ -243,7 +243,7 @@ def poses(
     for first in range(0, len(angle), beat):
         tracker.add(part_of(frames, slice(first, first + beat)), None)
         tracker.learn_if_due()
-        yield tracker._pins
+        yield tracker.state.pins
 
 
 @pytest.mark.parametrize('noise', [1e-3, 4e-3, 1.6e-2])

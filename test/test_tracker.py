@@ -376,13 +376,13 @@ def test_markers_that_are_named_anew_in_every_frame_do_not_fill_the_memory() -> 
         names = tuple(f'{k}_{n}' for n in range(300))
         tracker.add(frame._replace(identities=names, points=np.ones((1, 300, 3))), None)
     assert tracker.counts['markers_unknown'] == 300
-    assert tracker._calibration.width <= MOST_MARKERS
+    assert tracker.state.bodies.width <= MOST_MARKERS
     # Nor do those that no body names, each time in a layout of its own.
     tracker = Tracker(settings_from({'bodies': ['rod'], 'rod.markers': ['a', 'b']}))
     for k in range(200):
         frame = MarkerFrames(seen.frames[0].stamps + k * STEP, 'w', (f'{k}',), np.ones((1, 1, 3)))
         tracker.add(frame, None)
-    assert len(tracker._assignment._layouts) < 100
+    assert len(tracker.state.assignment._layouts) < 100
 
 
 def test_reset_forgets_what_was_learned() -> None:

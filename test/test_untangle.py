@@ -160,7 +160,7 @@ def test_heights_go_with_the_markers_that_are_exchanged() -> None:
     tracker, _ = track(spoil)
     assert tracker.counts['markers_exchanged'] > 0
     coupler = list(SCENE.markers).index('coupler')
-    markers, known = (tracker._history[name][:, coupler] for name in ('markers', 'heights'))
+    markers, known = (tracker.state.history[name][:, coupler] for name in ('markers', 'heights'))
     seen = ~np.isnan(markers)
     assert not seen[-1].all()
     assert (np.where(seen, known, heights) == heights).all()
@@ -292,13 +292,13 @@ def test_a_settled_shape_is_held_until_a_marker_creeps() -> None:
     points = markers(KITE, SETTLED + 3000)
     held, _ = fitted(points[: SETTLED + 10])
     tracker, _ = fitted(points[: SETTLED + 1000])
-    assert np.array_equal(tracker._calibration.shape, held._calibration.shape)
+    assert np.array_equal(tracker.state.bodies.shape, held.state.bodies.shape)
     # By 30 times the noise in all, so slowly that no frame is suspect.
     creep = 3e-3 * np.clip((np.arange(len(points)) - SETTLED) / 2000, 0, 1)
     points[:, 0] += creep * np.exp(0.03j * np.arange(len(points)))
     tracker, _ = fitted(points)
     assert not corrected(tracker)
-    assert np.abs(tracker._history['residual'][-200:]).max() < 6e-4
+    assert np.abs(tracker.state.history['residual'][-200:]).max() < 6e-4
 
 
 # --- half a turn --------------------------------------------------------------------------------

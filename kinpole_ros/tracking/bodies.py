@@ -7,7 +7,7 @@ import numpy as np
 from kinpole_ros.planar import Fit, fit_pose_with_factors, procrustes_factors
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.tracking.rejection import marker_limits
-from kinpole_ros.tracking.thresholds import MIN_SAMPLES
+from kinpole_ros.tracking.thresholds import MIN_SAMPLES, N_SIGMA, NEGLIGIBLE, ROUNDED
 
 # The place of a marker is kept after so many frames.
 SETTLED_FRAMES = 1000
@@ -123,6 +123,14 @@ class Bodies:
     def error(self) -> Real:
         """Variance (B,) of a coordinate of a marker, m^2: the misfit, no less than rounding."""
         return np.maximum(self.misfit, self.least_noise**2)
+
+    def rigidity_residual(self) -> Real:
+        """Return the rms residual (B,) of each body, m, per axis; 0 for one that is rigid."""
+        off = np.sqrt(np.where(self.mature, self.misfit, np.nan))
+        with np.errstate(invalid='ignore'):
+            loose = (off > N_SIGMA * self.white) & (off > NEGLIGIBLE * self.size)
+            loose &= off > ROUNDED * self.size
+        return np.where(loose, off, 0.0)
 
     def fit(self, markers: Complex) -> Fit:
         """Fit the poses of all bodies to their markers (..., B, n), m, NaN for those not seen."""

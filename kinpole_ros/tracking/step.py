@@ -62,11 +62,12 @@ class Step:
         history: History,
         posed: bool,
         outages: np.ndarray,
+        wrong: np.ndarray,
     ) -> None:
-        self.outages = outages
+        self.outages, self.wrong = outages, wrong
         self._settings, self._pins, self._posed = settings, pins, posed
         self.unusual = np.zeros(bodies.count, np.uint8)
-        self.wrong, self.newest = np.zeros((2, bodies.count), np.int64)
+        self.newest = np.zeros(bodies.count, np.int64)
         self.seen_last = np.full(bodies.count, -1, np.int64)
         self.total_turn = np.zeros(bodies.count)
         self.sure_angle = np.full(bodies.count, np.nan)

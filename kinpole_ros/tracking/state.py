@@ -1,0 +1,170 @@
+"""What the tracker knows between two frames, and which stage writes it."""
+
+import itertools
+from collections import Counter, deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from kinpole_ros.tracking.assignment import MarkerAssignment, PlacedFrames
+from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.center import Pins
+from kinpole_ros.tracking.events import EventSearch
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.history import History
+from kinpole_ros.tracking.matcher import Matcher
+from kinpole_ros.tracking.parameters import Settings, of_poses
+from kinpole_ros.tracking.space import Space
+from kinpole_ros.tracking.step import Step
+from kinpole_ros.tracking.timeline import Timeline
+
+# The history has at least this many frames.
+MIN_HISTORY_FRAMES = 1024
+_run_numbers = itertools.count(1)
+
+
+@dataclass
+class Totals:
+    """
+    What is counted from the first frame on, also over restarts.
+
+    `counts` are frames and markers that were dropped, corrected or not seen, by cause; each stage
+    adds to its own. `outages` (B + 1, 5) are gaps, see _frames.h, and `wrong` (B,) poses off their
+    paths; C writes both.
+    """
+
+    counts: Counter[str]
+    outages: np.ndarray
+    wrong: np.ndarray
+
+
+@dataclass
+class State:
+    """
+    What is known since the last start.
+
+    Attributes
+    ----------
+    settings : Settings
+        The parameters.
+    posed : bool
+        Whether the input are poses of bodies instead of markers.
+    totals : Totals
+        What is counted over restarts.
+    run : int
+        Another number for each start.
+    timeline : Timeline
+        The clock, written by `Timeline` alone.
+    assignment, matcher : MarkerAssignment, Matcher
+        The names of markers, written by `correct_frame` of correction.py.
+    placed : PlacedFrames or None
+        The frames in hand.
+    space : Space
+        The plane, and how the motion lies in space.
+    before_plane : deque
+        Frames before the plane was known, with their times and counts.
+    bodies, pins : Bodies, Pins
+        What is learned, written by `update` of update.py.
+    history, step : History, Step
+        The frames of late, written by C.
+    event_search : EventSearch
+        Where the search for events goes on.
+    frame_count, new_frames, counted_frames : int
+        Frames since the start, since the last update, and those of the latter that were counted.
+    next_update : int
+        The frame at which to learn next.
+    names_changed : bool
+        Whether names stand for other markers since the frames in hand were placed.
+    futile_searches, next_search : int
+        Searches for names in a row without a result, and the frame from which to search again.
+
+    """
+
+    settings: Settings
+    posed: bool
+    totals: Totals
+    run: int
+    timeline: Timeline
+    assignment: MarkerAssignment
+    space: Space
+    event_search: EventSearch
+    bodies: Bodies
+    history: History
+    pins: Pins
+    matcher: Matcher
+    step: Step
+    placed: PlacedFrames | None = None
+    before_plane: deque[tuple[MarkerFrames, list[np.ndarray]]] = field(
+        default_factory=lambda: deque(maxlen=MIN_HISTORY_FRAMES)
+    )
+    frame_count: int = 0
+    new_frames: int = 0
+    counted_frames: int = 0
+    next_update: int = 1
+    names_changed: bool = False
+    futile_searches: int = 0
+    next_search: int = 0
+
+
+def start(settings: Settings, posed: bool, totals: Totals, before: Timeline | None) -> State:
+    """Return the state before the first frame; the clock goes on from the timeline `before`."""
+    count = len(settings.bodies)
+    assignment = MarkerAssignment(of_poses(settings) if posed else settings, posed)
+    space = Space(settings.plane, count, assignment.width)
+    assignment.set_plane(space.plane)
+    return State(
+        settings,
+        posed,
+        totals,
+        next(_run_numbers),
+        Timeline(settings, totals.counts, before),
+        assignment,
+        space,
+        EventSearch(settings.window_ns, count),
+        *_new_bodies(settings, posed, totals, assignment),
+    )
+
+
+def start_bodies(state: State) -> None:
+    """Start with bodies of which nothing is known, on the same clock, names and plane."""
+    parts = _new_bodies(state.settings, state.posed, state.totals, state.assignment)
+    state.bodies, state.history, state.pins, state.matcher, state.step = parts
+    state.frame_count = state.new_frames = state.counted_frames = 0
+    state.futile_searches = state.next_search = 0
+    state.next_update, state.names_changed = 1, False
+
+
+def _new_bodies(
+    settings: Settings, posed: bool, totals: Totals, assignment: MarkerAssignment
+) -> tuple[Bodies, History, Pins, Matcher, Step]:
+    """Return bodies, history, pins, matcher and step before the first frame."""
+    settings = of_poses(settings) if posed else settings
+    slots = len(settings.bodies), assignment.width
+    bodies, history = Bodies(*slots), History(*slots)
+    pins = Pins(bodies)
+    matcher = Matcher(settings, assignment, bodies, history, totals.counts)
+    step = Step(settings, bodies, pins, history, posed, totals.outages, totals.wrong)
+    return bodies, history, pins, matcher, step
+
+
+def widen(state: State) -> None:
+    """Make room for more markers, of a body that takes all markers."""
+    width = state.assignment.width
+    for part in (state.bodies, state.history, state.pins, state.space):
+        part.widen(width)
+    state.step.bind(state.bodies, state.history)
+    state.before_plane.clear()
+
+
+def restart_bodies(state: State, which: np.ndarray) -> None:
+    """Forget everything learned of some bodies (B,)."""
+    state.bodies.restart(which)
+    if state.matcher.has_shape.any():
+        state.bodies.give(np.where(which[:, None], state.matcher.given, np.nan))
+    history = state.history
+    history['information'][:, :, which] = 0.0
+    history['used'][:, which] = False
+    history['markers'][:, which] = np.nan
+    history['angle'][:, which] = np.nan
+    state.pins.forget(which)
+    state.step.bind(state.bodies, history)
