@@ -71,7 +71,7 @@ class EventSearch:
 
         `hub` (B,) are the points of the bodies that stand for their positions.
         """
-        time = history['time']
+        time = history.columns['time'][history.first : history.end]
         if len(time) <= _SETTLED:
             return []
         if self._next is None:

@@ -28,7 +28,7 @@ class History:
 
     def __init__(self, bodies: int, markers: int) -> None:
         self.dropped = self.first = self.end = 0
-        capacity = 256
+        self.capacity = capacity = 256
         each, both = (capacity, bodies), (capacity, bodies, markers)
         self.columns: dict[str, np.ndarray] = {
             'stamp': np.zeros(capacity, np.int64),
@@ -55,15 +55,15 @@ class History:
 
     def reserve(self, number: int) -> bool:
         """Make room for so many rows more; whether the columns had to be made anew."""
-        capacity, count = len(self.columns['stamp']), len(self)
-        if self.end + number <= capacity:
+        count = len(self)
+        if self.end + number <= self.capacity:
             return False
-        grown = max(capacity, 2 * (count + number))
+        grown = max(self.capacity, 2 * (count + number))
         for name, column in self.columns.items():
             moved = np.empty((grown, *column.shape[1:]), column.dtype)
             moved[:count] = column[self.first : self.end]
             self.columns[name] = moved
-        self.first, self.end = 0, count
+        self.first, self.end, self.capacity = 0, count, grown
         return True
 
     def widen(self, markers: int) -> None:

@@ -152,7 +152,8 @@ class Step:
         """Take usual frames, at most so many; return whether the next frame is unusual."""
         fields, history, call = self.fields, self._history, self._call
         fields.until_update = min(until_update, fields.frames - fields.frame)
-        if history.reserve(fields.until_update):
+        if history.end + fields.until_update > history.capacity:
+            history.reserve(fields.until_update)
             self.bind_history()
         fields.first, fields.end = history.first, history.end
         call.orders, call.instants = results.orders, 1

@@ -256,8 +256,9 @@ class Timeline:
 
     def _times_at_stamps(self, parts: list[np.ndarray], history: History) -> np.ndarray:
         """Times (T,), ns, of the next frames, which are not counted, from their stamps."""
-        earlier = history['time']
-        before = int(earlier[-1]) if len(earlier) else int(parts[0][0]) - _MIN_STEP
+        before = int(parts[0][0]) - _MIN_STEP
+        if history.end > history.first:
+            before = int(history.columns['time'][history.end - 1])
         times = []
         for stamps in parts:
             increase = stamps[0] > before

@@ -144,7 +144,8 @@ class Tracker(TrackerSummary):
         first, count = 0, len(frames.stamps)
         while first < count:
             self._search_events(first, numbers)
-            if update_if_due(state):
+            learns = state.frame_count >= state.next_update or state.names_changed
+            if learns and update_if_due(state):
                 state.matcher.assign_again(placed, first)
                 state.step.fields.hidden_is_unusual = state.matcher.has_unassigned(placed)
             if state.assignment.plane is not state.space.plane:
@@ -249,7 +250,7 @@ class Tracker(TrackerSummary):
         if order is None:
             return Results(0, 1, 0, 0)
         state = self.state
-        waiting = len(state.history) - state.step.fields.due
+        waiting = state.history.end - state.history.first - state.step.fields.due
         return Results(frames + waiting, order + 1, state.bodies.count, state.bodies.width)
 
     def _keep_results(self, results: Results, numbers: np.ndarray) -> None:
@@ -270,6 +271,8 @@ class Tracker(TrackerSummary):
 
     def learn_if_due(self) -> None:
         """Learn from the history now if an update is due; otherwise the next `add` does."""
-        self.state.names_changed = update_if_due(self.state)
-        if self.state.timeline.until_update <= 0:
-            update_clock(self.state)
+        state = self.state
+        if state.frame_count >= state.next_update:
+            state.names_changed = update_if_due(state)
+        if state.timeline.until_update <= 0:
+            update_clock(state)
