@@ -1,16 +1,57 @@
 """What is known of the bodies: shapes, weights and noise of their markers, pins, hubs."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.planar import Fit, fit_pose_with_factors, procrustes_factors
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
+from kinpole_ros.planar._procrustes import ProcrustesFactors
 from kinpole_ros.tracking.rejection import marker_limits
 from kinpole_ros.tracking.thresholds import MIN_SAMPLES, N_SIGMA, NEGLIGIBLE, ROUNDED
 
 # The place of a marker is kept after so many frames.
 SETTLED_FRAMES = 1000
+
+
+class Fitting(NamedTuple):
+    """
+    What every fit needs, as it follows from shapes, weights and misfit.
+
+    Attributes
+    ----------
+    learned_count : (B,) int
+        Number of markers with a place; `unseen` are the bodies that have none.
+    unknown_slots : (B, n) bool
+        Slots of markers without a place; `incomplete` says whether there are any.
+    spread, size : (B,) float
+        Sum of squared distances from the mean of the markers, m^2, and diameter, m.
+    weights, factors : (B, n) float, ProcrustesFactors
+        Weights of the markers, and what the fit to all of them needs.
+    middle : (B,) complex
+        Where the errors of angle and position are independent, m.
+    mature : (B,) bool
+        Whether the misfit is known.
+    limit, largest, doubtful, loosest
+        See `MarkerLimits`.
+
+    """
+
+    learned_count: np.ndarray
+    unseen: np.ndarray
+    unknown_slots: np.ndarray
+    incomplete: bool
+    spread: Real
+    size: Real
+    weights: Real
+    factors: ProcrustesFactors
+    middle: Complex
+    mature: np.ndarray
+    limit: Real
+    largest: Real
+    doubtful: Real
+    loosest: Real
 
 
 @dataclass
@@ -100,24 +141,28 @@ class Bodies:
     def update(self) -> None:
         """Compute what every fit needs from shapes, weights and misfit."""
         is_learned = self.frames > 0
-        self.learned_count = is_learned.sum(axis=1)
-        self.unknown_slots = ~is_learned
-        self.incomplete = bool(self.unknown_slots.any())
-        self.unseen = np.flatnonzero(self.learned_count == 0)
-        count = np.maximum(self.learned_count, 1)
+        learned_count = is_learned.sum(axis=1)
+        count = np.maximum(learned_count, 1)
         mean = np.where(is_learned, self.shape, 0).sum(axis=1) / count
         arms = np.where(is_learned, self.shape - mean[:, None], 0)
-        self.spread = (arms.real**2 + arms.imag**2).sum(axis=1)
-        self.size = 2 * np.sqrt(self.spread / count)
+        spread = (arms.real**2 + arms.imag**2).sum(axis=1)
+        size = 2 * np.sqrt(spread / count)
         # A place learned from N frames adds 1 / N to the variance of its marker.
-        self.weights = self.frames / (self.frames + 1.0) / self.relative
-        self.factors = procrustes_factors(self.shape, self.weights)
-        self.middle = self.factors.mean
-        self.mature = self.fits >= MIN_SAMPLES
-        relative, error = self.relative, self.error
-        self.limit, self.largest, self.doubtful, self.loosest = marker_limits(
-            self.mature, self.misfit, error, self.spread, self.size, relative
+        weights = self.frames / (self.frames + 1.0) / self.relative
+        factors = procrustes_factors(self.shape, weights)
+        mature = self.fits >= MIN_SAMPLES
+        limits = marker_limits(mature, self.misfit, self.error, spread, size, self.relative)
+        unseen, incomplete = np.flatnonzero(learned_count == 0), bool((~is_learned).any())
+        self.fitting = Fitting(
+            *(learned_count, unseen, ~is_learned, incomplete, spread, size, weights, factors),
+            *(factors.mean, mature, *limits),
         )
+
+    def reorder(self, b: int, order: np.ndarray) -> None:
+        """Put the markers of a body into these slots (n,) from now on."""
+        self.order[b] = self.order[b, order]
+        self.exchanged_for[b] = 0
+        self.exchanged = bool((self.order != np.arange(self.width)).any())
 
     @property
     def error(self) -> Real:
@@ -126,18 +171,18 @@ class Bodies:
 
     def rigidity_residual(self) -> Real:
         """Return the rms residual (B,) of each body, m, per axis; 0 for one that is rigid."""
-        off = np.sqrt(np.where(self.mature, self.misfit, np.nan))
+        off = np.sqrt(np.where(self.fitting.mature, self.misfit, np.nan))
         with np.errstate(invalid='ignore'):
-            loose = (off > N_SIGMA * self.white) & (off > NEGLIGIBLE * self.size)
-            loose &= off > ROUNDED * self.size
+            loose = (off > N_SIGMA * self.white) & (off > NEGLIGIBLE * self.fitting.size)
+            loose &= off > ROUNDED * self.fitting.size
         return np.where(loose, off, 0.0)
 
     def fit(self, markers: Complex) -> Fit:
         """Fit the poses of all bodies to their markers (..., B, n), m, NaN for those not seen."""
         unseen = np.isnan(markers)
-        factors = self.factors
+        factors = self.fitting.factors
         if np.count_nonzero(unseen):
-            factors = procrustes_factors(self.shape, np.where(unseen, 0.0, self.weights))
+            factors = procrustes_factors(self.shape, np.where(unseen, 0.0, self.fitting.weights))
         return fit_pose_with_factors(markers, factors)
 
     def begin(self, markers: Complex) -> None:
@@ -147,7 +192,7 @@ class Bodies:
         mean = np.where(seen, markers, 0).sum(axis=1) / np.maximum(number, 1)
         arms = np.where(seen, markers - mean[:, None], 0)
         distinct = np.abs(arms).max(axis=1) > ROUNDING * np.abs(mean)
-        new = ((self.learned_count == 0) & (number >= 2) & distinct)[:, None] & seen
+        new = ((self.fitting.learned_count == 0) & (number >= 2) & distinct)[:, None] & seen
         if new.any():
             self.shape = np.where(new, arms, self.shape)
             self.frames[new] = 1
@@ -166,6 +211,7 @@ class Bodies:
         for part in (self.shape, self.frames, self.fits, self.misfit, self.deviation, self.freedom):
             part[which] = 0
         self.order[which] = np.arange(self.width)
+        self.exchanged = bool((self.order != np.arange(self.width)).any())
         self.relative[which] = 1.0
         self.noise[which] = self.white[which] = self.last_angle[which] = np.nan
         self.jump_scale[:, which] = np.inf

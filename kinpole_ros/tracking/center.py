@@ -168,7 +168,7 @@ class Pins:
         is_slow = slow > chi_square(freedom, _CORRELATION_SIGMAS) * variance
         variance = np.where(is_slow, slow * student(freedom), variance)
         contradicted = square > _MAX_MISFIT_RATIO
-        noise, size = (weights * even).sum(axis=0), bodies.size[which]
+        noise, size = (weights * even).sum(axis=0), bodies.fitting.size[which]
         is_seen = np.sqrt(noise) < _MIN_ICR_SPEED * 0.45 * size * spread
         is_seen &= variance < (_MIN_ICR_SPEED * size) ** 2
         is_pinned = (self._pose_count[which] >= self._required_poses[which]) & is_seen

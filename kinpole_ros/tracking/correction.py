@@ -17,10 +17,10 @@ def correct_next(state: State, placed: PlacedFrames, k: int) -> np.ndarray:
     if matcher.arrange(placed, k):
         restart_bodies(state, np.ones(bodies.count, bool))
     markers, heights = placed.points[k], placed.heights[k]
-    if len(bodies.unseen):
+    if len(bodies.fitting.unseen):
         bodies.begin(markers)
         state.step.bind(bodies, state.history)
-    if bodies.incomplete and (bodies.unknown_slots & ~np.isnan(markers)).any():
+    if bodies.fitting.incomplete and (bodies.fitting.unknown_slots & ~np.isnan(markers)).any():
         # New markers are learned as soon as they are seen.
         state.next_update = min(state.next_update, state.frame_count + 1)
     if bodies.exchanged:

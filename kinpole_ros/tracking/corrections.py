@@ -85,21 +85,21 @@ def _correct_body(
 ) -> Complex:
     """Correct the markers of one body in place; return the original ones in their new order."""
     shape = bodies.shape[b]
-    weights = np.where(np.isnan(markers[b]), 0.0, bodies.weights[b])
+    weights = np.where(np.isnan(markers[b]), 0.0, bodies.fitting.weights[b])
     predicted, is_slow = _predict_angle(angles)
     angle = fit_pose(markers[b], shape, weights).angle
     order = np.arange(bodies.width)
     is_reversed = is_slow and np.cos(angle - predicted) < np.cos(_REVERSED)
-    if is_reversed and bodies.limit[b] ** 2 < bodies.spread[b]:
-        turned = half_turn_order(shape, weights, float(bodies.limit[b]))
+    if is_reversed and bodies.fitting.limit[b] ** 2 < bodies.fitting.spread[b]:
+        turned = half_turn_order(shape, weights, float(bodies.fitting.limit[b]))
         if turned is not None:
             order, markers[b] = turned, markers[b, turned]
     residual = np.abs(fit_pose(markers[b], shape, weights).residual)
-    if bodies.mature[b] and (residual > np.sqrt(bodies.largest[b])).any():
+    if bodies.fitting.mature[b] and (residual > np.sqrt(bodies.fitting.largest[b])).any():
         noise_ratio = np.sqrt(bodies.relative[b])
-        limit = float(bodies.limit[b])
+        limit = float(bodies.fitting.limit[b])
         correction = correct_markers(
-            markers[b], shape, bodies.weights[b], limit, predicted, noise_ratio
+            markers[b], shape, bodies.fitting.weights[b], limit, predicted, noise_ratio
         )
         markers[b], order = correction.points, order[correction.order]
         fit = fit_pose(markers[b], shape, np.where(np.isnan(markers[b]), 0, weights))
@@ -109,9 +109,7 @@ def _correct_body(
             markers[b] = np.nan
         counts.update({kind: n for kind, n in correction.counts.items() if kind != EXCHANGED})
     if (order != np.arange(bodies.width)).any():
-        bodies.order[b] = bodies.order[b, order]
-        bodies.exchanged_for[b] = 0
-        bodies.exchanged = bool((bodies.order != np.arange(bodies.width)).any())
+        bodies.reorder(b, order)
     return original[order]
 
 

@@ -127,8 +127,8 @@ def _poses(history: History, bodies: Bodies, hub: np.ndarray) -> tuple[np.ndarra
     turned, placed = information[..., 0], information[..., 1]
     with np.errstate(divide='ignore', invalid='ignore'):
         # Farther from the middle of the markers the error of the angle tells more.
-        near = np.maximum(1 / placed - np.abs(bodies.middle) ** 2 / turned, 0.0)
-        far = near + np.abs(hub - bodies.middle) ** 2 / turned
+        near = np.maximum(1 / placed - np.abs(bodies.fitting.middle) ** 2 / turned, 0.0)
+        far = near + np.abs(hub - bodies.fitting.middle) ** 2 / turned
         far = np.where(hub == 0, 1 / placed, far)
         variance = np.stack((1 / turned, far), axis=-1) * bodies.noise[:, None] ** 2
     is_known = (information > 0).all(axis=-1) & np.isfinite(values).all(axis=-1)

@@ -42,7 +42,7 @@ def refit(bodies: Bodies, history: History) -> None:
     before = history['angle'].copy()
     left_out = (history['information'] == 0).all(axis=1) & np.isfinite(before)
     fit = bodies.fit(np.where(history['used'], history['markers'], np.nan))
-    unsteady = is_unsteady(bodies.spread, fit.spread, bodies.loosest)
+    unsteady = is_unsteady(bodies.fitting.spread, fit.spread, bodies.fitting.loosest)
     has_pose = np.isfinite(fit.angle) & ~unsteady
     with np.errstate(invalid='ignore'):
         turns = np.nan_to_num(np.rint((before - fit.angle) / (2 * np.pi)))
@@ -145,7 +145,7 @@ def _relearn_moved_markers(bodies: Bodies, history: History) -> bool:
         turn = np.exp(-1j * history['angle'][rows][at, b])
         local = (history['markers'][rows][at, b, k] - history['position'][rows][at, b]) * turn
         middle = np.median(local.real) + 1j * np.median(local.imag)
-        near = np.abs(local - middle) < bodies.limit[b]
+        near = np.abs(local - middle) < bodies.fitting.limit[b]
         if near.sum() < MIN_SAMPLES:
             continue
         bodies.shape[b, k] = local[near].mean()
@@ -167,12 +167,12 @@ def _update_shapes(bodies: Bodies, history: History) -> bool:
     recent_count = used[recent].sum(axis=0)
     recent_mean = np.where(used[recent], residual[recent], 0).sum(axis=0)
     recent_mean = recent_mean / np.maximum(recent_count, 1)
-    limit = MAX_MEAN_RESIDUAL * np.sqrt(np.maximum(bodies.misfit, ROUNDED**2 * bodies.spread))
+    limit = MAX_MEAN_RESIDUAL * np.sqrt(np.maximum(bodies.misfit, ROUNDED**2 * bodies.fitting.spread))
     contradicted = np.abs(recent_mean) > limit[:, None]
     contradicted &= is_settled & (recent_count >= MEMORY_FRAMES // 2)
     step = np.where(contradicted, recent_mean, np.where(is_settled, 0, mean))
     # A new marker is at its mean place in the frame of its body.
-    is_new = (bodies.frames == 0) & (bodies.learned_count >= 2)[:, None]
+    is_new = (bodies.frames == 0) & (bodies.fitting.learned_count >= 2)[:, None]
     has_new = False
     for b, k in zip(*is_new.nonzero(), strict=True):
         seen = has_pose[:, b] & ~np.isnan(history['markers'][:, b, k])
@@ -199,8 +199,8 @@ def freedom_of(bodies: Bodies, residual: Complex) -> Real:
     """Return the expected square of each residual (N, B, n) for unit variance of a coordinate."""
     seen = ~np.isnan(residual)
     if seen.all():
-        return np.broadcast_to(bodies.factors.freedom, residual.shape)
-    return procrustes_factors(bodies.shape, np.where(seen, bodies.weights, 0.0)).freedom
+        return np.broadcast_to(bodies.fitting.factors.freedom, residual.shape)
+    return procrustes_factors(bodies.shape, np.where(seen, bodies.fitting.weights, 0.0)).freedom
 
 
 def _update_misfit(bodies: Bodies, history: History) -> None:
@@ -231,7 +231,7 @@ def _update_noise(bodies: Bodies, history: History, window: int, given: float) -
     if len(time) > 1:
         frames = window / max(float(np.median(np.diff(time))), 1.0)
         noise, bodies.lasting = correlated_noise(residual, freedom, goes_on, frames, white)
-    misfit = np.sqrt(np.where(bodies.mature, bodies.misfit, np.nan))
+    misfit = np.sqrt(np.where(bodies.fitting.mature, bodies.misfit, np.nan))
     noise = np.where(degrees < MIN_DOF, misfit, noise)
     if given > 0:
         noise = np.full(bodies.count, given)

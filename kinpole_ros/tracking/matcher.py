@@ -193,13 +193,13 @@ class Matcher:
         points = points[~np.isnan(points)]
         if not len(points):
             return False
-        shapes, limit = self._bodies.markers(), self._bodies.limit
+        shapes, limit = self._bodies.markers(), self._bodies.fitting.limit
         predicted = fit.position[:, None] + np.exp(1j * fit.angle)[:, None] * shapes
         predicted = np.where(hidden, predicted, np.nan)
         if (np.abs(predicted[..., None] - points) <= limit[:, None, None]).any():
             return True
         # A body without a pose is doubtful if it and the unassigned points have enough markers.
-        lost = np.isnan(fit.angle) & (self._bodies.learned_count >= 2) & ~self.withheld
+        lost = np.isnan(fit.angle) & (self._bodies.fitting.learned_count >= 2) & ~self.withheld
         return bool((lost & (len(points) + (~hidden).sum(axis=1) >= 2)).any())
 
     def correct_names(self, placed: PlacedFrames, k: int) -> bool:
@@ -278,7 +278,7 @@ class Matcher:
             given, learned, name = self.given[b], self._bodies.shape[b], self._names[b]
             markers = given[~np.isnan(given)]
             size = np.abs(markers - markers.mean()).max()
-            limit = max(N_SIGMA * float(np.nan_to_num(self._bodies.limit[b])), NEGLIGIBLE * size)
+            limit = max(N_SIGMA * float(np.nan_to_num(self._bodies.fitting.limit[b])), NEGLIGIBLE * size)
             indices = np.where(np.isnan(given), -1, np.arange(len(given)))
             if not fit_points(learned, np.nan_to_num(given), indices)[2] <= limit:
                 mirrored = fit_points(learned, np.nan_to_num(given.conj()), indices)[2] <= limit
@@ -360,7 +360,7 @@ class Matcher:
         named = np.where(np.isnan(shapes), -1, named)
         _, turn, worst = fit_points(points, np.where(np.isnan(shapes), 0, shapes), named)
         enough = (named >= 0).sum(axis=1) >= 2
-        return np.asarray(enough & np.isfinite(turn) & (worst <= self._bodies.limit))
+        return np.asarray(enough & np.isfinite(turn) & (worst <= self._bodies.fitting.limit))
 
     def _check_order(self, in_order: np.ndarray) -> None:
         """Withhold bodies if points come in random order; `in_order` (B,) is of one frame."""
@@ -389,7 +389,7 @@ class Matcher:
         if len(self._variances) >= MIN_SAMPLES:
             variance = float(np.median(self._variances))
         expected = Expected(*self._predict(placed.frames.stamps[k]), named, fits, variance, self._pins)
-        found = match(points, shapes, self._bodies.limit, expected)
+        found = match(points, shapes, self._bodies.fitting.limit, expected)
         self._variances.extend(found.variance[np.isfinite(found.variance)].tolist())
         return found
 
@@ -407,5 +407,5 @@ class Matcher:
         shapes = self.given[b : b + 1].conj()
         nowhere = np.full(1, complex(np.nan, np.nan))
         expected = Expected(nowhere, nowhere, np.full(shapes.shape, -1), np.zeros(1, bool))
-        found = match(points, shapes, self._bodies.limit[b : b + 1], expected)
+        found = match(points, shapes, self._bodies.fitting.limit[b : b + 1], expected)
         return bool(np.isfinite(found.turn[0]) or found.uncertain[0])

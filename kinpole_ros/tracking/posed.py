@@ -45,7 +45,7 @@ def learn_poses(bodies: Bodies, history: History, given: float) -> None:
     bodies.scale = np.where(np.isnan(scale), 1.0, scale)
     bodies.misfit = np.nan_to_num(bodies.noise**2)
     bodies.update()
-    bodies.middle, bodies.size = measured.middle, 2 * arm
+    bodies.fitting = bodies.fitting._replace(middle=measured.middle, size=2 * arm)
 
 
 class PoseNoise(NamedTuple):

@@ -147,7 +147,7 @@ def _add_deformation_of(
     turned, placed = results.array('information')[t, :, b]
     results.array('angle_covariance')[:, :, t, b] += slow / turned
     hub = results.array('reference')[t, b]
-    spread = _spread_at(hub, bodies.middle[b], turned, placed)
+    spread = _spread_at(hub, bodies.fitting.middle[b], turned, placed)
     results.array('position_covariance')[:, :, t, b] += slow * spread
 
 

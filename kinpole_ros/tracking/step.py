@@ -97,7 +97,7 @@ class Step:
         hub = bodies.hub
         if self._posed:
             # The derivatives assume independent errors of position and angle: so at the middle.
-            hub = np.where(hub == 0, bodies.middle, hub)
+            hub = np.where(hub == 0, bodies.fitting.middle, hub)
         angle_noise = bodies.angle_noise if self._posed else None
         learned = {
             'hub': hub,
@@ -108,10 +108,11 @@ class Step:
             'known_shape': bodies.markers(),
             'noise': np.where(bodies.noise > 0, bodies.noise, 1.0),
             'tilt_turn': bodies.extra_turn,
-            'reason': reasons_of(bodies.noise, bodies.spread, angle_noise),
+            'reason': reasons_of(bodies.noise, bodies.fitting.spread, angle_noise),
         }
         for name in _LEARNED:
-            value = learned[name] if name in learned else getattr(bodies, name)
+            owner = bodies.fitting if hasattr(bodies.fitting, name) else bodies
+            value = learned[name] if name in learned else getattr(owner, name)
             array = np.ascontiguousarray(value)
             if name == 'last_angle':
                 # The compiled code updates the last angles.

@@ -74,7 +74,7 @@ class TrackerSummary:
         """Return why the markers of each body move against each other, '' if it is not known."""
         known = self.state.bodies
         off = np.sqrt(known.misfit)
-        tissue = (known.freedom > 0) & ~(off > OTHER_BODY_SHARE * known.size)
+        tissue = (known.freedom > 0) & ~(off > OTHER_BODY_SHARE * known.fitting.size)
         return [TISSUE if one else '' for one in tissue]
 
     def noise_underestimated(self) -> np.ndarray:
