@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
-from kinpole_ros.compiled import address_of, library
+from kinpole_ros.compiled import address_of, library, pass_new_array
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import POSE_POINTS, Settings
 from kinpole_ros.tracking.plane import Plane
@@ -193,7 +193,8 @@ class MarkerAssignment:
 
         """
         layout = self._layout_of(frames.identities)
-        frames = frames._replace(points=np.ascontiguousarray(frames.points, float))
+        points = np.ascontiguousarray(frames.points, float)
+        frames = frames._replace(points=points if points.flags.writeable else points.copy())
         return PlacedFrames(frames, layout, *self._place(frames, layout, 0))
 
     def assign_again(self, placed: PlacedFrames, first: int) -> None:
@@ -210,8 +211,8 @@ class MarkerAssignment:
         if not self.posed and self.plane is not None:
             return *self._in_plane(points, slots), None
         in_space = np.empty((len(points), *slots.rows.shape, 3))
-        into = None, None, address_of(in_space)
-        _assign(byref(slots.fields), address_of(points), len(points), *into)
+        into = None, None, pass_new_array(in_space)
+        _assign(byref(slots.fields), pass_new_array(points), len(points), *into)
         if self.posed:
             assert frames.axes is not None
             axes = frames.axes[first:]
@@ -229,8 +230,8 @@ class MarkerAssignment:
             nowhere = np.full(shape, complex(np.nan, np.nan))
             return nowhere, nowhere.real
         flat, heights = np.empty(shape, complex), np.empty(shape)
-        into = address_of(flat), address_of(heights), None
-        _assign(byref(slots.fields), address_of(points), len(points), *into)
+        into = pass_new_array(flat), pass_new_array(heights), None
+        _assign(byref(slots.fields), pass_new_array(points), len(points), *into)
         return flat, heights
 
     def _project_poses(self, poses: np.ndarray) -> InPlane:

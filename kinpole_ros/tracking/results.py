@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from ctypes import addressof
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.compiled import address_of
+from kinpole_ros.compiled import pass_new_array
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.deformation import deformation_covariance, hold_hidden
@@ -26,8 +27,8 @@ class _Part(NamedTuple):
     offset: int
 
 
-# Where `fields` has the number of results of deformed bodies.
-_DEFORMED = 3
+# Where `fields` has the number of results, and of those of deformed bodies.
+COUNT, DEFORMED = 1, 3
 # Where the arrays that C fills begin, in the order of the fields of `Results` of _follow.c.
 _FIELDS = (
     *('stamp', 'due', 'rows', 'position', 'size', 'height', 'pin_variance', 'frame_angle', 'information'),
@@ -85,13 +86,13 @@ class Results:
         self._buffer = np.empty(size, np.uint8)
         self.fields = np.empty(4 + len(offsets), np.int64)
         self.fields[:4] = instants, 0, FEWEST_SAMPLES, 0
-        self._address = address_of(self._buffer)
+        self._address = addressof(pass_new_array(self._buffer))
         np.add(offsets, self._address, out=self.fields[4:])
 
     @property
     def count(self) -> int:
         """How many instants have results."""
-        return int(self.fields[1])
+        return int(self.fields[COUNT])
 
     def array(self, name: str) -> np.ndarray:
         """Return an array, of all instants that there is memory for."""
@@ -116,8 +117,6 @@ class Results:
 
 def add_deformation(results: Results, first: int, bodies: Bodies, history: History) -> None:
     """Add to the covariances of the results from `first` on what the deformation of bodies adds."""
-    if not results.fields[_DEFORMED]:
-        return
     for t in range(first, results.count):
         usable = results.array('reason')[t] == REASONS['KNOWN']
         for b in np.flatnonzero(usable & (bodies.freedom > 0)).tolist():

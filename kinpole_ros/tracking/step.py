@@ -1,10 +1,17 @@
 """Usual frames, taken by compiled code on the arrays of the history and the bodies."""
 
-from ctypes import POINTER, byref, c_void_p
+from ctypes import POINTER, addressof, byref, c_void_p
 
 import numpy as np
 
-from kinpole_ros.compiled import address_of, codes_of, library, names_of, structure_of
+from kinpole_ros.compiled import (
+    address_of,
+    codes_of,
+    library,
+    names_of,
+    pass_new_array,
+    structure_of,
+)
 from kinpole_ros.derivatives import Call, go_on, new_call, pass_tables
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins
@@ -143,9 +150,16 @@ class Step:
             Whether a frame with a hidden marker is unusual.
 
         """
-        self._new_frames = [a if a is None else np.ascontiguousarray(a) for a in new_frames]
-        for name, array in zip(_NEW_FRAMES, self._new_frames, strict=True):
-            setattr(self.fields, name, None if array is None else address_of(array))
+        self._new_frames = []
+        for name, array in zip(_NEW_FRAMES, new_frames, strict=True):
+            address = None
+            if array is not None:
+                array = np.ascontiguousarray(array)
+                array = array if array.flags.writeable else array.copy()
+                address = addressof(pass_new_array(array))
+            # Keeps the arrays alive while the library uses them.
+            self._new_frames.append(array)
+            setattr(self.fields, name, address)
         self.fields.frame, self.fields.frames = 0, number
         self.fields.hidden_is_unusual = hidden_is_unusual
 
@@ -159,7 +173,7 @@ class Step:
         fields.first, fields.end = history.first, history.end
         call.orders, call.instants = results.orders, 1
         # Keeps the tables alive while the library uses them.
-        tables, result_fields = pass_tables(call), address_of(results.fields)
+        tables, result_fields = pass_tables(call), pass_new_array(results.fields)
         while (
             code := _follow(self._frames, call, result_fields)
         ) <= TABLE_LACKING and code != DONE:

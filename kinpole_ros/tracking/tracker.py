@@ -17,7 +17,7 @@ from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import no_outages, note_gap
 from kinpole_ros.tracking.parameters import Settings
-from kinpole_ros.tracking.results import Results, add_deformation, estimate_of
+from kinpole_ros.tracking.results import COUNT, DEFORMED, Results, add_deformation, estimate_of
 from kinpole_ros.tracking.state import Totals, start, start_bodies, widen
 from kinpole_ros.tracking.summary import TrackerSummary
 from kinpole_ros.tracking.timeline import TimedFrames, Timeline
@@ -182,7 +182,7 @@ class Tracker(TrackerSummary):
         self, placed: PlacedFrames, times: Sequence[np.ndarray], results: Results
     ) -> None:
         """Take frames up to the next update, or one that is not usual after correcting it."""
-        state, computed = self.state, results.count
+        state, computed = self.state, int(results.fields[COUNT])
         before, is_unusual = state.step.fields.frame, True
         if state.assignment.plane is None:
             self._keep_before_plane(placed, times)
@@ -197,7 +197,8 @@ class Tracker(TrackerSummary):
             before = state.step.fields.frame
             state.step.follow(1, results)
             self._count_taken(before)
-        add_deformation(results, computed, state.bodies, state.history)
+        if results.fields[DEFORMED]:
+            add_deformation(results, computed, state.bodies, state.history)
 
     def _count_taken(self, before: int) -> None:
         """Count the frames from `before` on that the step took."""
