@@ -6,13 +6,17 @@ computed from them when they are first asked for. A quantity that does not excee
 undetermined, for a reason that is named.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from ctypes import addressof
 from functools import cached_property, lru_cache, partial
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from kinpole_ros import planar
+from kinpole_ros.compiled import pass_new_array
+from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.quantities import (
@@ -26,60 +30,126 @@ from kinpole_ros.tracking.quantities import (
     compute_quantity,
     relative_centers,
 )
+from kinpole_ros.tracking.rejection import REASONS_OF_MARKERS, REASONS_OF_POSES
+from kinpole_ros.tracking.values import (
+    MOST_PAIRED_BODIES,
+    POLE_NAMES,
+    RATE_NAMES,
+    FramePoses,
+    Numbers,
+    Vectors,
+    measured_pairs,
+    pair_indices,
+)
 
 # A denominator counts as known when it exceeds its standard deviation this many times. Beyond this
 # many body sizes a pole is as good as at infinity. Both as in _quantities.c.
 SIGNIFICANT, FARTHEST = 4.0, 1e3
-# Most bodies with relative motions of all pairs: 20 have 190 pairs, 300 would have 44,850.
-MOST_PAIRED_BODIES = 20
 # Reasons why a body with a determined ICR has no curvature of the centrode.
 PINNED = 'pinned: the ICR stands still'
 SLOW_ICR = 'the velocity of the ICR does not stand out of its noise'
-POLE_NAMES = ('icr', 'iap', 'ijp', 'isp')
-RATE_NAMES = ('angular_velocity', 'angular_acceleration', 'angular_jerk', 'angular_snap')
-
-
-class Vectors(NamedTuple):
-    """Vectors of the plane (complex) with covariance (..., 2, 2) and where they are determined."""
-
-    value: np.ndarray
-    covariance: np.ndarray
-    determined: np.ndarray
-
-
-class Numbers(NamedTuple):
-    """Numbers with variance and where they are determined."""
-
-    value: np.ndarray
-    variance: np.ndarray
-    determined: np.ndarray
-
-
-class FramePoses(NamedTuple):
-    """
-    Poses (T, B) fitted to the markers of single frames, with independent errors.
-
-    `angle`, rad, includes whole turns. `position`, complex, m, is that of the origin of the body's
-    frame. `angle_information` and `position_information` are inverse variances over that of a
-    coordinate of a marker, 0 for a hidden body; `noise`, m, is the standard deviation of such a
-    coordinate. The errors of angle and position are independent at `middle`, complex, m, the mean
-    of the visible markers in the body's frame.
-    """
-
-    angle: np.ndarray
-    position: np.ndarray
-    angle_information: np.ndarray
-    position_information: np.ndarray
-    middle: np.ndarray
-    noise: np.ndarray
-
-
 _Arrays = TypeVar('_Arrays', bound=Vectors | Numbers | FramePoses)
 # Which axis of each array is that of the instants.
 INSTANT_AXIS = {
     **dict.fromkeys(('position_covariance', 'angle_covariance'), 2),
     **dict.fromkeys(('position', 'angle'), 1),
 }
+
+
+class _Part(NamedTuple):
+    """Where an array is in the buffer of results."""
+
+    shape: tuple[int, ...]
+    dtype: Any
+    offset: int
+
+
+# Where `fields` has the number of results, and of those of deformed bodies.
+COUNT, DEFORMED = 1, 3
+# Where the arrays that C fills begin, in the order of the fields of `Results` of _follow.c.
+_FIELDS = (
+    *('stamp', 'due', 'rows', 'position', 'size', 'height', 'pin_variance', 'frame_angle', 'information'),
+    *('noise', 'pin', 'shape', 'reference', 'frame_position', 'middle', 'reason'),
+)
+
+
+@lru_cache(maxsize=64)
+def _layout_of(
+    instants: int, orders: int, bodies: int, markers: int
+) -> tuple[dict[str, _Part], np.ndarray, np.ndarray, int]:
+    """Where the arrays of results, and the fields of C and of `Motion` are; the size of all."""
+    each, square = (instants, bodies), (orders, orders, instants, bodies)
+    arrays: dict[str, tuple[tuple[int, ...], Any]] = {
+        'stamp': ((instants,), np.int64),
+        'due': ((instants,), np.int64),
+        'rows': ((instants, 3), np.int64),
+        # From here to `freedom`: derivatives as `derive_poses` has them.
+        'position': ((orders, *each), complex),
+        'angle': ((orders, *each), float),
+        'position_covariance': (square, float),
+        'angle_covariance': (square, float),
+        'span': (each, float),
+        'freedom': (each, float),
+        **dict.fromkeys(('size', 'height', 'pin_variance', 'frame_angle'), (each, float)),
+        'information': ((instants, 2, bodies), float),
+        'noise': (each, float),
+        'pin': (each, complex),
+        'shape': ((*each, markers), complex),
+        **dict.fromkeys(('reference', 'frame_position', 'middle'), (each, complex)),
+        'reason': (each, np.uint8),
+    }
+    layout, offset = {}, 0
+    for name, (shape, dtype) in arrays.items():
+        layout[name] = _Part(shape, dtype, offset)
+        offset += math.prod(shape) * np.dtype(dtype).itemsize
+    of_fields, of_motion = (
+        np.array([layout[name].offset for name in names]) for names in (_FIELDS, ARRAYS)
+    )
+    return layout, of_fields, of_motion, offset
+
+
+class Results:
+    """
+    The results of up to so many instants, of bodies with some markers, as _follow.c fills them.
+
+    `fields` are those of `Results` there: the number of instants that there is memory for, how many
+    have results, the fewest samples of a window, how many results are of deformed bodies, and where
+    the arrays begin.
+    """
+
+    def __init__(self, instants: int, orders: int, bodies: int, markers: int) -> None:
+        self.instants, self.orders, self._bodies = instants, orders, bodies
+        self._layout, offsets, self._of_motion, size = _layout_of(instants, orders, bodies, markers)
+        self._buffer = np.empty(size, np.uint8)
+        self.fields = np.empty(4 + len(offsets), np.int64)
+        self.fields[:4] = instants, 0, FEWEST_SAMPLES, 0
+        self._address = addressof(pass_new_array(self._buffer))
+        np.add(offsets, self._address, out=self.fields[4:])
+
+    @property
+    def count(self) -> int:
+        """How many instants have results."""
+        return int(self.fields[COUNT])
+
+    def array(self, name: str) -> np.ndarray:
+        """Return an array, of all instants that there is memory for."""
+        shape, dtype, offset = self._layout[name]
+        return np.ndarray(shape, dtype, self._buffer, offset)
+
+    def column(self, name: str) -> np.ndarray:
+        """Return an array, of the instants that have results."""
+        array, count = self.array(name), self.count
+        if count == self.instants:
+            return array
+        return array[(slice(None),) * INSTANT_AXIS.get(name, 0) + (slice(count),)]
+
+    def motion(self) -> Motion:
+        """Return the motion of the instants that have results."""
+        count = self.count
+        fields = np.empty(3 + len(self._of_motion), np.int64)
+        fields[:3] = count * self._bodies, self.instants * self._bodies, self.orders
+        np.add(self._of_motion, self._address, out=fields[3:])
+        return Motion.of_fields(fields, (count, self._bodies), self._buffer)
 
 
 class _Column:
@@ -313,7 +383,7 @@ class Estimate:
     @cached_property
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:
         """Indices (j, i) of the measured pairs of bodies, i before j: see `measured_pairs`."""
-        return _pairs(len(self.bodies))
+        return pair_indices(len(self.bodies))
 
     @cached_property
     def relative_rate(self) -> Numbers:
@@ -385,22 +455,6 @@ class Estimate:
         }
 
 
-@lru_cache(maxsize=8)
-def _pairs(bodies: int) -> tuple[np.ndarray, np.ndarray]:
-    i, j = np.triu_indices(bodies if bodies <= MOST_PAIRED_BODIES else 0, 1)
-    return j, i
-
-
-def measured_pairs(bodies: int) -> list[tuple[int, int]]:
-    """
-    Return the pairs (i, j), i before j, whose relative motion is measured.
-
-    These are all pairs of up to 20 bodies, and none of more bodies.
-    """
-    j, i = _pairs(bodies)
-    return list(zip(i.tolist(), j.tolist(), strict=True))
-
-
 def _at(instant: int, arrays: _Arrays) -> _Arrays:
     """One instant of arrays (T, ...)."""
     return type(arrays)(*(array[instant] for array in arrays))
@@ -411,3 +465,43 @@ def _stands_out(values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     variance = np.einsum('kk...->k...', covariance)
     with np.errstate(invalid='ignore'):
         return np.asarray((values > SIGNIFICANT * np.sqrt(variance))[1:].any(axis=0))
+
+
+def estimate_of(
+    results: Sequence[Results],
+    frame_id: str,
+    bodies: tuple[str, ...],
+    run: int,
+    plane: Plane | None,
+    posed: bool,
+    events: tuple[BodyEvent, ...] = (),
+) -> Estimate:
+    """Return results, of one instant after the other, as one estimate."""
+
+    def stored(name: str) -> np.ndarray:
+        axis = INSTANT_AXIS.get(name, 0)
+        return np.concatenate([part.column(name) for part in results], axis)
+
+    if len(results) == 1:
+        stored = results[0].column
+
+    def column(name: str) -> np.ndarray:
+        if name == 'degree':
+            return stored('freedom') - 1
+        if name != 'missing':
+            return stored(name)
+        reasons = (REASONS_OF_POSES if posed else REASONS_OF_MARKERS)[stored('reason')]
+        if plane is None:
+            reasons[...] = 'plane not known yet'
+        return reasons
+
+    def frame_poses() -> FramePoses:
+        turned, placed = stored('information').swapaxes(0, 1)
+        names = ('frame_angle', 'frame_position', 'middle', 'noise')
+        angle, position, middle, noise = map(stored, names)
+        return FramePoses(angle, position, turned, placed, middle, noise)
+
+    estimate = Estimate(column, frame_id, bodies, run, plane, frame_poses, events)
+    if len(results) == 1:
+        estimate.compiled_motion = results[0].motion()
+    return estimate

@@ -12,12 +12,12 @@ import numpy as np
 
 from kinpole_ros.tracking.assignment import PlacedFrames
 from kinpole_ros.tracking.correction import correct_next
-from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.deformed_results import add_deformation
+from kinpole_ros.tracking.estimate import COUNT, DEFORMED, Estimate, Results, estimate_of
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import no_outages, note_gap
 from kinpole_ros.tracking.parameters import Settings
-from kinpole_ros.tracking.results import COUNT, DEFORMED, Results, add_deformation, estimate_of
 from kinpole_ros.tracking.state import Totals, start, start_bodies, widen
 from kinpole_ros.tracking.summary import TrackerSummary
 from kinpole_ros.tracking.timeline import TimedFrames, Timeline
@@ -256,7 +256,7 @@ class Tracker(TrackerSummary):
 
     def _keep_results(self, results: Results, numbers: np.ndarray) -> None:
         """Keep results for the next estimate; `numbers` count the frames passed to the step."""
-        if results.count:
+        if results.fields[COUNT]:
             due = results.column('due')
             due[:] = numbers[due]
             self._results.append(results)

@@ -1,0 +1,63 @@
+"""What an estimate gives: names of quantities, values with their uncertainty, and pairs of bodies."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+# Most bodies with relative motions of all pairs: 20 have 190 pairs, 300 would have 44,850.
+MOST_PAIRED_BODIES = 20
+POLE_NAMES = ('icr', 'iap', 'ijp', 'isp')
+RATE_NAMES = ('angular_velocity', 'angular_acceleration', 'angular_jerk', 'angular_snap')
+
+
+class Vectors(NamedTuple):
+    """Vectors of the plane (complex) with covariance (..., 2, 2) and where they are determined."""
+
+    value: np.ndarray
+    covariance: np.ndarray
+    determined: np.ndarray
+
+
+class Numbers(NamedTuple):
+    """Numbers with variance and where they are determined."""
+
+    value: np.ndarray
+    variance: np.ndarray
+    determined: np.ndarray
+
+
+class FramePoses(NamedTuple):
+    """
+    Poses (T, B) fitted to the markers of single frames, with independent errors.
+
+    `angle`, rad, includes whole turns. `position`, complex, m, is that of the origin of the body's
+    frame. `angle_information` and `position_information` are inverse variances over that of a
+    coordinate of a marker, 0 for a hidden body; `noise`, m, is the standard deviation of such a
+    coordinate. The errors of angle and position are independent at `middle`, complex, m, the mean
+    of the visible markers in the body's frame.
+    """
+
+    angle: np.ndarray
+    position: np.ndarray
+    angle_information: np.ndarray
+    position_information: np.ndarray
+    middle: np.ndarray
+    noise: np.ndarray
+
+
+@lru_cache(maxsize=8)
+def pair_indices(bodies: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the indices j and i of the measured pairs, i before j."""
+    i, j = np.triu_indices(bodies if bodies <= MOST_PAIRED_BODIES else 0, 1)
+    return j, i
+
+
+def measured_pairs(bodies: int) -> list[tuple[int, int]]:
+    """
+    Return the pairs (i, j), i before j, whose relative motion is measured.
+
+    These are all pairs of up to 20 bodies, and none of more bodies.
+    """
+    j, i = pair_indices(bodies)
+    return list(zip(i.tolist(), j.tolist(), strict=True))
