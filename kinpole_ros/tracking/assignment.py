@@ -194,7 +194,8 @@ class MarkerAssignment:
         """
         layout = self._layout_of(frames.identities)
         points = np.ascontiguousarray(frames.points, float)
-        frames = frames._replace(points=points if points.flags.writeable else points.copy())
+        if points is not frames.points or not points.flags.writeable:
+            frames = frames._replace(points=points if points.flags.writeable else points.copy())
         return PlacedFrames(frames, layout, *self._place(frames, layout, 0))
 
     def assign_again(self, placed: PlacedFrames, first: int) -> None:
