@@ -14,9 +14,10 @@ from bench._motions import Motion, cusped, motions, still_turning, swinging
 from bench._record import RATE, START, frames_of, quantities
 from kinpole_ros import planar
 from kinpole_ros.mechanism import BodyMotion, marker_positions
-from kinpole_ros.tracking.estimate import Estimate, Numbers, Vectors
+from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import part_of
 from kinpole_ros.tracking.tracker import Tracker
+from kinpole_ros.tracking.values import Numbers, Vectors
 
 SHOWN = ('ω', 'α', 'ICR', 'IAP', 'κ')
 

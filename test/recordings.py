@@ -10,10 +10,11 @@ from stretches import instants, one_frame, stretches
 from kinpole_ros import planar
 from kinpole_ros.mechanism import BodyMotion, load_scene, marker_positions
 from kinpole_ros.tracking.estimate import PINNED as PINNED_REASON
-from kinpole_ros.tracking.estimate import POLE_NAMES, SLOW_ICR, Estimate
+from kinpole_ros.tracking.estimate import SLOW_ICR, Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.tracker import Tracker
+from kinpole_ros.tracking.values import POLE_NAMES
 
 START, STEP = 10**18, 5_000_000
 # Right-handed: the normal completes the two axes of the plane.

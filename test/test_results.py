@@ -24,11 +24,12 @@ from kinpole_ros.messages import (
     result_outputs,
     type_name,
 )
-from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate
+from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.plane import plane_along
 from kinpole_ros.tracking.tracker import Tracker
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
 
 # Along the two axes of each plane, and its normal.
 PLANES = {plane: np.roll(np.eye(3), shift, axis=0) for plane, shift in (('xy', 0), ('yz', -1))}

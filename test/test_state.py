@@ -12,8 +12,8 @@ from test_results import FRAME, PLANES, estimate, placed, stacked
 
 from kinpole_ros.bags import read_messages, replay
 from kinpole_ros.messages import STATE, Output, read_state, result_outputs, state_fields
-from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Numbers, Vectors
 from kinpole_ros.tracking.parameters import load_settings
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors
 
 ROOT = Path(__file__).parents[1]
 BODIES = ('crank', 'coupler', 'rocker')

@@ -39,9 +39,10 @@ from kinpole_ros.tools.report import page as page_of
 from kinpole_ros.tools.view._frames import frame_of_view
 from kinpole_ros.tools.view._live import Live, RigState
 from kinpole_ros.tools.view._server import Feed, serving
-from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate, Vectors
+from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.parameters import load_settings
 from kinpole_ros.tracking.plane import XY
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Vectors
 
 ROOT = Path(__file__).parents[1]
 BAG = ROOT / 'bags' / 'four_bar.mcap'

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from kinpole_ros.bags._files import Truncated
 from kinpole_ros.messages import identity_lines
 from kinpole_ros.tracking.assignment import MarkerPlaces
-from kinpole_ros.tracking.estimate import MOST_PAIRED_BODIES, POLE_NAMES, Estimate
+from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.outages import Outage
 from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.space import SpaceReport, updated
 from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.tracker import Tracker
+from kinpole_ros.tracking.values import MOST_PAIRED_BODIES, POLE_NAMES
 
 if TYPE_CHECKING:
     from kinpole_ros.linkage.positions import PositionReport

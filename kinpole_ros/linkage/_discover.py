@@ -27,9 +27,9 @@ from kinpole_ros.linkage._plane import unit_scale
 from kinpole_ros.linkage._poses import GROUND, GROUND_NUMBER, Pose, ground
 from kinpole_ros.linkage._record import Record, Stamps, gather
 from kinpole_ros.linkage._space import open_chains
-from kinpole_ros.tracking.estimate import MOST_PAIRED_BODIES
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.statistics import medians
+from kinpole_ros.tracking.values import MOST_PAIRED_BODIES
 
 # Residual of a pin or slide over the noise, beyond which another explanation is preferred.
 _DOUBTFUL_RATIO = 1.5

@@ -22,7 +22,8 @@ from kinpole_ros.mechanism import (
     wheel_state,
 )
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.tracking.estimate import Estimate, FramePoses
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.values import FramePoses
 
 # How each wheel stood at first, by the number of its joint.
 Anchors = dict[int, Anchor]

@@ -14,8 +14,9 @@ import numpy as np
 from kinpole_ros.messages._cdr import HEAD, TIME, Writer, stamp_bytes
 from kinpole_ros.messages._rows import Build, Built
 from kinpole_ros.messages._types import Marker
-from kinpole_ros.tracking.estimate import POLE_NAMES, Estimate, Vectors, measured_pairs
+from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
+from kinpole_ros.tracking.values import POLE_NAMES, Vectors, measured_pairs
 
 COLORS = ((0.12, 0.47, 0.71), (1.0, 0.5, 0.05), (0.17, 0.63, 0.17), (0.84, 0.15, 0.16))
 _GRAY = (0.4, 0.4, 0.4)

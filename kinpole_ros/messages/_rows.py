@@ -16,9 +16,10 @@ import numpy as np
 
 from kinpole_ros.compiled import address_of, library
 from kinpole_ros.messages._cdr import Writer
-from kinpole_ros.tracking.estimate import Estimate, Numbers, Vectors
+from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.quantities import Motion
+from kinpole_ros.tracking.values import Numbers, Vectors
 
 if TYPE_CHECKING:
     from kinpole_ros.linkage.theory import Theory

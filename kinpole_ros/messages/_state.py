@@ -19,8 +19,9 @@ from kinpole_ros.messages._types import (
     deserialize_message,
     stamp_to_ns,
 )
-from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
+from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors
 
 STATE = 'state'
 """The topic."""

@@ -339,7 +339,9 @@ class MarkerAssignment:
         if self._by_shape:
             return []
         count = (placed.layout.rows < len(placed.identities)).sum(axis=1).tolist()
-        return [names if n < 2 else [] for n, names in zip(count, placed.layout.absent, strict=True)]
+        return [
+            names if n < 2 else [] for n, names in zip(count, placed.layout.absent, strict=True)
+        ]
 
     def _layout_of(self, identities: tuple[str, ...]) -> Layout:
         """Look up the layout of a message, or make it."""

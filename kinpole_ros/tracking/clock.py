@@ -180,9 +180,7 @@ def clock_of(
     return fitted, counts
 
 
-def count_until_slip(
-    stamps: np.ndarray, clock: Clock, before: int, slipped_at: int | None
-) -> int:
+def count_until_slip(stamps: np.ndarray, clock: Clock, before: int, slipped_at: int | None) -> int:
     """
     Return how many of the next stamps come before one that slips by a rounding step.
 

@@ -27,9 +27,9 @@ def correct_next(state: State, placed: PlacedFrames, k: int) -> np.ndarray:
         markers[...] = np.take_along_axis(markers, bodies.order, axis=1)
         heights[...] = np.take_along_axis(heights, bodies.order, axis=1)
     unusual = state.step.try_next(markers)
-    if unusual & NAME_DOUBTFUL or matcher.has_unassigned(placed):
-        if _correct_names(state, placed, k, unusual):
-            unusual = state.step.try_next(markers)
+    is_name_doubtful = unusual & NAME_DOUBTFUL or matcher.has_unassigned(placed)
+    if is_name_doubtful and _correct_names(state, placed, k, unusual):
+        unusual = state.step.try_next(markers)
     fitted = markers
     if unusual & ODD:
         odd = (state.step.unusual & ODD) > 0

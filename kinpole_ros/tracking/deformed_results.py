@@ -17,9 +17,7 @@ def add_deformation(results: Results, first: int, bodies: Bodies, history: Histo
             _add_deformation_of(results, t, bodies, b, history)
 
 
-def _add_deformation_of(
-    results: Results, t: int, bodies: Bodies, b: int, history: History
-) -> None:
+def _add_deformation_of(results: Results, t: int, bodies: Bodies, b: int, history: History) -> None:
     """Add to the covariances of a body at an instant what its deformation adds."""
     now, oldest, newest = results.array('rows')[t].tolist()
     time = history['time']

@@ -32,13 +32,10 @@ from kinpole_ros.tracking.quantities import (
 )
 from kinpole_ros.tracking.rejection import REASONS_OF_MARKERS, REASONS_OF_POSES
 from kinpole_ros.tracking.values import (
-    MOST_PAIRED_BODIES,
     POLE_NAMES,
-    RATE_NAMES,
     FramePoses,
     Numbers,
     Vectors,
-    measured_pairs,
     pair_indices,
 )
 
@@ -68,7 +65,17 @@ class _Part(NamedTuple):
 COUNT, DEFORMED = 1, 3
 # Where the arrays that C fills begin, in the order of the fields of `Results` of _follow.c.
 _FIELDS = (
-    *('stamp', 'due', 'rows', 'position', 'size', 'height', 'pin_variance', 'frame_angle', 'information'),
+    *(
+        'stamp',
+        'due',
+        'rows',
+        'position',
+        'size',
+        'height',
+        'pin_variance',
+        'frame_angle',
+        'information',
+    ),
     *('noise', 'pin', 'shape', 'reference', 'frame_position', 'middle', 'reason'),
 )
 

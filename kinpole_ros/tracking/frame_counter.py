@@ -176,7 +176,9 @@ class FrameCounter:
         lost = np.unique(np.concatenate((before, np.arange(least, most + 1))))
         parent, which = ((lost >= before[:, None]) & (lost <= most)).nonzero()
         lost_now = lost[which] - before[parent]
-        self._costs = self._costs[parent] + self._loss_nats * np.minimum(lost_now, MOST_CHARGED_LOSSES)
+        self._costs = self._costs[parent] + self._loss_nats * np.minimum(
+            lost_now, MOST_CHARGED_LOSSES
+        )
         # Cap lateness at one lost frame: both are equally likely.
         late_nats = self.clock.interval / max(self.clock.lateness, 1.0)
         self._costs += np.minimum((most - lost[which]) * late_nats, LOSS_NATS)

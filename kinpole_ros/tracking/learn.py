@@ -167,7 +167,9 @@ def _update_shapes(bodies: Bodies, history: History) -> bool:
     recent_count = used[recent].sum(axis=0)
     recent_mean = np.where(used[recent], residual[recent], 0).sum(axis=0)
     recent_mean = recent_mean / np.maximum(recent_count, 1)
-    limit = MAX_MEAN_RESIDUAL * np.sqrt(np.maximum(bodies.misfit, ROUNDED**2 * bodies.fitting.spread))
+    limit = MAX_MEAN_RESIDUAL * np.sqrt(
+        np.maximum(bodies.misfit, ROUNDED**2 * bodies.fitting.spread)
+    )
     contradicted = np.abs(recent_mean) > limit[:, None]
     contradicted &= is_settled & (recent_count >= MEMORY_FRAMES // 2)
     step = np.where(contradicted, recent_mean, np.where(is_settled, 0, mean))

@@ -278,7 +278,9 @@ class Matcher:
             given, learned, name = self.given[b], self._bodies.shape[b], self._names[b]
             markers = given[~np.isnan(given)]
             size = np.abs(markers - markers.mean()).max()
-            limit = max(N_SIGMA * float(np.nan_to_num(self._bodies.fitting.limit[b])), NEGLIGIBLE * size)
+            limit = max(
+                N_SIGMA * float(np.nan_to_num(self._bodies.fitting.limit[b])), NEGLIGIBLE * size
+            )
             indices = np.where(np.isnan(given), -1, np.arange(len(given)))
             if not fit_points(learned, np.nan_to_num(given), indices)[2] <= limit:
                 mirrored = fit_points(learned, np.nan_to_num(given.conj()), indices)[2] <= limit
@@ -388,7 +390,9 @@ class Matcher:
         variance = np.inf
         if len(self._variances) >= MIN_SAMPLES:
             variance = float(np.median(self._variances))
-        expected = Expected(*self._predict(placed.frames.stamps[k]), named, fits, variance, self._pins)
+        expected = Expected(
+            *self._predict(placed.frames.stamps[k]), named, fits, variance, self._pins
+        )
         found = match(points, shapes, self._bodies.fitting.limit, expected)
         self._variances.extend(found.variance[np.isfinite(found.variance)].tolist())
         return found

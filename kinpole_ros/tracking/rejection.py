@@ -7,17 +7,17 @@ that needs a search for a correction is in `corrections` or `identity`, and take
 | what | verdict | rule | applied in |
 | --- | --- | --- | --- |
 | a frame | LATE | older than the newest, or by more than the clock's lateness | `judge_arrivals` |
-| a frame | REPEATED | the stamp, and with a clock the points, of the frame before | `judge_arrivals` |
-| a frame | RESET | a step by more than a window, or two frames in a row set back | `judge_arrivals` |
+| a frame | REPEATED | the stamp, with a clock also the points, of the last one | `judge_arrivals` |
+| a frame | RESET | a step by more than a window, or two late frames in a row | `judge_arrivals` |
 | a marker | ODD | off its place by `OUTLIER_SIGMAS` | `verdict_on_marker` in C |
 | a body | ODD | turned by more than a quarter since the frame before | `fit` in C |
-| a marker | NAME_DOUBTFUL | ODD, and off by `YOUNG_OUTLIER` of the size | `verdict_on_marker` in C |
+| a marker | NAME_DOUBTFUL | ODD, off by `YOUNG_OUTLIER` of the size | `verdict_on_marker` in C |
 | a marker | NEW_MARKER | no place on its body yet | `fit` in C |
-| a marker | LEFT_OUT, EXCHANGED | ODD, and the best correction leaves it out, or moves it | `correct_frame` |
+| a marker | LEFT_OUT, EXCHANGED | ODD, and the best correction says so | `correct_frame` |
 | a body | MIRRORED, DROPPED | ODD, fits mirrored, or with no correction | `correct_frame` |
 | a body | (not counted) | corrected, but its misfit is above `MAX_SQUARE_RATIO` | `correct_frame` |
 | a pose | NOT_SEEN | less than two markers, or all at one place | `fit` in C |
-| a pose | NOT_SEEN | its markers are too close for their noise: `MAX_ANGLE_NOISE` | `is_unsteady` in C |
+| a pose | NOT_SEEN | its markers are too close: `MAX_ANGLE_NOISE` | `is_unsteady` in C |
 | a pose | OFF_PATH | off the cubic through its neighbors by `FAR` | `wrong_before_last` in C |
 | a pose | OFF_PATH | newest, and off all polynomials by `NEWEST_FACTOR` | `doubtful_newest` in C |
 | a pin | off | off its pin by `N_SIGMA` in more than two frames | `kinpole_holds_on_pin` in C |

@@ -15,10 +15,10 @@ from kinpole_ros.compiled import (
 from kinpole_ros.derivatives import Call, go_on, new_call, pass_tables
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins
+from kinpole_ros.tracking.estimate import Results
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.rejection import FAR, GAP, NEAR, NEWEST_FACTOR, reasons_of
-from kinpole_ros.tracking.estimate import Results
 from kinpole_ros.tracking.thresholds import N_SIGMA
 
 # Why the compiled loop ends: see _follow.c, and for the first two _call.h.

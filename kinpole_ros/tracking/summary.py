@@ -102,7 +102,11 @@ class TrackerSummary:
         """Return the markers that the last message lacks, of bodies with less than two in it."""
         if self.state.placed is None:
             return {}
-        lacks = zip(self.state.settings.bodies, self.state.assignment.absent_of_bodies(self.state.placed), strict=False)
+        lacks = zip(
+            self.state.settings.bodies,
+            self.state.assignment.absent_of_bodies(self.state.placed),
+            strict=False,
+        )
         return {body: names for body, names in lacks if names}
 
     def stamp_state(self) -> StampState | None:

@@ -93,9 +93,10 @@ class Timeline:
     ) -> None:
         self._settings, self._totals = settings, totals
         self.clock: Clock | None = None
-        self.at_ticks = settings.stamps == 'arrival' if before is None else before.at_ticks
+        self.at_ticks: bool = settings.stamps == 'arrival' if before is None else before.at_ticks
         self.until_update = FEWEST_SAMPLES
-        self._evidence = TickEvidence(says_ticks=before is not None and before._evidence.says_ticks)
+        says_ticks = before is not None and before._evidence.says_ticks
+        self._evidence: TickEvidence = TickEvidence(says_ticks=says_ticks)
         self._last: LastFrame | None = None
         # Stamps of the frames, in parts, and which of the frames are used; number of all of them.
         self._appended = [(np.zeros(0, np.int64), np.zeros(0, bool))]
@@ -120,8 +121,10 @@ class Timeline:
             return None
         moved = clock.jitter / clock.interval * evidence.speed
         costs = not self.at_ticks and evidence.nats > -DECISIVE_NATS and moved > 1.0
-        lengths = (length * 1e-9 for length in (clock.interval, clock.jitter, clock.largest))
-        return StampState(*lengths, self.at_ticks, evidence.nats, costs)
+        interval, jitter, largest = (
+            length * 1e-9 for length in (clock.interval, clock.jitter, clock.largest)
+        )
+        return StampState(interval, jitter, largest, self.at_ticks, evidence.nats, costs)
 
     def accept(self, stamps: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """
@@ -385,7 +388,7 @@ class Timeline:
         history['time'][:first] = before
 
     def _keep_counts(self, own: np.ndarray, counts: np.ndarray) -> np.ndarray:
-        """Return the counts (n,) by the motion, `own`, on the new clock, if its rate is the same."""
+        """Return counts (n,) by the motion, `own`, on the new clock, if its rate is the same."""
         assert self._counter is not None and self.clock is not None
         # Counts by the motion are better than those by the stamps alone.
         offsets, frequencies = np.unique(counts - own, return_counts=True)

@@ -178,9 +178,7 @@ class Tracker(TrackerSummary):
         state.step.pass_frames(len(frames.stamps), new_frames, unassigned)
         return placed
 
-    def _follow(
-        self, placed: PlacedFrames, times: Sequence[np.ndarray], results: Results
-    ) -> None:
+    def _follow(self, placed: PlacedFrames, times: Sequence[np.ndarray], results: Results) -> None:
         """Take frames up to the next update, or one that is not usual after correcting it."""
         state, computed = self.state, int(results.fields[COUNT])
         before, is_unusual = state.step.fields.frame, True

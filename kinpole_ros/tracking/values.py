@@ -1,4 +1,4 @@
-"""What an estimate gives: names of quantities, values with their uncertainty, and pairs of bodies."""
+"""Names of quantities, values with their uncertainty, and pairs of bodies of an estimate."""
 
 from functools import lru_cache
 from typing import NamedTuple

@@ -17,7 +17,7 @@ import numpy as np
 
 from kinpole_ros.files import printable
 from kinpole_ros.tools.report._record import Columns, Record, joints_of
-from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
 
 Json: TypeAlias = dict[str, Any]
 # Values are rounded to these fractions of their standard deviation or, without one, of the 90th

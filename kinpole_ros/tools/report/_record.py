@@ -13,7 +13,8 @@ import numpy as np
 
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import LinkageError
-from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate, Vectors, measured_pairs
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Vectors, measured_pairs
 
 # By subject, a body or a pair (j, i), and by quantity: arrays (T, ...), NaN where undetermined.
 Columns: TypeAlias = dict[tuple[str | tuple[str, str], str], np.ndarray]

@@ -10,7 +10,7 @@ from kinpole_ros.bags import Truncated, read_messages, topics
 from kinpole_ros.messages import RECEIVED, RESTARTS, stamp_to_ns
 from kinpole_ros.tools.plot import Body, decode, read_results
 from kinpole_ros.tools.report._record import Columns, Record
-from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
 
 # Levels of diagnostic_msgs/DiagnosticStatus.
 _WARN, _ERROR = 1, 2

@@ -17,7 +17,7 @@ from kinpole_ros.tools.solve._editor import editor_data
 from kinpole_ros.tools.solve._shapes import belts_of, outline_of, rims_of
 from kinpole_ros.tools.solve._solution import Solution, acting_loads, angle_rates, centers_of
 from kinpole_ros.tools.solve._statics import work_lines
-from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
 
 # Coordinates below this fraction of the largest body are rounding, and rates below this fraction of
 # the largest one.

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from kinpole_ros.messages import String, deserialize_message, quantity_lists, read_state
-from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
 
 _POSE = ('x', 'y', 'angle', 'vx', 'vy')
 # The number of values of a quantity; a point has its coordinates and its ellipse.
