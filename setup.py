@@ -67,8 +67,9 @@ setup(
                 f'{NAME}/messages/_points.c',
                 f'{NAME}/messages/_rows.c',
                 f'{NAME}/messages/_joints.c',
+                f'{NAME}/core/src/structs.c',
             ],
-            depends=glob(f'{NAME}/*/*.[ch]'),
+            depends=[*glob(f'{NAME}/*/*.[ch]'), *glob(f'{NAME}/core/*/*.[ch]')],
         )
     ],
     cmdclass={'build_ext': BuildExt},

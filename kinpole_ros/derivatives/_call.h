@@ -1,34 +1,64 @@
 /* The arguments and the return values of `kinpole_derive`, which tracking/_follow.c calls too. */
 
+#ifndef KINPOLE_CALL_H
+#define KINPOLE_CALL_H
+
+#include "../core/include/structs.h"
+
 /* Arrays that _models.py makes once for a kind of window, of `count` samples, each the mean of
    `block` frames. `orders` says which: 0 is `models_of`, -1 `slopes_of`, and any other number is
    `stencils_of` for the instant `at`, in samples from the middle. `exact` is 1 if the motion is so
    much larger than the noise that rounding matters. */
-typedef struct {
-    long long count, block, exact, orders;
-    double at;
-    const long long *integers;
-    const double *numbers;
-} Table;
+#define TABLE_FIELDS(VALUE, BLOCK, ARRAY) \
+    VALUE(long long, count)               \
+    VALUE(long long, block)               \
+    VALUE(long long, exact)               \
+    VALUE(long long, orders)              \
+    VALUE(double, at)                     \
+    ARRAY(const long long, integers)      \
+    ARRAY(const double, numbers)
+
+typedef STRUCT(TABLE_FIELDS) Table;
 
 /* The arguments of `derive_poses` in _poses.py, which describes the arrays (N, B) of B bodies in N
-   frames, and (T, B) of T instants. */
-typedef struct {
-    long long frames, bodies, instants;
-    long long next; /* signals (T B) before this one are done */
-    long long orders, table_count;
-    double window;            /* s */
-    double flat;              /* log standard deviation of the prior of mean and slope, 1 / noise */
-    const long long *time;    /* (N), ns */
-    const long long *windows; /* (3, T): the frame of the instant, the oldest, the newest */
-    const long long *left_out;
-    const double *angle, *turns, *position, *angle_information, *position_information, *noise;
-    const Table *tables;
-    double *results; /* see `write_results` */
-    Table lacking;   /* the table to make before the next call */
-} Call;
+   frames, and (T, B) of T instants. Signals (T B) before `next` are done. The length `window` is in
+   s; `flat` is the log standard deviation of the prior of mean and slope, over that of the noise.
+   `time` (N) is in ns, and `windows` (3, T) are the frame of an instant, the oldest, and the newest
+   of its window. See `write_results` for the results. `lacking` is the table to make before the
+   next call. */
+#define CALL_FIELDS(VALUE, BLOCK, ARRAY)       \
+    VALUE(long long, frames)                   \
+    VALUE(long long, bodies)                   \
+    VALUE(long long, instants)                 \
+    VALUE(long long, next)                     \
+    VALUE(long long, orders)                   \
+    VALUE(long long, table_count)              \
+    VALUE(double, window)                      \
+    VALUE(double, flat)                        \
+    ARRAY(const long long, time)               \
+    ARRAY(const long long, windows)            \
+    ARRAY(const long long, left_out)           \
+    ARRAY(const double, angle)                 \
+    ARRAY(const double, turns)                 \
+    ARRAY(const double, position)              \
+    ARRAY(const double, angle_information)     \
+    ARRAY(const double, position_information)  \
+    ARRAY(const double, noise)                 \
+    ARRAY(const Table, tables)                 \
+    ARRAY(double, results)                     \
+    VALUE(Table, lacking)
 
-enum { NO_MEMORY = -2, NO_FRAMES, DONE, LACKING };
+typedef STRUCT(CALL_FIELDS) Call;
+
+#define CALL_ENDS(CODE) \
+    CODE(NO_MEMORY, -2) \
+    CODE(NO_FRAMES, -1) \
+    CODE(DONE, 0)       \
+    CODE(LACKING, 1)
+
+enum { CALL_ENDS(DECLARE_CODE) };
 
 /* Returns DONE, LACKING if `lacking` has to be made before another call, or an error below 0. */
-int kinpole_derive(Call *call);
+API int kinpole_derive(Call *call);
+
+#endif

@@ -360,9 +360,6 @@ derive_signals(Call *call)
 int kinpole_derive_avx2(Call *call);
 #endif
 
-#ifdef _WIN32
-__declspec(dllexport)
-#endif
 int
 kinpole_derive(Call *call)
 {

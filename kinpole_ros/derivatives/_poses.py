@@ -4,19 +4,15 @@ Call the compiled kernel: from poses at stamps to derivatives at instants.
 The tables of window kinds are kept between calls, because they take 30 to 100 ms to make.
 """
 
-from ctypes import POINTER, Structure, byref, c_char, c_double, c_longlong, c_void_p
-from typing import Any, ClassVar, NamedTuple
+from ctypes import POINTER, byref, c_longlong, sizeof
+from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.compiled import library, pass_array
+from kinpole_ros.core.bindings import Call, Table, library
 from kinpole_ros.derivatives._models import FLAT, models_of, slopes_of, stencils_of
 from kinpole_ros.planar._plane import Complex, Real
 
-_ARRAYS = (
-    *('time', 'windows', 'left_out', 'angle', 'turns', 'position', 'angle_information'),
-    *('position_information', 'noise', 'tables', 'results'),
-)
 # Memory of all tables, of which the oldest are dropped; a kind of window has 100 kB to 3 MB.
 _MAX_TABLE_BYTES = 64_000_000
 
@@ -67,42 +63,19 @@ class Derivatives(NamedTuple):
     freedom: Real
 
 
-class _Table(Structure):
-    """`Table` of _call.h."""
-
-    _fields_: ClassVar[Any] = [
-        *((name, c_longlong) for name in ('count', 'block', 'exact', 'orders')),
-        ('at', c_double),
-        *((name, c_void_p) for name in ('integers', 'numbers')),
-    ]
-
-
-class Call(Structure):
-    """`Call` of _call.h."""
-
-    _fields_: ClassVar[Any] = [
-        *((name, c_longlong) for name in ('frames', 'bodies', 'instants', 'next', 'orders')),
-        ('table_count', c_longlong),
-        ('window', c_double),
-        ('flat', c_double),
-        *((name, POINTER(c_char)) for name in _ARRAYS),
-        ('lacking', _Table),
-    ]
-
-
 _derive = library.kinpole_derive
 _derive.argtypes = [POINTER(Call)]
 
 
 class _Tables(NamedTuple):
-    """The `arrays` that tables point to, and the `tables` (n, 7) as `Table` of _call.h."""
+    """The `arrays` that tables point to, and the `tables` (n, k), each the k fields of `Table`."""
 
     arrays: tuple[tuple[np.ndarray, Real], ...]
     tables: np.ndarray
 
 
 # Replaced and never changed, because another thread may be using it.
-_tables = _Tables((), np.empty((0, 7), np.int64))
+_tables = _Tables((), np.empty((0, sizeof(Table) // sizeof(c_longlong)), np.int64))
 
 
 def derive_poses(
@@ -127,14 +100,20 @@ def derive_poses(
     results = np.empty((3 * orders + 2 * orders**2 + 2, instants, bodies))
     call = new_call(window, order)
     call.frames, call.bodies, call.instants = frames, bodies, instants
-    call.time = pass_array(poses.time, np.int64)
-    call.windows = pass_array(np.array(windows), np.int64)
-    call.left_out = pass_array(left_out, np.int64)
-    call.angle, call.turns = pass_array(poses.angle), pass_array(poses.turns)
-    call.position = pass_array(poses.position, complex)
-    call.angle_information = pass_array(poses.angle_information)
-    call.position_information = pass_array(poses.position_information)
-    call.noise, call.results = pass_array(noise), pass_array(results)
+    numbers = {
+        'time': poses.time,
+        'windows': np.array(windows),
+        'left_out': left_out,
+        'angle': poses.angle,
+        'turns': poses.turns,
+        'position': np.ascontiguousarray(poses.position, complex).view(float),
+        'angle_information': poses.angle_information,
+        'position_information': poses.position_information,
+        'noise': noise,
+        'results': results,
+    }
+    for name, array in numbers.items():
+        call.bind(name, np.ascontiguousarray(array, call.elements[name]))
     tables = pass_tables(call)
     while code := _derive(byref(call)):
         tables = go_on(call, code)
@@ -157,7 +136,8 @@ def new_call(window: float, order: int) -> Call:
 def pass_tables(call: Call) -> _Tables:
     """Pass all tables, and return them; the caller holds them during the call of the library."""
     tables = _tables
-    call.table_count, call.tables = len(tables.tables), pass_array(tables.tables, np.int64)
+    call.table_count = len(tables.tables)
+    call.bind('tables', tables.tables)
     return tables
 
 

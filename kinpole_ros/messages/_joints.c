@@ -5,15 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "../tracking/_quantities.h"
-
-/* Joints of the second body against the first, -1 for the ground. The name of joint k, with its
-   terminating zero, is that from `ends[k]` to `ends[k + 1]`. See _joints.py. */
-typedef struct {
-    long long number, bodies, is_deviation, size;
-    const long long *first, *second, *ends;
-    const unsigned char *names;
-} Joints;
+#include "_joints.h"
 
 /* Adds the angle or rate of a body `seconds` after an instant, by its Taylor series up to the
    acceleration; or the variance of that. Returns whether the body is known. */
@@ -31,7 +23,7 @@ add_state(const Motion *m, const Joints *joints, long long body, long long t, do
             value += series[k - order] * m->angle[k * m->stride + at];
             for (long long l = order; l < orders; l++)
                 variance += series[k - order] * series[l - order] *
-                    m->of_angle[(k * m->orders + l) * m->stride + at];
+                    m->angle_covariance[(k * m->orders + l) * m->stride + at];
         }
         if (joints->is_deviation)
             sums[order] += variance > 0.0 ? variance : 0.0;
@@ -96,9 +88,6 @@ write_joint_state(const Motion *m, const Joints *joints, long long t, long long 
 
 /* Writes `count` messages, of the instants `nearest` extrapolated to `stamps`, each in `size` bytes, of
    which it takes `lengths`. */
-#ifdef _WIN32
-__declspec(dllexport)
-#endif
 void
 kinpole_write_joints(const Motion *motion, const Joints *joints, const long long *stamps,
                      const long long *nearest, long long count, unsigned char *out, long long *lengths)

@@ -1,14 +1,14 @@
 """What robot stacks read: states of joints between bodies."""
 
 from collections.abc import Mapping, Sequence
-from ctypes import POINTER, Structure, byref, c_longlong, c_void_p
+from ctypes import POINTER, byref, c_longlong, c_void_p
 from fractions import Fraction
 from itertools import pairwise
-from typing import Any, ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.compiled import address_of, library
+from kinpole_ros.core.bindings import Joints, address_of, library
 from kinpole_ros.messages._rows import Build, Built
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.parameters import GROUND
@@ -19,13 +19,8 @@ _MAX_AHEAD = 0.25  # of its window: how far from an instant a state is extrapola
 _BYTES, _BYTES_OF_JOINT = 64, 48
 
 
-class _Joints(Structure):
-    """`Joints` of _joints.c."""
-
-    _fields_: ClassVar[Any] = [
-        *((name, c_longlong) for name in ('number', 'bodies', 'is_deviation', 'size')),
-        *((name, c_void_p) for name in ('first', 'second', 'ends', 'names')),
-    ]
+class _Joints(Joints):
+    """`Joints` of _joints.h."""
 
     def __init__(
         self, joints: Mapping[str, tuple[str, str]], bodies: Sequence[str], is_deviation: bool
@@ -38,11 +33,10 @@ class _Joints(Structure):
             'ends': np.cumsum([0, *map(len, names)]),
             'names': np.frombuffer(b''.join(names), np.uint8),
         }
-        self._arrays = arrays
         size = _BYTES + _BYTES_OF_JOINT * len(joints) + len(arrays['names'])
         super().__init__(len(joints), len(bodies), is_deviation, size)
         for name, array in arrays.items():
-            setattr(self, name, address_of(array))
+            self.bind(name, array)
 
     def write(self, motion: Motion, stamps: np.ndarray, nearest: np.ndarray) -> list[bytes]:
         """Return the messages of `stamps`, by `nearest` instants; b'' without known joints."""

@@ -5,16 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-/* Messages of `size` bytes that agree with `key` where `mask` has bits, both of `compared` bytes. The
-   stamp is at byte `stamp`, and before `end_of_time`, ns. Point k of `count` begins at byte
-   `points[k]`. Its coordinates begin `axes` bytes behind that, and are floats of `widths` bytes, 4 or
-   8; one of width 0 is 0. See _points.py. */
-typedef struct {
-    long long size, compared, stamp, end_of_time, count, is_big_endian;
-    long long axes[3], widths[3];
-    const unsigned char *mask, *key;
-    const long long *points;
-} Layout;
+#include "_points.h"
 
 /* The unsigned integer in some bytes, at most 8. */
 static inline unsigned long long
@@ -46,7 +37,7 @@ double_at(const unsigned char *bytes, int is_big_endian)
 
 /* The stamp of a message, ns. */
 static long long
-stamp_of(const Layout *layout, const unsigned char *message)
+stamp_of(const MessageLayout *layout, const unsigned char *message)
 {
     const unsigned char *stamp = message + layout->stamp;
     return (int)integer_at(stamp, 4, 0) * 1000000000ll + (long long)integer_at(stamp + 4, 4, 0);
@@ -54,7 +45,7 @@ stamp_of(const Layout *layout, const unsigned char *message)
 
 /* Returns how many messages from message `first` on are of the layout, of `count` in all. */
 long long
-kinpole_count_matches(const Layout *layout, const unsigned char *messages, long long first,
+kinpole_count_matches(const MessageLayout *layout, const unsigned char *messages, long long first,
                     long long count)
 {
     messages += first * layout->size;
@@ -70,7 +61,7 @@ kinpole_count_matches(const Layout *layout, const unsigned char *messages, long 
 
 /* Reads the points (n, 3) of a message. One with a coordinate that is not finite becomes NaN. */
 void
-kinpole_read_points(const Layout *layout, const unsigned char *message, double *points)
+kinpole_read_points(const MessageLayout *layout, const unsigned char *message, double *points)
 {
     int is_big_endian = layout->is_big_endian != 0;
     for (long long k = 0; k < layout->count; k++, points += 3) {
@@ -87,7 +78,7 @@ kinpole_read_points(const Layout *layout, const unsigned char *message, double *
 
 /* Reads stamps (count,), ns, and points (count, n, 3) of the messages from message `first` on. */
 void
-kinpole_read_messages(const Layout *layout, const unsigned char *messages, long long first,
+kinpole_read_messages(const MessageLayout *layout, const unsigned char *messages, long long first,
                       long long count, long long *stamps, double *points)
 {
     messages += first * layout->size;

@@ -1,11 +1,12 @@
 """Points in the bytes of messages, read by compiled code."""
 
-from ctypes import POINTER, Structure, byref, c_char_p, c_longlong, c_void_p
-from typing import Any, ClassVar, NamedTuple
+from ctypes import POINTER, byref, c_char_p, c_longlong, c_void_p
+from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.compiled import address_of, library, pass_new_array
+from kinpole_ros.core import bindings
+from kinpole_ros.core.bindings import address_of, library, pass_new_array
 from kinpole_ros.messages._types import END_OF_TIME
 
 
@@ -23,18 +24,12 @@ class PointLayout(NamedTuple):
     is_big_endian: bool = False
 
 
-class MessageLayout(Structure):
+class MessageLayout(bindings.MessageLayout):
     """
     Messages of `size` bytes that agree with `key` in the bits of `mask`, both (n,) uint8.
 
-    Their stamps are at byte `stamp`. It is `Layout` of _points.c.
+    Their stamps are at byte `stamp`. It is that of _points.h.
     """
-
-    _fields_: ClassVar[Any] = [
-        *((name, c_longlong) for name in ('size', 'compared', 'stamp', 'end_of_time', 'count')),
-        *(('is_big_endian', c_longlong), ('axes', 3 * c_longlong), ('widths', 3 * c_longlong)),
-        *((name, c_void_p) for name in ('mask', 'key', 'points')),
-    ]
 
     def __init__(
         self, points: PointLayout, size: int, stamp: int, mask: np.ndarray, key: np.ndarray
@@ -43,8 +38,9 @@ class MessageLayout(Structure):
         super().__init__(
             *(size, len(mask), stamp, END_OF_TIME, count, is_big_endian), points.axes, points.widths
         )
-        self._arrays = mask, key, np.ascontiguousarray(points.offsets, np.int64)
-        self.mask, self.key, self.points = map(address_of, self._arrays)
+        self.bind('mask', mask)
+        self.bind('key', key)
+        self.bind('points', np.ascontiguousarray(points.offsets, np.int64))
         self._self = byref(self)
 
     def count_matches(self, data: bytes, first: int, count: int) -> int:

@@ -8,7 +8,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "../tracking/_quantities.h"
+#include "_rows.h"
 
 #ifndef __clang__
 #pragma GCC optimize("O3", "cx-limited-range")
@@ -20,21 +20,6 @@ enum { NORMAL, VECTOR, POINT, POSE, ODOMETRY, FRAME, STATE };
 /* What quantity it has, besides those of _quantities.h: RATE + order, a relative one, or one that the
    row has with it. */
 enum { RATE = 20, RELATIVE_RATE = 30, RELATIVE_CENTER, GIVEN };
-
-/* The messages of a topic, of a body, or of `other` with respect to it. A message has `size` bytes, of
-   which the doubles begin behind `head`. `value`, `spread` (T, 2, 2) and `determined` are GIVEN. */
-typedef struct {
-    long long kind, what, body, other, is_deviation, head, size;
-    const unsigned char *template;
-    const Number *value;
-    const double *spread;
-    const unsigned char *determined;
-} Row;
-
-/* The rows e1, e2 and normal of the basis, and the variance of what the plane says nothing about. */
-typedef struct {
-    double basis[3][3], unmeasured;
-} Plane;
 
 /* A message to be written: of instant `t`, and of the body with the element `at` of the motion. */
 typedef struct {
@@ -134,8 +119,8 @@ read_pose(const Motion *m, long long t, Pose *pose)
     pose->velocity = m->position[step + t] - I * pose->rate * pose->arm;
     for (int k = 0; k < 2; k++) {
         for (int l = 0; l < 2; l++)
-            pose->of_angle[k][l] = m->of_angle[k * row + l * step + t];
-        pose->of_position[k] = m->of_position[k * row + k * step + t];
+            pose->of_angle[k][l] = m->angle_covariance[k * row + l * step + t];
+        pose->of_position[k] = m->position_covariance[k * row + k * step + t];
     }
     return 1;
 }
@@ -304,9 +289,6 @@ write_message(const Task *task, unsigned char *out)
 
 /* Writes the messages of `number` rows, of all instants of each, to `out`, and to `made` (number,
    instants) whether there is one. */
-#ifdef _WIN32
-__declspec(dllexport)
-#endif
 void
 kinpole_write_rows(const Motion *motion, long long bodies, const Plane *plane, const Row *rows,
                    long long number, unsigned char *out, unsigned char *made)

@@ -6,7 +6,7 @@ estimate, are made by one call: in a node that sleeps between frames each call o
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from ctypes import POINTER, byref, c_longlong, c_void_p
+from ctypes import POINTER, byref, c_double, c_longlong, c_void_p, sizeof
 from functools import partial
 from itertools import chain
 from operator import itemgetter
@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from kinpole_ros.compiled import address_of, library
+from kinpole_ros.core import bindings
+from kinpole_ros.core.bindings import address_of, library
 from kinpole_ros.messages._cdr import Writer
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
@@ -35,7 +36,10 @@ Template: TypeAlias = Callable[[str, int], tuple[bytes, int]]
 NORMAL, VECTOR, POINT, POSE, ODOMETRY, FRAME, STATE_POINTS = range(7)
 RATE, RELATIVE_RATE, RELATIVE_CENTER, _GIVEN = 20, 30, 31, 32
 _DOUBLES = {NORMAL: 3, VECTOR: 3, POINT: 3, POSE: 43, ODOMETRY: 85, FRAME: 7}
-_ROW_FIELDS, _GIVEN_FIELDS = 11, slice(8, 11)
+# Rows are filled as integers, all of their fields at once.
+_ROW_FIELDS = len(bindings.Row._fields_)
+_GIVEN_FIELDS = slice(_ROW_FIELDS - 3, _ROW_FIELDS)
+_PLANE_NUMBERS = sizeof(bindings.Plane) // sizeof(c_double)
 
 _UNMEASURED = 1e6  # m², rad², ...: a variance that a planar measurement says nothing about
 # The same in a plane oblique to the axes of the frame, where it adds to all cells of the matrix and
@@ -76,7 +80,7 @@ class Rows:
         self._order = max((row.order for row in rows), default=0)
         self._given_rows = [(k, row.values) for k, row in enumerate(rows) if row.values]
         self._fields = np.zeros((len(rows), _ROW_FIELDS), np.int64)
-        self._space = np.empty(10)
+        self._space = np.empty(_PLANE_NUMBERS)
         # What the fields are made for, and the slices of a single instant.
         self._plane: Plane | None = None
         self._layout: tuple[str, int] | None = None

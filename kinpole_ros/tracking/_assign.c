@@ -5,14 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-/* Slot k of `count` takes row `rows[k]` of the `points` of a frame; none from row `points` on. Points
-   are scaled, and those not nearer than `farthest`, m, are NaN. The plane is that of plane.py: without
-   `axes` its basis counts. See assignment.py. */
-typedef struct {
-    long long count, points, has_axes, axes[3];
-    double scale, farthest, basis[9];
-    const long long *rows;
-} Slots;
+#include "_assign.h"
 
 /* Writes a point, m; NaN for none. */
 static void

@@ -9,28 +9,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "../derivatives/_call.h"
 #include "_rejection.h"
 
 #pragma GCC optimize("O3", "cx-limited-range")
-
-/* Results (T, ...) of at most `instants` instants, of which `count` are filled, and `deformed` are of
-   bodies whose markers move against each other; none while a window has fewer than `fewest` frames.
-   `rows` (T, 3) are those of the history, of the instant and of the oldest and newest of its window.
-   `derivatives` are those of `Call`. See results.py. */
-typedef struct {
-    long long instants, count, fewest, deformed;
-    long long *stamp, *due, *rows;
-    double *derivatives, *size, *height, *pin_variance, *angle, *information, *noise;
-    Number *pin, *shape, *reference, *position, *middle;
-    unsigned char *missing;
-} Results;
-
-/* Why the loop ends, besides the return values of `kinpole_derive`. */
-#define EXITS(CODE)                                                                                      \
-    CODE(UNUSUAL, 2)                                                                                     \
-    CODE(FULL, 3)
-enum { EXITS(AS_CODE) };
 
 /* The arrays of one call of `kinpole_derive`. `heading` is the angle of the body, and `angle` that by
    which its hub moves: the heading plus what a tilted body turns beyond it. */
@@ -228,11 +209,11 @@ copy_derivatives(const Frames *f, const Call *call, Results *r)
     long long orders = call->orders, bodies = f->bodies, t = r->count;
     const double *from = call->results;
     double *to = r->derivatives;
-    const unsigned char *missing = r->missing + t * bodies;
+    const unsigned char *reason = r->reason + t * bodies;
     for (long long k = 0; k < 2 * orders + 2 * orders * orders + 2; k++) {
         long long size = k < orders ? 2 : 1;
         for (long long i = 0; i < size * bodies; i++)
-            to[t * size * bodies + i] = missing[i / size] > NOT_FULL ? NAN : from[i];
+            to[t * size * bodies + i] = reason[i / size] > NOT_FULL ? NAN : from[i];
         from += size * bodies, to += r->instants * size * bodies;
     }
 }
@@ -286,17 +267,17 @@ compute_result(const Frames *f, Call *call, Results *r, Workspace *work, long lo
         const double *rate = work->derivatives + (2 * orders + 1) * bodies + b;
         const double *velocity = work->derivatives + 2 * (bodies + b);
         int found = isfinite(*rate) && isfinite(velocity[0]) && isfinite(velocity[1]);
-        r->missing[to] = missing ? missing : found ? KNOWN : NOT_FULL;
+        r->reason[to] = missing ? missing : found ? KNOWN : NOT_FULL;
         r->size[to] = f->size[b], r->height[to] = f->height[at];
         r->reference[to] = work->hub[b];
-        r->angle[to] = f->angle[at] + TURN * f->turns[at];
-        r->position[to] = f->position[at];
+        r->frame_angle[to] = f->angle[at] + TURN * f->turns[at];
+        r->frame_position[to] = f->position[at];
         r->noise[to] = f->noise[b];
         r->middle[to] = f->posed ? f->middle[b] : middle_of_used(f, now, b);
         for (int c = 0; c < 2; c++)
             r->information[(2 * t + c) * bodies + b] =
                 seen ? information[c * bodies] * f->scale[c * bodies + b] : 0.0;
-        deforms |= r->missing[to] == KNOWN && f->freedom[b] > 0.0;
+        deforms |= r->reason[to] == KNOWN && f->freedom[b] > 0.0;
     }
     copy_derivatives(f, call, r);
     memcpy(r->shape + t * bodies * f->width, f->known_shape,
@@ -367,12 +348,3 @@ kinpole_follow(Frames *f, Call *call, Results *r)
             return code;
     }
 }
-
-const char *const kinpole_frames_fields = FRAMES_COUNTS(AS_FIELD_TEXT) FRAMES_WINDOW(AS_FIELD_TEXT)
-    FRAMES_LIMITS(AS_FIELD_TEXT) FRAMES_HISTORY(AS_FIELD_TEXT) FRAMES_LEARNED(AS_FIELD_TEXT)
-        FRAMES_STATE(AS_FIELD_TEXT) FRAMES_NEW(AS_FIELD_TEXT) FRAMES_CORRECTED(AS_FIELD_TEXT);
-const char *const kinpole_frames_columns = FRAMES_HISTORY(AS_FIELD_TEXT);
-const char *const kinpole_frames_learned = FRAMES_LEARNED(AS_FIELD_TEXT);
-const char *const kinpole_frames_state = FRAMES_STATE(AS_FIELD_TEXT);
-const char *const kinpole_frames_new = FRAMES_NEW(AS_FIELD_TEXT);
-const char *const kinpole_exits = EXITS(AS_CODE_TEXT);

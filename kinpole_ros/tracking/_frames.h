@@ -1,132 +1,160 @@
 /*
  * The arrays that the compiled part of the tracker works on: of History, of Bodies, and of new frames.
  *
- * Names and shapes are those of history.py and bodies.py; all arrays are row-major. Each list here is
- * the only one: Python reads it as text, see `structure_of` and `codes_of` in compiled.py.
+ * Names and shapes are those of history.py and bodies.py; all arrays are row-major.
  */
 
 #ifndef KINPOLE_FRAMES_H
 #define KINPOLE_FRAMES_H
 
-#include <complex.h>
-
-typedef double complex Number;
-
-#define AS_FIELD(type, name) type name;
-#define AS_FIELD_TEXT(type, name) #name "=" #type ";"
-#define AS_CODE(name, value) name = value,
-#define AS_CODE_TEXT(name, value) #name "=" #value ";"
+#include "../core/include/structs.h"
+#include "../derivatives/_call.h"
 
 /* Bodies with up to `width` markers. Rows `first` to `end` of the history are in use. The next result is
    that of row `due`, counted from `first`. The new frames `frame` to `frames` are still to be taken, at
    most `until_update` of them before the next update. */
-#define FRAMES_COUNTS(FIELD)                                                                             \
-    FIELD(long long, bodies)                                                                             \
-    FIELD(long long, width)                                                                              \
-    FIELD(long long, first)                                                                              \
-    FIELD(long long, end)                                                                                \
-    FIELD(long long, due)                                                                                \
-    FIELD(long long, frame)                                                                              \
-    FIELD(long long, frames)                                                                             \
-    FIELD(long long, until_update)                                                                       \
-    FIELD(long long, hidden_is_unusual)
+#define FRAME_COUNTS(VALUE, BLOCK, ARRAY) \
+    VALUE(long long, bodies)              \
+    VALUE(long long, width)               \
+    VALUE(long long, first)               \
+    VALUE(long long, end)                 \
+    VALUE(long long, due)                 \
+    VALUE(long long, frame)               \
+    VALUE(long long, frames)              \
+    VALUE(long long, until_update)        \
+    VALUE(long long, hidden_is_unusual)
 
 /* Length of the window and lag, ns; number of frames in the window, and their mean interval, ns; whether
    the input are poses. */
-#define FRAMES_WINDOW(FIELD)                                                                             \
-    FIELD(long long, window)                                                                             \
-    FIELD(long long, samples)                                                                            \
-    FIELD(long long, posed)                                                                              \
-    FIELD(double, lag)                                                                                   \
-    FIELD(double, interval)
+#define FRAME_WINDOW(VALUE, BLOCK, ARRAY) \
+    VALUE(long long, window)              \
+    VALUE(long long, samples)             \
+    VALUE(long long, posed)               \
+    VALUE(double, lag)                    \
+    VALUE(double, interval)
 
 /* Limits for poses off their paths and off their pins: see rejection.py. */
-#define FRAMES_LIMITS(FIELD)                                                                             \
-    FIELD(double, far)                                                                                   \
-    FIELD(double, newest_factor)                                                                         \
-    FIELD(double, near)                                                                                  \
-    FIELD(double, gap)                                                                                   \
-    FIELD(double, n_sigma)
+#define FRAME_LIMITS(VALUE, BLOCK, ARRAY) \
+    VALUE(double, far)                    \
+    VALUE(double, newest_factor)          \
+    VALUE(double, near)                   \
+    VALUE(double, gap)                    \
+    VALUE(double, n_sigma)
 
 /* Columns of the history. */
-#define FRAMES_HISTORY(FIELD)                                                                            \
-    FIELD(long long *, stamp)                                                                            \
-    FIELD(long long *, time)                                                                             \
-    FIELD(long long *, count)                                                                            \
-    FIELD(unsigned char *, goes_on)                                                                      \
-    FIELD(unsigned char *, used)                                                                         \
-    FIELD(double *, angle)                                                                               \
-    FIELD(double *, turns)                                                                               \
-    FIELD(double *, information)                                                                         \
-    FIELD(double *, height)                                                                              \
-    FIELD(double *, heights)                                                                             \
-    FIELD(double *, extra_turn)                                                                          \
-    FIELD(Number *, position)                                                                            \
-    FIELD(Number *, residual)                                                                            \
-    FIELD(Number *, markers)
+#define HISTORY_COLUMNS(VALUE, BLOCK, ARRAY) \
+    ARRAY(long long, stamp)                  \
+    ARRAY(long long, time)                   \
+    ARRAY(long long, count)                  \
+    ARRAY(unsigned char, goes_on)            \
+    ARRAY(unsigned char, used)               \
+    ARRAY(double, angle)                     \
+    ARRAY(double, turns)                     \
+    ARRAY(double, information)               \
+    ARRAY(double, height)                    \
+    ARRAY(double, heights)                   \
+    ARRAY(double, extra_turn)                \
+    ARRAY(Number, position)                  \
+    ARRAY(Number, residual)                  \
+    ARRAY(Number, markers)
 
 /* What is known of the bodies. */
-#define FRAMES_LEARNED(FIELD)                                                                            \
-    FIELD(Number *, shape)                                                                               \
-    FIELD(Number *, hub)                                                                                 \
-    FIELD(Number *, middle)                                                                              \
-    FIELD(Number *, pin)                                                                                 \
-    FIELD(Number *, pin_arm)                                                                             \
-    FIELD(Number *, known_shape)                                                                         \
-    FIELD(double *, weights)                                                                             \
-    FIELD(double *, largest)                                                                             \
-    FIELD(double *, doubtful)                                                                            \
-    FIELD(double *, spread)                                                                              \
-    FIELD(double *, loosest)                                                                             \
-    FIELD(double *, last_angle)                                                                          \
-    FIELD(double *, jump_scale)                                                                          \
-    FIELD(double *, size)                                                                                \
-    FIELD(double *, error)                                                                               \
-    FIELD(double *, scale)                                                                               \
-    FIELD(double *, noise)                                                                               \
-    FIELD(double *, freedom)                                                                             \
-    FIELD(double *, pin_variance)                                                                        \
-    FIELD(double *, tilt_turn)                                                                           \
-    FIELD(long long *, pin_since)                                                                        \
-    FIELD(unsigned char *, reason)
+#define BODY_ARRAYS(VALUE, BLOCK, ARRAY) \
+    ARRAY(Number, shape)                 \
+    ARRAY(Number, hub)                   \
+    ARRAY(Number, middle)                \
+    ARRAY(Number, pin)                   \
+    ARRAY(Number, pin_arm)               \
+    ARRAY(Number, known_shape)           \
+    ARRAY(double, weights)               \
+    ARRAY(double, largest)               \
+    ARRAY(double, doubtful)              \
+    ARRAY(double, spread)                \
+    ARRAY(double, loosest)               \
+    ARRAY(double, last_angle)            \
+    ARRAY(double, jump_scale)            \
+    ARRAY(double, size)                  \
+    ARRAY(double, error)                 \
+    ARRAY(double, scale)                 \
+    ARRAY(double, noise)                 \
+    ARRAY(double, freedom)               \
+    ARRAY(double, pin_variance)          \
+    ARRAY(double, tilt_turn)             \
+    ARRAY(long long, pin_since)          \
+    ARRAY(unsigned char, reason)
 
 /* Of each body, and last of the whole frame: number of gaps of a window or more; begin and length, ns, of
    the latest and of the longest. */
 enum { OUTAGE_TIMES, OUTAGE_LATEST, OUTAGE_LONGEST = 3, OUTAGE_FIELDS = 5 };
 
 /* The state of the bodies that only C writes: see step.py. */
-#define FRAMES_STATE(FIELD)                                                                              \
-    FIELD(unsigned char *, unusual)                                                                      \
-    FIELD(long long *, wrong)                                                                            \
-    FIELD(long long *, newest)                                                                           \
-    FIELD(long long *, seen_last)                                                                        \
-    FIELD(long long *, outages)                                                                          \
-    FIELD(double *, total_turn)                                                                          \
-    FIELD(double *, sure_angle)                                                                          \
-    FIELD(Number *, sure_tilt)
+#define TRACKING_STATE(VALUE, BLOCK, ARRAY) \
+    ARRAY(unsigned char, unusual)           \
+    ARRAY(long long, wrong)                 \
+    ARRAY(long long, newest)                \
+    ARRAY(long long, seen_last)             \
+    ARRAY(long long, outages)               \
+    ARRAY(double, total_turn)               \
+    ARRAY(double, sure_angle)               \
+    ARRAY(Number, sure_tilt)
 
 /* The new frames; `tilts` (T, B) of poses, see `MarkerAssignment.tilts`, else NULL. */
-#define FRAMES_NEW(FIELD)                                                                                \
-    FIELD(const long long *, new_stamp)                                                                  \
-    FIELD(const long long *, new_time)                                                                   \
-    FIELD(const long long *, new_count)                                                                  \
-    FIELD(const Number *, points)                                                                        \
-    FIELD(const double *, point_heights)                                                                 \
-    FIELD(const Number *, tilts)
+#define NEW_FRAMES(VALUE, BLOCK, ARRAY) \
+    ARRAY(const long long, new_stamp)   \
+    ARRAY(const long long, new_time)    \
+    ARRAY(const long long, new_count)   \
+    ARRAY(const Number, points)         \
+    ARRAY(const double, point_heights)  \
+    ARRAY(const Number, tilts)
 
-/* The markers (B, n) to fit to in the next frame, whatever is unusual; NULL for those that came. */
-#define FRAMES_CORRECTED(FIELD) FIELD(const Number *, corrected)
+/* `corrected` are the markers (B, n) to fit to in the next frame, whatever is unusual; NULL for those
+   that came. */
+#define FRAMES_FIELDS(VALUE, BLOCK, ARRAY) \
+    FRAME_COUNTS(VALUE, BLOCK, ARRAY)      \
+    FRAME_WINDOW(VALUE, BLOCK, ARRAY)      \
+    FRAME_LIMITS(VALUE, BLOCK, ARRAY)      \
+    HISTORY_COLUMNS(VALUE, BLOCK, ARRAY)   \
+    BODY_ARRAYS(VALUE, BLOCK, ARRAY)       \
+    TRACKING_STATE(VALUE, BLOCK, ARRAY)    \
+    NEW_FRAMES(VALUE, BLOCK, ARRAY)        \
+    ARRAY(const Number, corrected)
 
-typedef struct {
-    FRAMES_COUNTS(AS_FIELD)
-    FRAMES_WINDOW(AS_FIELD)
-    FRAMES_LIMITS(AS_FIELD)
-    FRAMES_HISTORY(AS_FIELD)
-    FRAMES_LEARNED(AS_FIELD)
-    FRAMES_STATE(AS_FIELD)
-    FRAMES_NEW(AS_FIELD)
-    FRAMES_CORRECTED(AS_FIELD)
-} Frames;
+typedef STRUCT(FRAMES_FIELDS) Frames;
+
+/* Results (T, ...) of at most `instants` instants, of which `count` are filled, and `deformed` are of
+   bodies whose markers move against each other; none while a window has fewer than `fewest` frames.
+   `rows` (T, 3) are those of the history, of the instant and of the oldest and newest of its window.
+   `derivatives` are those of `Call`. See estimate.py. */
+#define RESULTS_FIELDS(VALUE, BLOCK, ARRAY) \
+    VALUE(long long, instants)              \
+    VALUE(long long, count)                 \
+    VALUE(long long, fewest)                \
+    VALUE(long long, deformed)              \
+    ARRAY(long long, stamp)                 \
+    ARRAY(long long, due)                   \
+    ARRAY(long long, rows)                  \
+    ARRAY(double, derivatives)              \
+    ARRAY(double, size)                     \
+    ARRAY(double, height)                   \
+    ARRAY(double, pin_variance)             \
+    ARRAY(double, frame_angle)              \
+    ARRAY(double, information)              \
+    ARRAY(double, noise)                    \
+    ARRAY(Number, pin)                      \
+    ARRAY(Number, shape)                    \
+    ARRAY(Number, reference)                \
+    ARRAY(Number, frame_position)           \
+    ARRAY(Number, middle)                   \
+    ARRAY(unsigned char, reason)
+
+typedef STRUCT(RESULTS_FIELDS) Results;
+
+/* Why the loop ends, besides the return values of `kinpole_derive`. */
+#define LOOP_ENDS(CODE) \
+    CODE(UNUSUAL, 2)    \
+    CODE(FULL, 3)
+
+enum { LOOP_ENDS(DECLARE_CODE) };
 
 static inline double
 square_of(Number z)
@@ -136,5 +164,7 @@ square_of(Number z)
 
 int kinpole_fit_frame(const Frames *f, const Number *markers, int goes_on);
 void kinpole_unwrap(const Frames *f);
+API int kinpole_try_frame(Frames *f, const Number *markers);
+API int kinpole_follow(Frames *f, Call *call, Results *r);
 
 #endif

@@ -104,8 +104,8 @@ static void
 add_covariance(const Motion *m, long long t, int highest, const Linear *linear, double *spread)
 {
     double by_position[3] = {0};
-    add_moments(m->of_angle + t, m->orders, m->stride, highest, linear->by_angle, spread);
-    add_moments(m->of_position + t, m->orders, m->stride, highest, linear->by_position, by_position);
+    add_moments(m->angle_covariance + t, m->orders, m->stride, highest, linear->by_angle, spread);
+    add_moments(m->position_covariance + t, m->orders, m->stride, highest, linear->by_position, by_position);
     /* The two coordinates of the position have independent errors of one covariance. */
     spread[0] += by_position[0] + by_position[2], spread[2] += by_position[0] + by_position[2];
 }
@@ -150,7 +150,7 @@ free_pole(const Motion *m, long long t, int order)
     pole(order, z, rate, &turn, &linear);
     q.value = linear.value;
     add_covariance(m, t, order, &linear, q.spread);
-    add_moments(m->of_angle + t, m->orders, m->stride, order, turn.by_angle, noise);
+    add_moments(m->angle_covariance + t, m->orders, m->stride, order, turn.by_angle, noise);
     int turns = cabs(turn.value) > SIGNIFICANT * sqrt(noise[0] + noise[2]);
     q.flags = turns && is_near(m, t, q.value) && is_known(&q) ? DETERMINED : 0;
     return q;
@@ -166,7 +166,7 @@ pole_at(const Motion *m, long long t, int order)
     q.value = m->pin[t];
     q.spread[0] = q.spread[2] = m->pin_variance[t], q.spread[1] = 0.0;
     for (int k = 1; k <= order; k++) {
-        double variance = m->of_angle[(k * m->orders + k) * m->stride + t];
+        double variance = m->angle_covariance[(k * m->orders + k) * m->stride + t];
         if (fabs(m->angle[k * m->stride + t]) > SIGNIFICANT * sqrt(variance))
             q.flags = DETERMINED;
     }
@@ -214,7 +214,7 @@ curvature_at(const Motion *m, long long t)
     double share = CURVED * fabs(creal(q.value)), by_size = 1 / m->size[t];
     double most = share > by_size ? share : by_size, turned = m->angle[m->stride + t];
     /* A body that turns by less than its noise would have a straight centrode, and that for sure. */
-    int turns = turned * turned > TURNING * TURNING * m->of_angle[(m->orders + 1) * m->stride + t];
+    int turns = turned * turned > TURNING * TURNING * m->angle_covariance[(m->orders + 1) * m->stride + t];
     q.flags = u.flags & MOVES;
     if (u.flags & MOVES && turns && isfinite(creal(q.value)) && variance < most * most)
         q.flags |= DETERMINED;
@@ -234,7 +234,7 @@ kinpole_rate(const Motion *m, long long t, int order)
 {
     Quantity q = {0};
     q.value = m->angle[order * m->stride + t];
-    q.spread[0] = m->of_angle[order * (m->orders + 1) * m->stride + t];
+    q.spread[0] = m->angle_covariance[order * (m->orders + 1) * m->stride + t];
     q.flags = isfinite(creal(q.value)) ? DETERMINED : 0;
     return q;
 }
@@ -290,9 +290,6 @@ store(const Quantity *q, long long at, Number *values, double *spreads, unsigned
 
 /* Computes quantity `what` at all instants. `values` (count,) are complex, `spreads` (count, 2, 2), and
    `flags` (count,) bits. */
-#ifdef _WIN32
-__declspec(dllexport)
-#endif
 void
 kinpole_quantities(int what, const Motion *m, Number *values, double *spreads, unsigned char *flags)
 {
@@ -303,9 +300,6 @@ kinpole_quantities(int what, const Motion *m, Number *values, double *spreads, u
 }
 
 /* Computes the relative centers of `pairs` (2, number), all j and all i, at all instants. */
-#ifdef _WIN32
-__declspec(dllexport)
-#endif
 void
 kinpole_relative_centers(const Motion *m, long long bodies, const long long *pairs, long long number,
                          Number *values, double *spreads, unsigned char *flags)

@@ -202,5 +202,3 @@ kinpole_reason(const Frames *f, long long now, long long b)
     int seen = information[0] > 0.0 && information[f->bodies] > 0.0 && now < f->end - f->newest[b];
     return seen ? f->reason[b] : isnan(f->angle[now * f->bodies + b]) ? NOT_SEEN : OFF_PATH;
 }
-
-const char *const kinpole_unusual_bits = UNUSUAL_BITS(AS_CODE_TEXT), *const kinpole_reasons = REASONS(AS_CODE_TEXT);

@@ -6,13 +6,13 @@ in fixed slots. Most layouts repeat, so the rows of each layout are looked up on
 """
 
 from collections.abc import Sequence
-from ctypes import Structure, byref, c_double, c_longlong, c_void_p
+from ctypes import byref, c_longlong, c_void_p
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from kinpole_ros.compiled import address_of, library, pass_new_array
+from kinpole_ros.core.bindings import Slots, library, pass_new_array
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import POSE_POINTS, Settings
 from kinpole_ros.tracking.plane import Plane
@@ -55,36 +55,19 @@ class Layout(NamedTuple):
     unknown_names: int
     unassigned: np.ndarray
     is_numbered: bool
-    slots: 'Slots'
+    slots: 'MarkerSlots'
 
 
-class _Slots(Structure):
-    """`Slots` of _assign.c: which rows of messages the slots take, and the plane."""
+class MarkerSlots(Slots):
+    """`Slots` of _assign.h: the rows (...) of messages that slots take, `array`, and the plane."""
 
-    _fields_: ClassVar[Any] = [
-        *((name, c_longlong) for name in ('count', 'points', 'has_axes')),
-        *(('axes', 3 * c_longlong), ('scale', c_double), ('farthest', c_double)),
-        *(('basis', 9 * c_double), ('rows', c_void_p)),
-    ]
-
-
-class Slots(NamedTuple):
-    """The rows (...) of messages that slots take, as C has them; `owner` keeps its array alive."""
-
-    rows: np.ndarray
-    fields: _Slots
-    owner: np.ndarray
-
-
-def slots_of(rows: np.ndarray, points: int, scale: float, plane: Plane | None) -> Slots:
-    """Return the slots that take these rows (...) of messages with so many `points`."""
-    owner = np.ascontiguousarray(rows, np.int64)
-    fields = _Slots(count=rows.size, points=points, scale=scale, farthest=FARTHEST_MARKER)
-    fields.rows = address_of(owner)
-    if plane is not None:
-        fields.has_axes, fields.axes = plane.axes is not None, plane.axes or (0, 0, 0)
-        fields.basis = tuple(plane.basis.ravel().tolist())
-    return Slots(rows, fields, owner)
+    def __init__(self, rows: np.ndarray, points: int, scale: float, plane: Plane | None) -> None:
+        self.array = rows
+        super().__init__(count=rows.size, points=points, scale=scale, farthest=FARTHEST_MARKER)
+        self.bind('rows', np.ascontiguousarray(rows, np.int64))
+        if plane is not None:
+            self.has_axes, self.axes = plane.axes is not None, plane.axes or (0, 0, 0)
+            self.basis = tuple(plane.basis.ravel().tolist())
 
 
 @dataclass
@@ -211,28 +194,28 @@ class MarkerAssignment:
         points, slots = frames.points[first:], layout.slots
         if not self.posed and self.plane is not None:
             return *self._in_plane(points, slots), None
-        in_space = np.empty((len(points), *slots.rows.shape, 3))
+        in_space = np.empty((len(points), *slots.array.shape, 3))
         into = None, None, pass_new_array(in_space)
-        _assign(byref(slots.fields), pass_new_array(points), len(points), *into)
+        _assign(byref(slots), pass_new_array(points), len(points), *into)
         if self.posed:
             assert frames.axes is not None
             axes = frames.axes[first:]
             none = np.full((len(axes), 1, 2, 3), np.nan)
-            axes = np.concatenate((axes, none), axis=1).take(slots.rows[:, 0], axis=1)
+            axes = np.concatenate((axes, none), axis=1).take(slots.array[:, 0], axis=1)
             in_space[:, :, 1:] += _ARM * axes
         if self.plane is not None:
             return *map(np.ascontiguousarray, self._project_poses(in_space)), in_space
         return *map(np.ascontiguousarray, self._in_plane(points, slots)), in_space
 
-    def _in_plane(self, points: np.ndarray, slots: Slots) -> InPlane:
+    def _in_plane(self, points: np.ndarray, slots: MarkerSlots) -> InPlane:
         """Return slots (...) of points (T, n, 3) in the plane; NaN while it is not known."""
-        shape = len(points), *slots.rows.shape
+        shape = len(points), *slots.array.shape
         if self.plane is None:
             nowhere = np.full(shape, complex(np.nan, np.nan))
             return nowhere, nowhere.real
         flat, heights = np.empty(shape, complex), np.empty(shape)
         into = pass_new_array(flat), pass_new_array(heights), None
-        _assign(byref(slots.fields), pass_new_array(points), len(points), *into)
+        _assign(byref(slots), pass_new_array(points), len(points), *into)
         return flat, heights
 
     def _project_poses(self, poses: np.ndarray) -> InPlane:
@@ -294,7 +277,7 @@ class MarkerAssignment:
 
     def project_rows(self, points: np.ndarray, rows: np.ndarray) -> InPlane:
         """Return rows (m,) of the points (n, 3) of a frame in the plane, and their heights, m."""
-        slots = slots_of(rows, len(points), self.scale, self.plane)
+        slots = MarkerSlots(rows, len(points), self.scale, self.plane)
         flat, heights = self._in_plane(points[None], slots)
         return flat[0], heights[0]
 
@@ -388,7 +371,7 @@ class MarkerAssignment:
         unassigned = np.setdiff1d(np.arange(none), rows)
         is_numbered = identities == tuple(map(str, range(none)))
         is_complete = bool((rows < none).all())
-        slots = slots_of(rows, none, self.scale, self.plane)
+        slots = MarkerSlots(rows, none, self.scale, self.plane)
         counts = foreign, unknown
         return Layout(rows, named, is_complete, absent, *counts, unassigned, is_numbered, slots)
 

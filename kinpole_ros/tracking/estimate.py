@@ -8,19 +8,19 @@ undetermined, for a reason that is named.
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from ctypes import addressof
+from ctypes import addressof, c_longlong, sizeof
 from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from kinpole_ros import planar
-from kinpole_ros.compiled import pass_new_array
+from kinpole_ros.core import bindings
+from kinpole_ros.core.bindings import pass_new_array
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.quantities import (
-    ARRAYS,
     CURVATURE,
     DETERMINED,
     FREE,
@@ -62,22 +62,12 @@ class _Part(NamedTuple):
 
 
 # Where `fields` has the number of results, and of those of deformed bodies.
-COUNT, DEFORMED = 1, 3
-# Where the arrays that C fills begin, in the order of the fields of `Results` of _follow.c.
-_FIELDS = (
-    *(
-        'stamp',
-        'due',
-        'rows',
-        'position',
-        'size',
-        'height',
-        'pin_variance',
-        'frame_angle',
-        'information',
-    ),
-    *('noise', 'pin', 'shape', 'reference', 'frame_position', 'middle', 'reason'),
+COUNT, DEFORMED = (
+    field.offset // sizeof(c_longlong)
+    for field in (bindings.Results.count, bindings.Results.deformed)
 )
+# The arrays that C fills, of which the first of the derivatives stands for all of them.
+_FIELDS = tuple('position' if name == 'derivatives' else name for name in bindings.Results.elements)
 
 
 @lru_cache(maxsize=64)
@@ -110,7 +100,7 @@ def _layout_of(
         layout[name] = _Part(shape, dtype, offset)
         offset += math.prod(shape) * np.dtype(dtype).itemsize
     of_fields, of_motion = (
-        np.array([layout[name].offset for name in names]) for names in (_FIELDS, ARRAYS)
+        np.array([layout[name].offset for name in names]) for names in (_FIELDS, Motion.elements)
     )
     return layout, of_fields, of_motion, offset
 
@@ -128,10 +118,11 @@ class Results:
         self.instants, self.orders, self._bodies = instants, orders, bodies
         self._layout, offsets, self._of_motion, size = _layout_of(instants, orders, bodies, markers)
         self._buffer = np.empty(size, np.uint8)
-        self.fields = np.empty(4 + len(offsets), np.int64)
-        self.fields[:4] = instants, 0, FEWEST_SAMPLES, 0
+        numbers = instants, 0, FEWEST_SAMPLES, 0
+        self.fields = np.empty(len(numbers) + len(offsets), np.int64)
+        self.fields[: len(numbers)] = numbers
         self._address = addressof(pass_new_array(self._buffer))
-        np.add(offsets, self._address, out=self.fields[4:])
+        np.add(offsets, self._address, out=self.fields[len(numbers) :])
 
     @property
     def count(self) -> int:
@@ -153,9 +144,10 @@ class Results:
     def motion(self) -> Motion:
         """Return the motion of the instants that have results."""
         count = self.count
-        fields = np.empty(3 + len(self._of_motion), np.int64)
-        fields[:3] = count * self._bodies, self.instants * self._bodies, self.orders
-        np.add(self._of_motion, self._address, out=fields[3:])
+        numbers = count * self._bodies, self.instants * self._bodies, self.orders
+        fields = np.empty(len(numbers) + len(self._of_motion), np.int64)
+        fields[: len(numbers)] = numbers
+        np.add(self._of_motion, self._address, out=fields[len(numbers) :])
         return Motion.of_fields(fields, (count, self._bodies), self._buffer)
 
 
@@ -342,7 +334,7 @@ class Estimate:
     @cached_property
     def compiled_motion(self) -> Motion:
         """The arrays as the compiled code takes them."""
-        return Motion(*(getattr(self, name) for name in ARRAYS))
+        return Motion(*(getattr(self, name) for name in Motion.elements))
 
     def general_pole(self, order: int) -> Vectors:
         """Return the pole of order 1 to 4, m, from the motion alone, without pins."""

@@ -1,11 +1,11 @@
 """Poles, the velocity of the ICR and the curvature of centrodes, and where they are determined."""
 
-from ctypes import POINTER, Structure, byref, c_int, c_longlong, c_void_p
-from typing import Any, ClassVar
+from ctypes import POINTER, byref, c_int, c_longlong, c_void_p
 
 import numpy as np
 
-from kinpole_ros.compiled import address_of, library
+from kinpole_ros.core import bindings
+from kinpole_ros.core.bindings import address_of, library
 from kinpole_ros.planar._plane import Complex, Real
 
 # The numbers that _quantities.c gives to what it computes. Poles have their order, 1 to 4, and FREE
@@ -15,21 +15,9 @@ VELOCITY, CURVATURE, FREE = 5, 6, 10
 _NEEDED = {VELOCITY: 2, CURVATURE: 3}
 # Bits of the flags: a quantity stands out of its noise; the ICR is seen to move.
 DETERMINED, MOVES = 1, 2
-ARRAYS = {
-    'position': complex,
-    'angle': float,
-    'position_covariance': float,
-    'angle_covariance': float,
-    'size': float,
-    'pin': complex,
-    'pin_variance': float,
-    'reference': complex,
-    'height': float,
-    'stamp': np.int64,
-}
 
 
-class Motion(Structure):
+class Motion(bindings.Motion):
     """
     `Motion` of _quantities.c: derivatives of bodies at instants, of any shape (...).
 
@@ -49,15 +37,11 @@ class Motion(Structure):
 
     """
 
-    _fields_: ClassVar[Any] = [
-        *((name, c_longlong) for name in ('count', 'stride', 'orders')),
-        *((name, c_void_p) for name in ARRAYS),
-    ]
     shape: tuple[int, ...]
     owners: list[np.ndarray]
 
     def __init__(self, *arrays: np.ndarray) -> None:
-        pairs = zip(arrays, ARRAYS.values(), strict=False)
+        pairs = zip(arrays, self.elements.values(), strict=False)
         self.owners = [np.asarray(array, kind, order='C') for array, kind in pairs]
         position, angle, of_position, of_angle, *rest = self.owners
         self.orders, *shape = angle.shape
@@ -68,8 +52,8 @@ class Motion(Structure):
             raise ValueError(f'expected arrays of one shape, got {[a.shape for a in arrays]}')
         if of_position.shape != square or of_angle.shape != square:
             raise ValueError(f'expected covariances of shape {square}, got {of_position.shape}')
-        for name, array in zip(ARRAYS, self.owners, strict=False):
-            setattr(self, name, address_of(array))
+        for name, array in zip(self.elements, self.owners, strict=False):
+            self.bind(name, array)
 
     @classmethod
     def of_fields(cls, fields: np.ndarray, shape: tuple[int, int], owner: np.ndarray) -> 'Motion':

@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.compiled import codes_of
+from kinpole_ros.core.bindings import codes_of
 from kinpole_ros.planar._plane import Real
 from kinpole_ros.tracking.thresholds import ROUNDED
 
@@ -57,8 +57,8 @@ NEAR = 0.01
 GAP = 2.5
 
 # What is unusual of a body in a frame, and why it has no result: see _rejection.h.
-UNUSUAL = codes_of('kinpole_unusual_bits')
-REASONS = codes_of('kinpole_reasons')
+UNUSUAL = codes_of('UNUSUAL_BITS')
+REASONS = codes_of('REASONS')
 ODD, NAME_DOUBTFUL = UNUSUAL['ODD'], UNUSUAL['NAME_DOUBTFUL']
 
 OFF_PATH = 'its pose is far off its path, and may be wrong'

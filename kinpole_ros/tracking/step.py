@@ -4,13 +4,13 @@ from ctypes import POINTER, addressof, byref, c_void_p
 
 import numpy as np
 
-from kinpole_ros.compiled import (
+from kinpole_ros.core.bindings import (
+    Frames,
     address_of,
     codes_of,
+    fields_of,
     library,
-    names_of,
     pass_new_array,
-    structure_of,
 )
 from kinpole_ros.derivatives import Call, go_on, new_call, pass_tables
 from kinpole_ros.tracking.bodies import Bodies
@@ -21,20 +21,18 @@ from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.rejection import FAR, GAP, NEAR, NEWEST_FACTOR, reasons_of
 from kinpole_ros.tracking.thresholds import N_SIGMA
 
-# Why the compiled loop ends: see _follow.c, and for the first two _call.h.
-DONE, TABLE_LACKING = 0, 1
-UNUSUAL = codes_of('kinpole_exits')['UNUSUAL']
+# Why the compiled loop ends: see _call.h and _frames.h.
+_ENDS = codes_of('CALL_ENDS') | codes_of('LOOP_ENDS')
+DONE, TABLE_LACKING, UNUSUAL = _ENDS['DONE'], _ENDS['LACKING'], _ENDS['UNUSUAL']
 
-# `Frames` of _frames.h, and its fields by their owners.
-_Frames = structure_of('kinpole_frames_fields')
-_COLUMNS, _LEARNED, _STATES, _NEW_FRAMES = (
-    names_of(f'kinpole_frames_{part}') for part in ('columns', 'learned', 'state', 'new')
-)
+# Fields of `Frames` by their owners: see _frames.h.
+_LEARNED, _STATES = fields_of('BODY_ARRAYS'), fields_of('TRACKING_STATE')
+_NEW_FRAMES = {name: Frames.elements[name] for name in fields_of('NEW_FRAMES')}
 
 _try_frame = library.kinpole_try_frame
-_try_frame.argtypes = [POINTER(_Frames), c_void_p]
+_try_frame.argtypes = [POINTER(Frames), c_void_p]
 _follow = library.kinpole_follow
-_follow.argtypes = [POINTER(_Frames), POINTER(Call), c_void_p]
+_follow.argtypes = [POINTER(Frames), POINTER(Call), c_void_p]
 
 
 class Step:
@@ -43,8 +41,8 @@ class Step:
 
     Attributes
     ----------
-    fields : _Frames
-        `Frames` of _frames.h.
+    fields : Frames
+        The arrays that the library works on.
     unusual : (B,) uint8
         What is unusual of each body in the last frame.
     wrong : (B,) int64
@@ -79,7 +77,7 @@ class Step:
         self.total_turn = np.zeros(bodies.count)
         self.sure_angle = np.full(bodies.count, np.nan)
         self.sure_tilt = np.full(bodies.count, complex(np.nan, np.nan))
-        self.fields = _Frames(
+        self.fields = Frames(
             window=round(settings.window * 1e9),
             lag=settings.lag * 1e9,
             posed=posed,
@@ -91,9 +89,8 @@ class Step:
         )
         self._frames = byref(self.fields)
         for name in _STATES:
-            setattr(self.fields, name, address_of(getattr(self, name)))
+            self.fields.bind(name, getattr(self, name))
         self._call = new_call(settings.window, 0)
-        self._arrays: dict[str, np.ndarray] = {}
         self._new_frames: list[np.ndarray | None] = []
         self.bind(bodies, history)
 
@@ -124,14 +121,13 @@ class Step:
             if name == 'last_angle':
                 # The compiled code updates the last angles.
                 bodies.last_angle = array
-            self._arrays[name] = array
-            setattr(fields, name, address_of(array))
+            fields.bind(name, array)
         self.bind_history()
 
     def bind_history(self) -> None:
         """Use the columns of the history, after they have grown."""
-        for name in _COLUMNS:
-            setattr(self.fields, name, address_of(self._history.columns[name]))
+        for name, column in self._history.columns.items():
+            self.fields.bind(name, column)
 
     def pass_frames(
         self, number: int, new_frames: tuple[np.ndarray | None, ...], hidden_is_unusual: bool
@@ -151,10 +147,11 @@ class Step:
 
         """
         self._new_frames = []
-        for name, array in zip(_NEW_FRAMES, new_frames, strict=True):
+        for (name, element), array in zip(_NEW_FRAMES.items(), new_frames, strict=True):
             address = None
             if array is not None:
-                array = np.ascontiguousarray(array)
+                # As `bind`, without a call of Python for each array of a frame.
+                array = np.ascontiguousarray(array, element)
                 array = array if array.flags.writeable else array.copy()
                 address = addressof(pass_new_array(array))
             # Keeps the arrays alive while the library uses them.
@@ -193,5 +190,4 @@ class Step:
 
     def correct_next(self, markers: np.ndarray) -> None:
         """Fit the next frame to these markers (B, n), complex, whatever is unusual of it."""
-        self._corrected = markers
-        self.fields.corrected = address_of(markers)
+        self.fields.bind('corrected', markers)

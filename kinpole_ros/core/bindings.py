@@ -1,0 +1,233 @@
+"""
+The compiled library: its functions, and its structs as classes of ctypes.
+
+The library describes its structs and enums itself (core/src/structs.c), so their fields and codes
+are listed in its headers alone. A field that is an array knows the type of its elements, and takes
+no others.
+"""
+
+import ctypes
+import sysconfig
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+_FILE = Path(__file__).parents[1] / f'_compiled{sysconfig.get_config_var("EXT_SUFFIX")}'
+_Bytes = ctypes.c_char * 0
+# An argument of type c_void_p that points to a new array, in half the time of `address_of`.
+pass_new_array = _Bytes.from_buffer
+# By the types of C: those of ctypes, and of the elements of arrays.
+_VALUES: dict[str, Any] = {
+    'long long': ctypes.c_longlong,
+    'double': ctypes.c_double,
+    'Axis': 3 * ctypes.c_double,
+}
+_ELEMENTS = {
+    'long long': np.dtype(np.int64),
+    'double': np.dtype(float),
+    'Number': np.dtype(complex),
+    'unsigned char': np.dtype(np.uint8),
+}
+_IS_VALUE, _IS_ARRAY = 0, -1
+
+
+def _load() -> ctypes.CDLL:
+    """Load the library that setup.py builds."""
+    if not _FILE.exists():
+        raise ImportError(
+            f'{_FILE} is not there: build it with `pip install --editable .` in the source folder'
+        )
+    return ctypes.CDLL(str(_FILE))
+
+
+library = _load()
+
+
+def address_of(array: np.ndarray) -> int:
+    """Return where the elements of an array begin: a quarter of the time of `array.ctypes.data`."""
+    if array.flags.writeable:
+        return ctypes.addressof(_Bytes.from_buffer(array))
+    return array.ctypes.data
+
+
+class Struct(ctypes.Structure):
+    """
+    A struct of the library.
+
+    Attributes
+    ----------
+    elements : mapping of str to dtype
+        The fields that are arrays, in their order, and the type of their elements; None for the
+        elements of another struct.
+
+    """
+
+    elements: ClassVar[Mapping[str, np.dtype | None]]
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+    def bind(self, name: str, array: np.ndarray | None) -> None:
+        """
+        Let a field point to the elements of an array, which the struct keeps alive.
+
+        Raises
+        ------
+        TypeError
+            If the elements are of another type, or not one after the other.
+
+        """
+        if array is None:
+            setattr(self, name, None)
+            return
+        element = self.elements[name]
+        if array.dtype is not element and not _is_same(array.dtype, element):
+            raise TypeError(
+                f'{type(self).__name__}.{name} has elements {element}, not {array.dtype}'
+            )
+        if not array.flags.c_contiguous:
+            raise TypeError(f'{type(self).__name__}.{name} needs an array that is contiguous')
+        setattr(self, name, address_of(array))
+        self.__dict__.setdefault('_owners', {})[name] = array
+
+
+def _is_same(dtype: np.dtype, element: np.dtype | None) -> bool:
+    """Whether elements are stored alike; a bool is a byte."""
+    is_byte = element is _ELEMENTS['unsigned char'] and dtype.kind == 'b'
+    return element is None or dtype == element or is_byte
+
+
+class _Field(ctypes.Structure):
+    """`Field` of structs.h."""
+
+    _fields_: ClassVar[Any] = [
+        *((name, ctypes.c_char_p) for name in ('name', 'type')),
+        *((name, ctypes.c_longlong) for name in ('count', 'offset')),
+    ]
+
+
+class _Description(ctypes.Structure):
+    """`Description` of structs.h."""
+
+    _fields_: ClassVar[Any] = [
+        ('name', ctypes.c_char_p),
+        *((name, ctypes.c_longlong) for name in ('size', 'count')),
+        ('fields', ctypes.POINTER(_Field)),
+    ]
+
+
+class _Code(ctypes.Structure):
+    """`Code` of structs.h."""
+
+    _fields_: ClassVar[Any] = [('name', ctypes.c_char_p), ('value', ctypes.c_longlong)]
+
+
+class _Codes(ctypes.Structure):
+    """`Codes` of structs.h."""
+
+    _fields_: ClassVar[Any] = [
+        ('name', ctypes.c_char_p),
+        ('count', ctypes.c_longlong),
+        ('codes', ctypes.POINTER(_Code)),
+    ]
+
+
+class Table(Struct):
+    """What _models.py makes for a kind of window: see _call.h."""
+
+
+class Call(Struct):
+    """The arguments of `kinpole_derive`: see _call.h."""
+
+
+class Frames(Struct):
+    """The history, what is known of the bodies, and new frames: see _frames.h."""
+
+
+class Results(Struct):
+    """The results of some instants: see _frames.h."""
+
+
+class Motion(Struct):
+    """Derivatives of bodies at instants: see _quantities.h."""
+
+
+class Slots(Struct):
+    """Which rows of messages the slots of markers take: see _assign.h."""
+
+
+class MessageLayout(Struct):
+    """Where stamps and points are in messages: see _points.h."""
+
+
+class Row(Struct):
+    """The messages of a topic: see _rows.h."""
+
+
+class Plane(Struct):
+    """The plane of the motion in space: see _rows.h."""
+
+
+class Joints(Struct):
+    """The joints of joint states: see _joints.h."""
+
+
+def _add_fields(struct: type[Struct], description: _Description) -> None:
+    """Give a class the fields of its struct, and check it against the compiler's layout."""
+    fields: list[tuple[str, Any]] = []
+    offsets: dict[str, int] = {}
+    elements: dict[str, np.dtype | None] = {}
+    for field in description.fields[: description.count]:
+        name, type_name = field.name.decode(), field.type.decode().removeprefix('const ')
+        offsets[name] = field.offset
+        if field.count == _IS_ARRAY:
+            elements[name] = _ELEMENTS.get(type_name)
+            fields.append((name, ctypes.c_void_p))
+        else:
+            value = _VALUES[type_name]
+            fields.append((name, value if field.count == _IS_VALUE else field.count * value))
+    struct._fields_, struct.elements = fields, MappingProxyType(elements)
+    found = {name: getattr(struct, name).offset for name in offsets}
+    if found != offsets or ctypes.sizeof(struct) != description.size:
+        raise ImportError(f'{_FILE} has a layout of {struct.__name__} that is not that of ctypes')
+    _VALUES[struct.__name__] = struct
+
+
+def _read_list(function: str, kind: type[ctypes.Structure]) -> dict[str, Any]:
+    """Return the descriptions in a list of the library, by their names."""
+    read = getattr(library, function)
+    read.restype = ctypes.POINTER(kind)
+    found, number, entries = {}, 0, read()
+    while entries[number].name:
+        found[entries[number].name.decode()] = entries[number]
+        number += 1
+    return found
+
+
+def _read_structs() -> None:
+    """Give all classes of structs the fields that the library describes."""
+    classes = {struct.__name__: struct for struct in Struct.__subclasses__()}
+    for name, description in _read_list('kinpole_structs', _Description).items():
+        _add_fields(classes.pop(name), description)
+    if classes:
+        raise ImportError(f'{_FILE} has no {", ".join(classes)}: build it again')
+
+
+def fields_of(part: str) -> tuple[str, ...]:
+    """Return the names of the fields in a list of a header, as `BODY_ARRAYS` of _frames.h."""
+    description = _PARTS[part]
+    return tuple(field.name.decode() for field in description.fields[: description.count])
+
+
+def codes_of(enum: str) -> dict[str, int]:
+    """Return the codes of an enum of a header by their names, as `REASONS` of _rejection.h."""
+    listed = _CODES[enum]
+    return {code.name.decode(): code.value for code in listed.codes[: listed.count]}
+
+
+_read_structs()
+_PARTS = _read_list('kinpole_parts', _Description)
+_CODES = _read_list('kinpole_codes', _Codes)

@@ -1,0 +1,115 @@
+/*
+ * The fields of the structs that Python fills and reads, and the codes of enums, for bindings.py.
+ */
+
+#include <stddef.h>
+
+#include "../../derivatives/_call.h"
+#include "../../messages/_joints.h"
+#include "../../messages/_points.h"
+#include "../../messages/_rows.h"
+#include "../../tracking/_assign.h"
+#include "../../tracking/_frames.h"
+#include "../../tracking/_quantities.h"
+#include "../../tracking/_rejection.h"
+#include "../include/structs.h"
+
+enum { OF_VALUE = 0, OF_ARRAY = -1 };
+
+/* OWNER is the struct whose fields are described. */
+#define DESCRIBE_VALUE(type, name) {#name, #type, OF_VALUE, offsetof(OWNER, name)},
+#define DESCRIBE_BLOCK(type, name, count) {#name, #type, count, offsetof(OWNER, name)},
+#define DESCRIBE_ARRAY(type, name) {#name, #type, OF_ARRAY, offsetof(OWNER, name)},
+#define DESCRIBE(FIELDS) {FIELDS(DESCRIBE_VALUE, DESCRIBE_BLOCK, DESCRIBE_ARRAY)}
+
+#define OWNER Table
+static const Field table_fields[] = DESCRIBE(TABLE_FIELDS);
+#undef OWNER
+#define OWNER Call
+static const Field call_fields[] = DESCRIBE(CALL_FIELDS);
+#undef OWNER
+#define OWNER Frames
+static const Field frames_fields[] = DESCRIBE(FRAMES_FIELDS);
+static const Field body_arrays[] = DESCRIBE(BODY_ARRAYS);
+static const Field tracking_state[] = DESCRIBE(TRACKING_STATE);
+static const Field new_frames[] = DESCRIBE(NEW_FRAMES);
+#undef OWNER
+#define OWNER Results
+static const Field results_fields[] = DESCRIBE(RESULTS_FIELDS);
+#undef OWNER
+#define OWNER Motion
+static const Field motion_fields[] = DESCRIBE(MOTION_FIELDS);
+#undef OWNER
+#define OWNER Slots
+static const Field slots_fields[] = DESCRIBE(SLOTS_FIELDS);
+#undef OWNER
+#define OWNER MessageLayout
+static const Field message_layout_fields[] = DESCRIBE(MESSAGE_LAYOUT_FIELDS);
+#undef OWNER
+#define OWNER Row
+static const Field row_fields[] = DESCRIBE(ROW_FIELDS);
+#undef OWNER
+#define OWNER Plane
+static const Field plane_fields[] = DESCRIBE(PLANE_FIELDS);
+#undef OWNER
+#define OWNER Joints
+static const Field joints_fields[] = DESCRIBE(JOINTS_FIELDS);
+#undef OWNER
+
+#define DESCRIPTION(name, fields) {#name, sizeof(name), sizeof fields / sizeof *fields, fields}
+#define PART(list, owner, fields) {#list, sizeof(owner), sizeof fields / sizeof *fields, fields}
+
+#define DESCRIBE_CODE(name, value) {#name, value},
+static const Code call_ends[] = {CALL_ENDS(DESCRIBE_CODE)};
+static const Code loop_ends[] = {LOOP_ENDS(DESCRIBE_CODE)};
+static const Code unusual_bits[] = {UNUSUAL_BITS(DESCRIBE_CODE)};
+static const Code reasons[] = {REASONS(DESCRIBE_CODE)};
+
+#define CODES(list, codes) {#list, sizeof codes / sizeof *codes, codes}
+
+/* Return the descriptions of all structs; one of another that has it as a field comes before. */
+const Description *
+kinpole_structs(void)
+{
+    static const Description all[] = {
+        DESCRIPTION(Table, table_fields),
+        DESCRIPTION(Call, call_fields),
+        DESCRIPTION(Frames, frames_fields),
+        DESCRIPTION(Results, results_fields),
+        DESCRIPTION(Motion, motion_fields),
+        DESCRIPTION(Slots, slots_fields),
+        DESCRIPTION(MessageLayout, message_layout_fields),
+        DESCRIPTION(Row, row_fields),
+        DESCRIPTION(Plane, plane_fields),
+        DESCRIPTION(Joints, joints_fields),
+        {NULL, 0, 0, NULL},
+    };
+    return all;
+}
+
+/* Return the lists of fields of `Frames` that have one owner in Python. */
+const Description *
+kinpole_parts(void)
+{
+    static const Description all[] = {
+        PART(BODY_ARRAYS, Frames, body_arrays),
+        PART(TRACKING_STATE, Frames, tracking_state),
+        PART(NEW_FRAMES, Frames, new_frames),
+        {NULL, 0, 0, NULL},
+    };
+    return all;
+}
+
+/* Return the codes of all enums that Python reads. */
+const Codes *
+kinpole_codes(void)
+{
+    static const Codes all[] = {
+        CODES(CALL_ENDS, call_ends),
+        CODES(LOOP_ENDS, loop_ends),
+        CODES(UNUSUAL_BITS, unusual_bits),
+        CODES(REASONS, reasons),
+        {NULL, 0, NULL},
+    };
+    return all;
+}
