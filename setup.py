@@ -57,8 +57,6 @@ setup(
         Extension(
             f'{NAME}._compiled',
             [
-                f'{NAME}/derivatives/_derive.c',
-                f'{NAME}/derivatives/_derive_avx2.c',
                 f'{NAME}/tracking/_assign.c',
                 f'{NAME}/tracking/_quantities.c',
                 f'{NAME}/tracking/_fit.c',
@@ -67,7 +65,10 @@ setup(
                 f'{NAME}/messages/_points.c',
                 f'{NAME}/messages/_rows.c',
                 f'{NAME}/messages/_joints.c',
-                f'{NAME}/core/src/structs.c',
+                *(
+                    f'{NAME}/core/src/{name}.c'
+                    for name in ('structs', 'dispatch', 'estimator', 'estimator_avx2')
+                ),
             ],
             depends=[*glob(f'{NAME}/*/*.[ch]'), *glob(f'{NAME}/core/*/*.[ch]')],
         )

@@ -32,7 +32,7 @@ from bench._record import QUANTITIES, make_recording, measure, rms
 from bench._rigs import record, rigs
 from bench._rows import Rows, read_rows, write_rows
 
-ROOMS = ('tracking', 'derivatives')
+ROOMS = ('tracking', 'derivatives', 'core')
 PAGE, TABLE = 'constants.md', 'charts/constants.csv'
 _ROOT = Path(__file__).resolve().parent.parent
 # What is measured of the estimator: noises, over the body's size, and s.
@@ -72,18 +72,18 @@ def constants() -> list[Constant]:
     return [
         constant
         for room in ROOMS
-        for file in sorted((_ROOT / 'kinpole_ros' / room).glob('*.*'))
+        for file in sorted((_ROOT / 'kinpole_ros' / room).glob('**/*.*'))
         for constant in _constants_of(file)
     ]
 
 
 def _constants_of(file: Path) -> Iterator[Constant]:
-    if file.suffix not in ('.h', '.py'):
+    if file.suffix not in ('.c', '.h', '.py'):
         return
     text = file.read_text(encoding='utf-8')
     lines = text.splitlines()
     path = str(file.relative_to(_ROOT))
-    if file.suffix == '.h':
+    if file.suffix != '.py':
         for found in re.finditer(r'(?m)^/\* (.*) \*/\n(#define ([A-Z_]+) )([\d.e+-]+)$', text):
             reason, begin, name, written = found.groups()
             place = text.count('\n', 0, found.start(2)) + 1, len(begin), len(begin + written)
@@ -226,7 +226,7 @@ def _copy(folder: Path, constant: Constant | None, value: float) -> None:
     for name in ('bench', 'config'):
         (folder / name).symlink_to(_ROOT / name)
     changed = _ROOT / constant.path if constant else None
-    compiled = changed is not None and changed.suffix == '.h'
+    compiled = changed is not None and changed.suffix != '.py'
     for room in (_ROOT / 'kinpole_ros').iterdir():
         if compiled and room.name.startswith('_compiled'):
             continue

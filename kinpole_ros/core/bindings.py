@@ -136,11 +136,11 @@ class _Codes(ctypes.Structure):
 
 
 class Table(Struct):
-    """What _models.py makes for a kind of window: see _call.h."""
+    """What _models.py makes for a kind of window: see call.h."""
 
 
 class Call(Struct):
-    """The arguments of `kinpole_derive`: see _call.h."""
+    """The arguments of `kinpole_derive`: see call.h."""
 
 
 class Frames(Struct):

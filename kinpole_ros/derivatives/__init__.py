@@ -15,19 +15,23 @@ instant, the poses of a body in a window around it become one result, which depe
 5. Averaging. The derivatives are the mean of all models by probability. The covariance is the mean
    of theirs, by the root of the evidence, plus the variance between models and event places.
 
-============== ==================================================================================
-_models.py     2: processes, spectra, modes, and their derivatives, as tables for the kernel
-_evidence.h    3 and 5: evidence, probabilities, derivatives and covariances; the formulas
-_steps.h       4: the search of steps
-_window.h      1: grid, cells, size of the window, blocks, first guesses of even samples
-_derive.c      order of these for one signal; uneven samples move along the estimated motion
-_call.h        arguments of the kernel
-_poses.py      `derive_poses`: arrays to the kernel and back; keeps the tables
-_events.py     `find_events`: reports events some time after them, by polynomials
-============== ==================================================================================
+================= ===============================================================================
+_models.py        2: processes, spectra, modes, and their derivatives, as tables for the library
+grid, cells       1: the usual interval, the cell of each frame, the size of the window, blocks
+samples           1: first guesses of even samples
+models, sets      tables as the library sees them; columns of samples of low weight and of steps
+columns, evidence 3: corrections for columns, evidence and probabilities; the formulas
+screens, events   4: the search of steps
+mean              5: derivatives and covariances
+moving            uneven samples move along the estimated motion
+derive            the order of these for one signal
+_poses.py         `derive_poses`: arrays to the library and back; keeps the tables
+_events.py        `find_events`: reports events some time after them, by polynomials
+================= ===============================================================================
 
-To understand the estimator, read _models.py, _evidence.h and _steps.h, in this order. A slower
-version with numpy is in test/derivatives_reference.
+Names without an ending are files of core/src. To understand the estimator, read _models.py,
+evidence.h and events.h, in this order. A slower version with numpy is in
+test/derivatives_reference.
 """
 
 from kinpole_ros.derivatives._events import Event, Samples, find_events

@@ -1,5 +1,5 @@
 """
-The models of motion within a window, and how each differentiates it: tables for _evidence.h.
+The models of motion within a window, and how each differentiates it: tables for evidence.c.
 
 A signal is a line, a process of zero mean on top of it, and white noise. A process has the spectrum
 exp(-(w l)^p): the length l is the time scale of the motion, and the power p is how fast harmonics
@@ -47,7 +47,7 @@ _PARABOLA_AMPLITUDE = 2
 _MIN_MODE_SIGMA = 1e-2
 # Prior probability of all processes; low polynomials, the line, and rest have the other half.
 _PROCESS_PRIOR = 0.5
-# Models that _evidence.h evaluates side by side, its LANES.
+# Models that the library evaluates side by side, its LANES.
 _LANES = 8
 # Singular values below this part of the largest are rounding.
 _ROUNDING = 1e-13
@@ -249,7 +249,7 @@ def _rows(lines: list[Real], modes: list[tuple[Real, Real]], exact: bool) -> tup
 
 def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
     """
-    Return the integers and the numbers of `Models` of _evidence.h.
+    Return the integers and the numbers of `Models` of models.h.
 
     For a window of `count` samples, each the mean of `block`. If they are `exact`, amplitudes are
     larger, and each process has as many modes as there are samples.
@@ -299,7 +299,7 @@ def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
 
 def _step_squares(count: int, members: list[_Member], amplitudes: Real) -> Real:
     """
-    Return the squares b' P b (processes, amplitudes, 3, n) of steps b, with P as in _steps.h.
+    Return the squares b' P b (processes, amplitudes, 3, n) of steps b, with P as in screens.h.
 
     A step of the motion, or of its first or second derivative, lies half a sample before each
     sample. Squares that are rounding are infinite, and so are those of rest, the last process.
@@ -364,7 +364,7 @@ def slopes_of(count: int, block: int, exact: bool) -> Real:
 
 def stencils_of(count: int, block: int, exact: bool, orders: int, at: float) -> Real:
     """
-    Return the numbers of `Stencils` of _evidence.h, of the instant `at`, samples from the middle.
+    Return the numbers of `Stencils` of models.h, of the instant `at`, samples from the middle.
 
     These are the derivatives of order 0 to `orders` - 1 of the modes, and the covariances of models
     for unit noise. Low polynomials and rest have those of the slowest processes, which look like

@@ -8,7 +8,7 @@
 #define KINPOLE_FRAMES_H
 
 #include "../core/include/structs.h"
-#include "../derivatives/_call.h"
+#include "../core/include/call.h"
 
 /* Bodies with up to `width` markers. Rows `first` to `end` of the history are in use. The next result is
    that of row `due`, counted from `first`. The new frames `frame` to `frames` are still to be taken, at

@@ -4,7 +4,7 @@
 
 #include <stddef.h>
 
-#include "../../derivatives/_call.h"
+#include "../include/call.h"
 #include "../../messages/_joints.h"
 #include "../../messages/_points.h"
 #include "../../messages/_rows.h"

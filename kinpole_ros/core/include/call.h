@@ -1,9 +1,11 @@
-/* The arguments and the return values of `kinpole_derive`, which tracking/_follow.c calls too. */
+/*
+ * The arguments and the return values of `kinpole_derive`.
+ */
 
 #ifndef KINPOLE_CALL_H
 #define KINPOLE_CALL_H
 
-#include "../core/include/structs.h"
+#include "structs.h"
 
 /* Arrays that _models.py makes once for a kind of window, of `count` samples, each the mean of
    `block` frames. `orders` says which: 0 is `models_of`, -1 `slopes_of`, and any other number is

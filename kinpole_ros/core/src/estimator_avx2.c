@@ -1,4 +1,4 @@
-/* _derive.c for processors with AVX2: vectors are broken up badly unless these are asked for. */
+/* estimator.c for processors with AVX2: vectors are broken up badly unless these are asked for. */
 
 #if defined(__x86_64__)
 #ifdef __clang__
@@ -7,8 +7,8 @@
 #pragma GCC target("avx2,fma")
 #endif
 #define WIDTH 4
-#define KINPOLE_DERIVE kinpole_derive_avx2
-#include "_derive.c"
+#define DERIVE_SIGNALS derive_signals_avx2
+#include "estimator.c"
 #ifdef __clang__
 #pragma clang attribute pop
 #endif

@@ -5,26 +5,48 @@
  * One instant of one body is a signal of an angle and two coordinates. Its result depends on the
  * poses in its window alone:
  *
- *   derive_signal    fills cells and blocks (_window.h)
- *   derive_uneven    fills missing samples, moves others to the even grid (`move_until_settled`)
- *   derive_even      evaluates the models (_evidence.h), searches events (_steps.h), averages
+ *   derive_signal    finds the grid, fills cells and blocks (grid.c, cells.c, samples.c)
+ *   derive_uneven    fills missing samples, moves others to the even grid (moving.c)
+ *   derive_even      evaluates models (evidence.c), searches events (events.c), averages (mean.c)
  *   write_results    converts samples to seconds, and deviations of the noise to rad and m
- *
- * _derive_avx2.c compiles this file again with the vectors of newer processors. Compilers fuse
- * products and sums there, so a moved function may change results by rounding.
  */
 
 #include <math.h>
 #include <stddef.h>
-#include <stdlib.h>
 #include <string.h>
 
-#ifndef WIDTH
-#define WIDTH 2
+#include "../include/call.h"
+#include "cells.h"
+#include "estimator.h"
+#include "events.h"
+#include "evidence.h"
+#include "grid.h"
+#include "lanes.h"
+#include "mean.h"
+#include "memory.h"
+#include "models.h"
+#include "moving.h"
+#include "numbers.h"
+#include "samples.h"
+#include "sets.h"
+
+/* The noise prior, in samples: a window has less information on its noise than the measurement. */
+#define NOISE_PRIOR_SAMPLES 300.0
+/* Rounds in which samples move, besides the first and the last two. */
+#define MAX_ROUNDS 6
+/* The same for exact samples, whose noise does not hide what is left of the movement. */
+#define MAX_EXACT_ROUNDS 38
+/* Samples that move by less than so many deviations of their noise are settled. */
+#define SETTLED_SIGMAS 0.05
+/* Noise prior, in samples, while samples move: their noise is larger than the measured one. */
+#define MOVING_PRIOR_SAMPLES 1.0
+/* Windows are searched if their best evidence is below that of a line by this many log widths of
+   the flat prior. With 1 the errors are the same, and the search takes a sixth longer. */
+#define SEARCH_BELOW 3
+
+#ifndef DERIVE_SIGNALS
+#define DERIVE_SIGNALS derive_signals
 #endif
-#include "_evidence.h"
-#include "_window.h"
-#include "_steps.h"
 
 /* The kind of a window, which needs tables of its own, and the instant in it. */
 typedef struct {
@@ -251,11 +273,7 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sc
     return code;
 }
 
-/* Write the results of a signal, per s: position (orders, T B, 2), angle (orders, T B), covariances
-   (orders, orders, T B) of one coordinate and of the angle, the length of the window, s, (T B), and
-   the parameters of the motion of the angle (T B). `scale` (2, orders) converts derivatives.
-   Without an estimate all are NaN. */
-static void
+PRIVATE void
 write_results(const Call *call, long long signal, long long now, const Estimate *estimate,
               const double (*scale)[MAX_ORDERS], double span)
 {
@@ -280,8 +298,7 @@ write_results(const Call *call, long long signal, long long now, const Estimate 
     span_and_freedom[0] = span, span_and_freedom[all] = estimate ? estimate->freedom[0] : NAN;
 }
 
-/* Differentiate one body at one instant, and write its results. */
-static int
+PRIVATE int
 derive_signal(Call *call, long long instant, long long body, const Grid *grid)
 {
     Samples cells = {0}, s;
@@ -321,13 +338,9 @@ derive_signal(Call *call, long long instant, long long body, const Grid *grid)
     return DONE;
 }
 
-#ifdef KINPOLE_DERIVE
+/* Do the signals that are left. Returns the same as `kinpole_derive`. */
 int
-KINPOLE_DERIVE(Call *call)
-#else
-static int
-derive_signals(Call *call)
-#endif
+DERIVE_SIGNALS(Call *call)
 {
     Grid grid = {0};
     long long grid_instant = -1;
@@ -354,19 +367,3 @@ derive_signals(Call *call)
     }
     return DONE;
 }
-
-#ifndef KINPOLE_DERIVE
-#if defined(__x86_64__)
-int kinpole_derive_avx2(Call *call);
-#endif
-
-int
-kinpole_derive(Call *call)
-{
-#if defined(__x86_64__)
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"))
-        return kinpole_derive_avx2(call);
-#endif
-    return derive_signals(call);
-}
-#endif

@@ -1,0 +1,168 @@
+#include <math.h>
+
+#include "cells.h"
+#include "../include/call.h"
+#include "grid.h"
+#include "memory.h"
+#include "numbers.h"
+#include "samples.h"
+
+/* More samples than this in a window are averaged in blocks: cost goes by their number squared. */
+#define MAX_SAMPLES 128
+/* Samples of a block with less than this share of the information of the best are left out. */
+#define POOR_INFORMATION 0.25
+/* Samples differ by no more deviations of their noise, or the noise is taken for larger. */
+#define MAX_EXACT_RATIO 1e13
+/* Part of the samples of a window that must be present. */
+#define MIN_FILLED 0.5
+/* A window is at most so many times as long as the samples that are present reach. */
+#define MAX_SIZE_RATIO 1.25
+
+PRIVATE int
+fill_cells(const Call *call, long long instant, long long body, const Grid *grid, Samples *s,
+           long long *count, long long *ahead, double *unit, int *exact)
+{
+    const long long *windows = call->windows + instant, bodies = call->bodies;
+    long long now = windows[0] * bodies + body, newest = windows[2 * call->instants];
+    long long frames = newest - windows[call->instants] + 1, signal = instant * bodies + body;
+    long long oldest = 0;
+    *ahead = -1, *count = 0;
+    /* The first pass finds the range of the cells. */
+    for (int pass = 0; pass < 2; pass++) {
+        double a = call->angle[now], turns = call->turns[now];
+        double x = call->position[2 * now], y = call->position[2 * now + 1];
+        /* Without a pose at the instant, samples are relative to zero. */
+        if (isnan(a))
+            a = turns = x = y = 0.0;
+        for (long long k = call->left_out[signal]; k < frames; k++) {
+            long long row = (newest - k) * bodies + body, cell = grid->cell[k], at = *ahead - cell;
+            if (!(call->angle_information[row] > 0 && call->position_information[row] > 0))
+                continue;
+            if (pass) {
+                s->x[0][at] = call->angle[row] - a + 2 * M_PI * (call->turns[row] - turns);
+                s->x[1][at] = call->position[2 * row] - x;
+                s->x[2][at] = call->position[2 * row + 1] - y;
+                s->weight[0][at] = call->angle_information[row];
+                s->weight[1][at] = call->position_information[row];
+                s->off[at] = grid->late[k];
+            } else {
+                oldest = *count == 0 || cell < oldest ? cell : oldest;
+                *ahead = *count == 0 || cell > *ahead ? cell : *ahead;
+                *count = *ahead - oldest + 1;
+            }
+        }
+        if (*count < FEWEST_SAMPLES)
+            *count = 0;
+        else if (!pass && !lay_out_samples(s, OF_CELLS, (long long)(MAX_SIZE_RATIO * *count) + 1))
+            return NO_MEMORY;
+        if (!*count)
+            return DONE;
+    }
+    for (int c = 0; c < 2; c++) {
+        double most = largest_sample(s, c), usual = mean_of_similar(s->weight[c], *count);
+        /* The noise is no less than rounding. */
+        unit[c] = larger(call->noise[signal] / sqrt(usual), most / MAX_EXACT_RATIO);
+        *exact |= most > EXACT_RATIO * unit[c];
+        normalize_weights(s->weight[c], *count, usual);
+    }
+    divide_samples(s, unit);
+    return DONE;
+}
+
+/* Return the number of blocks of the longest window with enough samples, or 0. A full window has
+   `full` blocks, `last` is the number of whole blocks up to the oldest sample, and `ahead` blocks
+   are newer than the instant. `filled[k]` is how many of the first k + 1 blocks have samples. */
+static long long
+find_size(long long full, long long last, long long ahead, int exact, const long long *filled,
+          long long blocks)
+{
+    /* Windows that are not full have few sizes, because models of a size take time to make. */
+    long long sizes[32] = {FEWEST_SAMPLES}, number = 1, present = full < last ? full : last;
+    while ((long long)(sizes[number - 1] * MAX_SIZE_RATIO) <= MAX_SAMPLES)
+        sizes[number] = (long long)(sizes[number - 1] * MAX_SIZE_RATIO), number++;
+    /* With uneven stamps a window has one frame more or less. */
+    long long most = last == full - 1 ? last : full;
+    for (long long k = number; k >= -1; most = k > 0 ? sizes[k - 1] : full, k--) {
+        /* The last attempt is the samples alone, for an instant that is the oldest of them. */
+        long long size = exact || k < 0 ? present : most < full ? most : full;
+        if (k >= 0 && size > MAX_SIZE_RATIO * last)
+            continue;
+        if (size < FEWEST_SAMPLES || size <= ahead)
+            continue;
+        double number_filled = filled[(size < blocks ? size : blocks) - 1];
+        if (number_filled >= FEWEST_SAMPLES && number_filled >= MIN_FILLED * size)
+            return size;
+    }
+    return 0;
+}
+
+PRIVATE long long
+choose_size(const Samples *s, long long count, long long whole, long long ahead, int exact,
+            long long *block)
+{
+    long long present = 0, oldest = 0, size = 0, tried = (whole + MAX_SAMPLES - 1) / MAX_SAMPLES;
+    for (long long k = 0; k < count; k++)
+        if (s->weight[0][k] > 0 && s->weight[1][k] > 0)
+            present++, oldest = k + 1;
+    *block = tried;
+    if (present < FEWEST_SAMPLES || ahead < 0 || ahead >= oldest)
+        return 0;
+    long long *filled = buffer(OF_WINDOW, count * sizeof(long long));
+    if (!filled)
+        return -1;
+    for (; whole / tried >= FEWEST_SAMPLES; tried *= 2) {
+        long long blocks = (count + tried - 1) / tried, sum = 0;
+        for (long long b = 0; b < blocks; b++) {
+            int is_filled = 0;
+            for (long long k = b * tried; k < (b + 1) * tried && k < count; k++)
+                is_filled |= s->weight[0][k] > 0 && s->weight[1][k] > 0;
+            filled[b] = sum += is_filled;
+        }
+        long long number = find_size(whole / tried, oldest / tried, ahead / tried, exact, filled,
+                                     blocks);
+        if (!number)
+            continue;
+        size = number, *block = tried;
+        if (size - filled[(size < blocks ? size : blocks) - 1] <= MAX_LOW_WEIGHT)
+            break;
+    }
+    return size;
+}
+
+PRIVATE void
+average_blocks(const Samples *cells, long long block, Samples *out, double *coarser)
+{
+    for (long long b = 0; b < out->count; b++) {
+        long long first = b * block, at = out->count - 1 - b, number = 0;
+        double best[2] = {0.0}, variance[2] = {0.0}, late = 0.0;
+        for (int c = 0; c < 2; c++)
+            for (long long k = first; k < first + block; k++)
+                best[c] = larger(best[c], cells->weight[c][k]);
+        for (long long k = first; k < first + block; k++) {
+            double a = cells->weight[0][k], p = cells->weight[1][k];
+            /* All samples of a mean count equally, so poor ones are left out. */
+            int is_poor = !(a >= POOR_INFORMATION * best[0] && p >= POOR_INFORMATION * best[1]);
+            if (is_poor || !(a > 0 && p > 0))
+                continue;
+            number++, variance[0] += 1 / a, variance[1] += 1 / p;
+            for (int c = 0; c < 3; c++)
+                out->x[c][at] += cells->x[c][k];
+            /* The mean time of a block moves with its missing samples. */
+            late += cells->off[k] + (block - 1) / 2.0 - (k - first);
+        }
+        if (!number)
+            continue;
+        for (int c = 0; c < 3; c++)
+            out->x[c][at] /= number;
+        for (int c = 0; c < 2; c++)
+            out->weight[c][at] = number * number / variance[c] / block;
+        late /= number * block;
+        out->off[at] = fabs(late) < MAX_OFF_GRID ? 0.0 : late;
+    }
+    for (int c = 0; c < (block > 1 ? 2 : 0); c++) {
+        double usual = mean_of_similar(out->weight[c], out->count);
+        coarser[c] = 1 / sqrt(block * usual);
+        normalize_weights(out->weight[c], out->count, usual);
+    }
+    divide_samples(out, coarser);
+}

@@ -1,0 +1,43 @@
+/*
+ * From poses at stamps to even samples.
+ *
+ * `find_grid` finds the usual interval between the frames of a window, and the cell of each frame.
+ * `fill_cells` fills the cells of one body. `choose_size` chooses the number of samples, because
+ * each number needs models of its own, and `average_blocks` averages cells in blocks if there are
+ * too many. A sample may be missing, have a low weight, or be off its place, by the intervals in
+ * `off`. `fill_missing` and `move_by_neighbors` give the first guesses of even samples.
+ */
+
+#ifndef KINPOLE_CELLS_H
+#define KINPOLE_CELLS_H
+
+#include "../include/call.h"
+#include "grid.h"
+#include "private.h"
+#include "samples.h"
+
+/* Samples of the shortest window, which still has every order; as in _models.py. */
+#define FEWEST_SAMPLES 7
+/* Samples that differ by more deviations of their noise are exact: about the largest amplitude. */
+#define EXACT_RATIO 1e7
+/* Low weights of a window above which its blocks are doubled: cost goes by their number squared. */
+#define MAX_LOW_WEIGHT 24
+
+/* Fill the cells of one body, the newest first, relative to its pose at the instant and in units of
+   the noise, `unit` (2), rad and m. `count` is the number of cells, 0 if they are too few, and
+   `ahead` how many are newer than the instant; empty cells follow, for a window that is not full.
+   `exact` is set if the motion is larger than EXACT_RATIO times the noise. */
+PRIVATE int fill_cells(const Call *call, long long instant, long long body, const Grid *grid,
+                       Samples *s, long long *count, long long *ahead, double *unit, int *exact);
+
+/* Return the number of blocks of a window, 0 for none, -1 without memory; `block` is the number of
+   cells in each. A full window has `whole` cells. Blocks are doubled until few are empty, because
+   frames may come in bunches. */
+PRIVATE long long choose_size(const Samples *s, long long count, long long whole, long long ahead,
+                              int exact, long long *block);
+
+/* Average the cells in each block, into samples in units of their noise, the oldest first. Their
+   noise is `coarser` (2) times that of a cell. */
+PRIVATE void average_blocks(const Samples *cells, long long block, Samples *out, double *coarser);
+
+#endif

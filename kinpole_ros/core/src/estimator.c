@@ -1,0 +1,22 @@
+/*
+ * All files of the estimator as one, which compilers inline across.
+ *
+ * estimator_avx2.c compiles this file again with the vectors of newer processors. Compilers fuse
+ * products and sums there, so a changed function may change results by rounding.
+ */
+
+#define KINPOLE_ESTIMATOR
+
+#include "memory.c"
+#include "samples.c"
+#include "grid.c"
+#include "cells.c"
+#include "models.c"
+#include "sets.c"
+#include "columns.c"
+#include "evidence.c"
+#include "mean.c"
+#include "moving.c"
+#include "screens.c"
+#include "events.c"
+#include "derive.c"

@@ -1,0 +1,294 @@
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "events.h"
+#include "../include/call.h"
+#include "evidence.h"
+#include "lanes.h"
+#include "memory.h"
+#include "models.h"
+#include "numbers.h"
+#include "samples.h"
+#include "screens.h"
+#include "sets.h"
+
+/* Columns of an event: the step, its shift in time, and a step of the next derivative. */
+#define EVENT_COLUMNS 3
+/* Prior probability that a window has an event: events are rare. */
+#define EVENT_PRIOR 0.05
+/* Cost of a size in log evidence: the prior of sizes is wider than the size that is estimated. */
+#define SIZE_COST 2.4
+/* Log evidence that a candidate has to add in the screening: below it the prior wins. */
+#define MIN_GAIN 8.0
+/* Log evidence by which a candidate of another order may be behind the best one. */
+#define MAX_EVIDENCE_BEHIND 3.0
+/* Log evidence of a second event above which the set without it has no weight. */
+#define CERTAIN_GAIN 25.0
+/* Bounds of the standard deviation of an event's place, samples: an event lies between two samples,
+   and its shift is linear over few. */
+#define MIN_PLACE_SIGMA 0.5
+#define MAX_PLACE_SIGMA 3.0
+/* Power of the evidence by which other places count in the covariance. A step may be a ramp, which
+   no model of steps has. With 1/2, 10.5% of the cells cover less than 85%; with 1/4, 8.7%. */
+#define PLACE_EVIDENCE_POWER 0.25
+/* Places whose chance is below exp(-this) of the best do not count: less than 0.1%. */
+#define MAX_LOG_CHANCE 7.0
+/* Other places count if one of them is this close to the instant, samples: farther events change
+   derivatives by less than their standard deviation. */
+#define NEAR_SAMPLES 12
+
+/* Compute what a screen leaves of the columns of a new event: their products with each other, of
+   which `squares` are those without the screen, and with the residual of the signal. */
+static void
+find_event_products(const Models *m, const Screen *screen, Set *set, long long begin,
+                    double products[][EVENT_COLUMNS], double *squares,
+                    double with_residual[][EVENT_COLUMNS])
+{
+    long long n = m->count, number = set->steps - begin, group = screen->model / LANES;
+    const double *columns = set->step_columns + begin * n;
+    const double *coefficients = set->coefficients + (set->cells + begin) * m->rows;
+    const double *shrinkage = (const double *)(m->shrinkage) + screen->model % LANES;
+    project_steps(m, group, set);
+    for (int k = 0; k < number; k++) {
+        for (int l = 0; l <= k; l++)
+            products[k][l] = dot(columns + k * n, columns + l * n, n);
+        squares[k] = products[k][k];
+        for (int j = 0; j <= screen->c; j++)
+            with_residual[j][k] = dot(columns + k * n, screen->residual + j * n, n);
+    }
+    for (int parity = 0; parity < 2; parity++) {
+        const long long *first = m->first_row + parity * (m->processes + 1) + group;
+        for (long long r = first[0]; r < first[1]; r++)
+            for (int k = 0; k < number; k++)
+                for (int l = 0; l <= k; l++)
+                    products[k][l] -= shrinkage[r * LANES] * coefficients[k * m->rows + r] *
+                        coefficients[l * m->rows + r];
+    }
+    for (long long x = 0; x < screen->columns; x++) {
+        double by[EVENT_COLUMNS];
+        for (int k = 0; k < number; k++)
+            by[k] = dot(columns + k * n, screen->reduced_columns + x * n, n);
+        for (int k = 0; k < number; k++)
+            for (int l = 0; l <= k; l++)
+                products[k][l] -= screen->factor[x] * by[k] * by[l];
+    }
+}
+
+/* Set the prior standard deviations of the columns of a new event, from the step `begin` on, to the
+   sizes that a screen estimates, each after the columns before it are removed. That of the shift in
+   time is the size of the step times the standard deviation of its place. */
+static void
+estimate_sizes(const Models *m, const Screen *screen, Set *set, long long begin, int order)
+{
+    long long number = set->steps - begin, c = screen->c;
+    long long first = c * set->columns + set->cells + begin;
+    double *weight = set->weight + first, *root = set->root + first;
+    double products[EVENT_COLUMNS][EVENT_COLUMNS], squares[EVENT_COLUMNS];
+    double with_residual[2][EVENT_COLUMNS];
+    find_event_products(m, screen, set, begin, products, squares, with_residual);
+    for (int k = 0; k < number; k++) {
+        double square = products[k][k], size = 0.0;
+        if (!(square > MIN_STEP_LEFT * MIN_STEP_LEFT * squares[k]))
+            square = 0.0;
+        for (int j = 0; j <= c; j++)
+            size += with_residual[j][k] * with_residual[j][k] / (c + 1);
+        /* No size is below its standard deviation, where it might be rounding. */
+        root[k] = square > 0.0 ? sqrt(larger(size, square)) / square : 0.0;
+        if (set->step[begin + k].order == order - 1) {
+            double ratio = root[0] * sqrt((c + 1) * square), place = MIN_PLACE_SIGMA;
+            if (ratio > 0.0)
+                place = smaller(larger(1 / ratio, MIN_PLACE_SIGMA), MAX_PLACE_SIGMA);
+            root[k] = root[0] * place;
+        }
+        weight[k] = 1.0;
+        double factor = root[k] * root[k] / (1.0 + root[k] * root[k] * square);
+        for (int l = k + 1; l < number; l++) {
+            for (int i = k + 1; i <= l; i++)
+                products[l][i] -= factor * products[l][k] * products[i][k];
+            for (int j = 0; j <= c; j++)
+                with_residual[j][l] -= factor * products[l][k] * with_residual[j][k];
+        }
+    }
+}
+
+/* Copy a set, and add the columns of an event. The new set is laid out at `data`; returns the end
+   of its memory. */
+static char *
+add_event(const Models *m, const Set *from, const Candidate *event, long long orders,
+          long long block, char *data, Set *set)
+{
+    long long n = m->count, cells = from->cells, begin = from->steps, number = 1;
+    /* The shift in time needs the size of the step, so the step is the first. */
+    int order[EVENT_COLUMNS] = {event->order};
+    if (event->order)
+        order[number++] = event->order - 1;
+    order[number++] = event->order + 1;
+    long long steps = begin + number, columns = cells + steps;
+    data = lay_out_set(m, orders, columns, steps, 2, data, set);
+    set->cells = cells, set->steps = steps, set->events = from->events + 1;
+    set->log_prior =
+        from->log_prior + log(EVENT_PRIOR / (1 - EVENT_PRIOR) / (STEP_ORDERS * n)) - SIZE_COST;
+    memcpy(set->cell, from->cell, cells * sizeof *set->cell);
+    memcpy(set->step, from->step, sizeof set->step);
+    memcpy(set->place_covariance, from->place_covariance, sizeof set->place_covariance);
+    memcpy(set->step_columns, from->step_columns, begin * n * sizeof(double));
+    memcpy(set->coefficients, from->coefficients, from->columns * m->rows * sizeof(double));
+    for (int part = 0; part < 2; part++) {
+        long long old = part < from->parts ? part * from->columns : 0;
+        memcpy(set->weight + part * columns, from->weight + old, from->columns * sizeof(double));
+        memcpy(set->root + part * columns, from->root + old, from->columns * sizeof(double));
+    }
+    double *signals[MAX_STEPS];
+    for (int k = 0; k < steps; k++)
+        signals[k] = set->step_columns + k * n;
+    for (int k = 0; k < number; k++) {
+        set->step[begin + k] = (Step){.place = event->sample - 0.5, .order = order[k]};
+        fill_step_column(set->step + begin + k, n, block, signals[begin + k]);
+    }
+    fold(m, signals, steps, set->folded);
+    for (int c = 0; c < 2; c++)
+        estimate_sizes(m, event->screens->signal + c, set, begin, event->order);
+    return data;
+}
+
+/* Compute the weights of the samples in the derivatives at the instant, by the models of screens
+   with the columns of a set. */
+static void
+find_sample_weights(const Models *m, const Stencils *by, const Set *set, Lanes *lanes,
+                    Screens *screens)
+{
+    long long n = m->count, orders = by->orders;
+    double *weights = screens->sample_weights;
+    memset(weights, 0, 2 * orders * n * sizeof(double));
+    screens->has_sample_weights = 1;
+    for (long long k = 0; k < 2 * orders; k++, weights += n) {
+        const Screen *screen = screens->signal + k / orders;
+        /* From a signal of zeros, so these are minus the weights. */
+        subtract_model(m, screen->model, by->modes + k % orders * m->rows, weights, lanes, weights);
+        for (long long x = 0; x < screen->columns; x++) {
+            double change;
+            if (x < set->cells)
+                change = weights[set->cell[x]];
+            else {
+                const Step *step = set->step + x - set->cells;
+                change = dot(weights, set->step_columns + (x - set->cells) * n, n);
+                if (k % orders <= step->order)
+                    change += step_value(step->order - k % orders, by->at - step->place);
+            }
+            change *= screen->factor[x];
+            for (long long t = 0; t < n; t++)
+                weights[t] -= change * screen->reduced_columns[x * n + t];
+        }
+    }
+}
+
+/* Add to a set the covariance of derivatives from the place of its last event: the weighted mean,
+   over the places k, of d d'. Here d is the difference of the derivatives with the event at k from
+   those with it at the best place. Weights are powers of the evidence. */
+static void
+add_place_covariance(const Models *m, const Stencils *by, const Set *from, const Candidate *event,
+                     Lanes *lanes, double *scratch, Set *set)
+{
+    long long n = m->count, orders = by->orders, places = n - 2 * EDGE_SAMPLES + 1, best = 0;
+    Screens *screens = event->screens;
+    double *weight = scratch, *sums = scratch + n, total = 0.0;
+    const double *gain = screens->gain + event->order * n + EDGE_SAMPLES;
+    int is_near = 0;
+    for (long long k = 0; k < places; k++)
+        best = gain[k] > gain[best] ? k : best;
+    for (long long k = 0; k < places; k++) {
+        double loss = PLACE_EVIDENCE_POWER * (gain[best] - gain[k]);
+        weight[k] = loss > MAX_LOG_CHANCE ? 0.0 : exp(-loss);
+        is_near |= weight[k] > 0.0 && fabs(by->at - (k + EDGE_SAMPLES - 0.5)) < NEAR_SAMPLES;
+        total += weight[k];
+    }
+    if (!is_near)
+        return;
+    if (!screens->has_sample_weights)
+        find_sample_weights(m, by, from, lanes, screens);
+    for (int c = 0; c < 2; c++) {
+        const Screen *screen = screens->signal + c;
+        for (long long o = 0; o < orders; o++)
+            sum_products_with_steps(screens->sample_weights + (c * orders + o) * n, n,
+                                    sums + o * STEP_ORDERS * n);
+        for (int j = 0; j <= c; j++) {
+            double with_best[MAX_ORDERS] = {0.0};
+            /* The best place comes first, as the origin of the differences. */
+            for (long long i = -1; i < places; i++) {
+                long long k = i < 0 ? best : i, at = event->order * n + k + EDGE_SAMPLES;
+                double off[MAX_ORDERS], ratio, size, since = by->at - (k + EDGE_SAMPLES - 0.5);
+                if (weight[k] == 0.0)
+                    continue;
+                explained_squares(screen, at, &ratio);
+                size = screen->step_products[j * STEP_ORDERS * n + at] / screen->step_squares[at] *
+                    ratio / (1 + ratio);
+                for (long long o = 0; o < orders; o++) {
+                    double here = o > event->order ? 0.0 : step_value(event->order - o, since);
+                    off[o] = size * (here + sums[o * STEP_ORDERS * n + at]) - with_best[o];
+                }
+                if (i < 0)
+                    memcpy(with_best, off, sizeof with_best);
+                for (long long o = 0; o < orders; o++)
+                    for (long long p = 0; p < (i < 0 ? 0 : orders); p++)
+                        set->place_covariance[c][o][p] +=
+                            weight[k] / total / (c + 1) * off[o] * off[p];
+            }
+        }
+    }
+}
+
+PRIVATE int
+search_events(const Models *m, const Stencils *by, const Samples *s, const Work *w, long long block,
+              Set *sets, int *number)
+{
+    long long most = sets->cells + MAX_STEPS, n = m->count, orders = by->orders;
+    size_t of_set = size_of_set(m, orders, most, MAX_STEPS, 2);
+    size_t of_screens = 2 * ((2 + 4 * STEP_ORDERS + most) * n + most) + STEP_ORDERS * n +
+        2 * orders * n;
+    size_t of_scratch = (1 + STEP_ORDERS * MAX_ORDERS) * n;
+    char *data = buffer(OF_SETS, (of_scratch + 2 * of_screens) * sizeof(double) +
+                                     (MAX_SETS - 1) * of_set);
+    if (!data)
+        return NO_MEMORY;
+    Screens screens[2];
+    double *scratch;
+    TAKE(scratch, (1 + STEP_ORDERS * MAX_ORDERS) * n);
+    data = lay_out_screens(n, orders, most, data, screens);
+    Candidate events[STEP_ORDERS], next[STEP_ORDERS];
+    for (int k = 0; k < STEP_ORDERS; k++)
+        events[k].value = next[k].value = -INFINITY;
+    screen_window(m, s, w, sets, scratch, screens, events);
+    const Candidate *first = best_candidate(events);
+    if (!(first->gain >= MIN_GAIN))
+        return DONE;
+    Set *one = NULL;
+    for (int k = 0; k < STEP_ORDERS; k++) {
+        if (!(events[k].gain >= MIN_GAIN) || events[k].value < first->value - MAX_EVIDENCE_BEHIND)
+            continue;
+        Set *set = sets + ++*number - 1;
+        data = add_event(m, sets, events + k, orders, block, data, set);
+        add_place_covariance(m, by, sets, events + k, w->column_products, scratch, set);
+        if (events + k == first)
+            one = set;
+        else
+            evaluate_models(m, s, w, set);
+    }
+    /* The second event is screened before any evaluation of the first, which may be unnecessary. */
+    for (int c = 0; c < 2; c++)
+        screen_steps(m, s, w, one, scratch, first->screens->signal + c);
+    first->screens->has_sample_weights = 0;
+    find_candidates(m, w, 0.0, first->screens, next);
+    const Candidate *second = best_candidate(next);
+    if (second->gain >= MIN_GAIN) {
+        Set *two = sets + (*number)++;
+        add_event(m, one, second, orders, block, data, two);
+        add_place_covariance(m, by, one, second, w->column_products, scratch, two);
+        evaluate_models(m, s, w, two);
+    }
+    if (second->gain < CERTAIN_GAIN)
+        evaluate_models(m, s, w, one);
+    else
+        *one = sets[--*number];
+    return DONE;
+}

@@ -1,0 +1,36 @@
+/*
+ * Events: instants at which the position, the velocity or the acceleration steps, as at an impact.
+ *
+ * 1. Screening. One model leaves the residual P x of the samples x, with the inverse P of its
+ *    covariance. A step b, half a sample before each sample, has the product b' P x, and its size
+ *    is estimated as b' P x / b' P b. The products of all steps are cumulative sums of P x. They
+ *    give the evidence that a step of each order at each place would add (`find_candidates`). This
+ *    is done with the most probable model, and with the most probable slow one, which leaves steps
+ *    in its residual.
+ * 2. Evaluation. The best candidate of each order becomes columns of the regression: the step, its
+ *    shift in time, and a step of the next derivative. All models are evaluated with them
+ *    (`add_event`, `evaluate_models`).
+ * 3. A second event is screened with the first one in place, and then evaluated.
+ * 4. Other places of an event, by their evidence, add to the covariance (`add_place_covariance`).
+ *
+ * `search_events` returns the sets, and `differentiate` averages all models with all of them. The
+ * evidence of a set less that of the first set, without events, says how sure its events are.
+ *
+ * _events.py detects the events that are reported. It has polynomials instead of these models, and
+ * excludes what only looks like an event. Both have the same columns of steps and nothing more.
+ */
+
+#ifndef KINPOLE_EVENTS_H
+#define KINPOLE_EVENTS_H
+
+#include "models.h"
+#include "private.h"
+#include "samples.h"
+#include "sets.h"
+
+/* Search a window for up to two events, and evaluate the models with them. The first of `sets` has
+   no events, and is evaluated already. `number` is the number of sets. */
+PRIVATE int search_events(const Models *m, const Stencils *by, const Samples *s, const Work *w,
+                          long long block, Set *sets, int *number);
+
+#endif

@@ -1,0 +1,195 @@
+#include <math.h>
+#include <string.h>
+
+#include "evidence.h"
+#include "columns.h"
+#include "lanes.h"
+#include "models.h"
+#include "numbers.h"
+#include "samples.h"
+#include "sets.h"
+
+/* Models with a smaller weight in the covariance, or a smaller probability, are skipped: the result
+   changes by less than this. */
+#define MIN_WEIGHT 1e-5
+#define MIN_PROBABILITY 1e-8
+/* Models this far below the best in log evidence are skipped: exp(-25) is below both. */
+#define MAX_EVIDENCE_LOSS 50.0
+/* Loss of log evidence after which shorter lengths of a spectrum are skipped in sets with events:
+   their evidence is lower still. */
+#define LENGTH_EVIDENCE_LOSS 8.0
+/* Bound of the number of spectra, of which _models.py has four. */
+#define MAX_SPECTRA 8
+/* Largest weight of the rough spectrum in the covariance, over that of another spectrum. With 1,
+   88% of the cells cover over 97%. */
+#define MAX_ROUGH_WEIGHT 0.1
+
+PRIVATE void
+project_samples(const Models *m, const Samples *s, Work *w)
+{
+    for (int c = 0; c < 3; c++) {
+        w->sum_of_squares[c] = 0.0;
+        for (long long t = 0; t < m->count; t++)
+            w->sum_of_squares[c] += s->x[c][t] * s->x[c][t];
+    }
+    fold(m, s->x, 3, w->terms);
+    project(m, w->terms, 3, 0, m->rows, w->coefficients);
+    for (long long i = 0; i < 3 * m->rows; i++)
+        w->squares[i] = w->coefficients[i] * w->coefficients[i];
+    memset(w->residual, 0, 3 * m->groups * sizeof(Lanes));
+    for (long long g = 0; g < m->groups; g++) {
+        const long long *first = m->first_row + g / m->chunks;
+        for (int parity = 0; parity < 2; parity++, first += m->processes + 1)
+            add_table_products(m->residual_factor + g % m->chunks * m->rows + first[0],
+                               first[1] - first[0], w->squares + first[0], m->rows, 3,
+                               w->residual + g, m->groups);
+        for (int c = 0; c < (m->exact ? 0 : 3); c++)
+            FOR_VECTORS w->residual[c * m->groups + g].part[h] =
+                w->sum_of_squares[c] - w->residual[c * m->groups + g].part[h];
+    }
+}
+
+/* Compute the variance of the noise and the log evidence of a group's models, from their residual
+   sums of squares (2) and half log determinants of columns (2). Returns the best evidence. */
+static inline double
+evaluate_group(const Models *m, const Work *w, long long group, int c, const Lanes *residual,
+               const Lanes *logs, Set *set)
+{
+    double number = w->prior_samples + w->total_weight[c] * (c + 1), best = -INFINITY;
+    double *evidence = (double *)(set->evidence + c * m->groups + group);
+    double *variance = (double *)(set->variance + c * m->groups + group);
+    for (int i = 0; i < LANES; i++) {
+        variance[i] = (((double *)(residual + c))[i] + w->prior_samples) / number;
+        evidence[i] = ((const double *)(m->log_prior + c * m->groups + group))[i] -
+            number / 2 * log(variance[i]) - ((double *)(logs + c))[i] * (c + 1) + set->log_prior;
+        best = larger(best, evidence[i]);
+    }
+    return best;
+}
+
+PRIVATE void
+evaluate_models(const Models *m, const Samples *s, const Work *w, Set *set)
+{
+    double top[2] = {-INFINITY, -INFINITY};
+    int dropped = 0;
+    if (set->columns)
+        find_column_products(m, s, set);
+    set->best_evidence[0] = set->best_evidence[1] = -INFINITY;
+    for (long long g = 0; g < m->groups; g++) {
+        Lanes residual[3], reduction[3], logs[2];
+        int rough = m->spectrum[g * LANES] == m->spectra - 1, lower = 1;
+        if (set->steps) {
+            if (g && m->spectrum[g * LANES] != m->spectrum[(g - 1) * LANES])
+                top[0] = top[1] = -INFINITY, dropped = 0;
+            if (dropped || rough) {
+                set->evidence[g] = set->evidence[m->groups + g] = all_lanes(-INFINITY);
+                set->variance[g] = set->variance[m->groups + g] = all_lanes(1.0);
+                continue;
+            }
+            project_steps(m, g, set);
+        }
+        memset(reduction, 0, sizeof reduction), memset(logs, 0, sizeof logs);
+        if (set->columns)
+            apply_columns(m, g, w, set, reduction, logs);
+        for (int c = 0; c < 3; c++) {
+            FOR_VECTORS residual[c].part[h] =
+                w->residual[c * m->groups + g].part[h] - reduction[c].part[h];
+            for (int i = 0; i < LANES; i++)
+                if (((double *)(residual + c))[i] < 0.0)
+                    ((double *)(residual + c))[i] = 0.0;
+        }
+        FOR_VECTORS residual[1].part[h] += residual[2].part[h];
+        for (int c = 0; c < 2; c++) {
+            double best = evaluate_group(m, w, g, c, residual, logs, set);
+            if (!rough)
+                set->best_evidence[c] = larger(set->best_evidence[c], best);
+            lower &= best < top[c] - LENGTH_EVIDENCE_LOSS;
+            top[c] = larger(top[c], best);
+        }
+        dropped = lower && m->spectrum[g * LANES] < m->spectra;
+    }
+}
+
+PRIVATE void
+find_probabilities(const Models *m, int c, Set *sets, int number)
+{
+    long long models = m->groups * LANES;
+    double best = -INFINITY, sum = 0.0;
+    for (int n = 0; n < number; n++)
+        best = larger(best, sets[n].best_evidence[c]);
+    for (int n = 0; n < number; n++) {
+        const double *evidence = (const double *)(sets[n].evidence + c * m->groups);
+        double *probability = (double *)(sets[n].probability + c * m->groups);
+        for (long long i = 0; i < models; i++) {
+            int is_rough = m->spectrum[i] == m->spectra - 1;
+            int is_skipped = is_rough || evidence[i] < best - MAX_EVIDENCE_LOSS;
+            probability[i] = is_skipped ? 0.0 : exp(evidence[i] - best);
+            /* A comparison with NaN is false, so NaN reaches the result. */
+            if (probability[i] < MIN_PROBABILITY)
+                probability[i] = 0.0;
+            sum += probability[i];
+        }
+    }
+    for (int n = 0; n < number; n++)
+        for (long long i = 0; i < models; i++)
+            ((double *)(sets[n].probability + c * m->groups))[i] /= sum;
+}
+
+PRIVATE void
+find_covariance_weights(const Models *m, int c, Set *sets, int number)
+{
+    long long models = m->groups * LANES, common = m->spectra, rough = common - 1;
+    double top[MAX_SPECTRA + 1], total[MAX_SPECTRA + 1] = {0}, smooth_top = -INFINITY;
+    for (long long k = 0; k <= common; k++)
+        top[k] = -INFINITY;
+    for (int n = 0; n < number; n++) {
+        const double *evidence = (const double *)(sets[n].evidence + c * m->groups);
+        for (long long i = 0; i < models; i++)
+            top[m->spectrum[i]] =
+                larger(top[m->spectrum[i]], evidence[i] - sets[n].log_prior / 2);
+    }
+    for (long long k = 0; k <= common; k++)
+        smooth_top = k == rough ? smooth_top : larger(smooth_top, top[k]);
+    /* A common model is skipped only if it is far below the best of every spectrum. */
+    double lowest = top[common];
+    for (long long k = 0; k < rough; k++) {
+        top[k] = larger(top[k], top[common]);
+        lowest = k ? smaller(lowest, top[k]) : top[k];
+    }
+    top[common] = lowest;
+    double highest = larger(smooth_top, top[rough]);
+    for (int n = 0; n < number; n++) {
+        const double *evidence = (const double *)(sets[n].evidence + c * m->groups);
+        double *weight = (double *)(sets[n].covariance_weight + c * m->groups);
+        for (long long i = 0; i < models; i++) {
+            double value = evidence[i] - sets[n].log_prior / 2;
+            long long k = m->spectrum[i];
+            weight[i] = value < top[k] - MAX_EVIDENCE_LOSS
+                ? 0.0 : exp((value - (k == rough ? highest : smooth_top)) / 2);
+            total[k] += weight[i];
+        }
+    }
+    double of_common = 0.0, sum = 0.0, largest = 0.0;
+    for (long long k = 0; k < rough; k++) {
+        total[k] += total[common];
+        largest = larger(largest, total[k]);
+        total[k] = total[k] > 1e-300 ? 1.0 / total[k] : 0.0;
+        of_common += total[k];
+    }
+    total[common] = of_common;
+    double ratio = smaller(total[rough] / largest * exp((highest - smooth_top) / 2), 1.0);
+    total[rough] = total[rough] > 1e-300 ? MAX_ROUGH_WEIGHT * sqrt(ratio) / total[rough] : 0.0;
+    for (int n = 0; n < number; n++) {
+        double *weight = (double *)(sets[n].covariance_weight + c * m->groups);
+        for (long long i = 0; i < models; i++)
+            sum += weight[i] *= total[m->spectrum[i]];
+    }
+    for (int n = 0; n < number; n++) {
+        double *weight = (double *)(sets[n].covariance_weight + c * m->groups);
+        for (long long i = 0; i < models; i++) {
+            weight[i] /= sum;
+            if (weight[i] < MIN_WEIGHT)
+                weight[i] = 0.0;
+        }
+    }
+}

@@ -1,0 +1,24 @@
+/*
+ * The usual interval between the frames of a window, and the cell of each frame.
+ */
+
+#ifndef KINPOLE_GRID_H
+#define KINPOLE_GRID_H
+
+#include "private.h"
+
+/* A sample is on the grid if it is off by less than this part of the interval. */
+#define MAX_OFF_GRID 1e-4
+
+/* The even cells of an instant. Arrays are by frame, the newest first. */
+typedef struct {
+    double interval; /* ns */
+    double *late;    /* intervals after the cell */
+    long long *cell; /* intervals after the instant */
+} Grid;
+
+/* Find the grid of the instant of frame `now`, for a window of so many frames up to `newest`. */
+PRIVATE int find_grid(const long long *stamps, long long now, long long newest, long long frames,
+                      Grid *grid);
+
+#endif

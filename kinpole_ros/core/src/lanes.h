@@ -1,0 +1,68 @@
+/*
+ * The amplitudes of a process, side by side in vectors of the processor.
+ */
+
+#ifndef KINPOLE_LANES_H
+#define KINPOLE_LANES_H
+
+/* Doubles in a vector: estimator_avx2.c has 4. */
+#ifndef WIDTH
+#define WIDTH 2
+#endif
+#define LANES 8
+#define VECTORS (LANES / WIDTH)
+
+/* As wide as the vectors of the processor: compilers break up wider ones badly. */
+typedef double Vector __attribute__((vector_size(8 * WIDTH), aligned(8)));
+typedef struct {
+    Vector part[VECTORS];
+} Lanes;
+
+#define FOR_VECTORS for (int h = 0; h < VECTORS; h++)
+
+static inline Lanes
+all_lanes(double value)
+{
+    Lanes all;
+    FOR_VECTORS all.part[h] = (Vector){0} + value;
+    return all;
+}
+
+static inline Lanes
+scaled(Lanes a, double by)
+{
+    FOR_VECTORS a.part[h] *= by;
+    return a;
+}
+
+static inline Lanes
+product(Lanes a, Lanes b)
+{
+    FOR_VECTORS a.part[h] *= b.part[h];
+    return a;
+}
+
+static inline Lanes
+multiply_add(Lanes sum, Lanes a, Lanes b)
+{
+    FOR_VECTORS sum.part[h] += a.part[h] * b.part[h];
+    return sum;
+}
+
+static inline Lanes
+multiply_subtract(Lanes sum, Lanes a, Lanes b)
+{
+    FOR_VECTORS sum.part[h] -= a.part[h] * b.part[h];
+    return sum;
+}
+
+static inline double
+sum_of(Lanes lanes)
+{
+    double sum = 0.0;
+    for (int i = 0; i < LANES; i++)
+        sum += ((double *)&lanes)[i];
+    return sum;
+}
+
+#endif

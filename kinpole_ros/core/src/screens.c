@@ -1,0 +1,238 @@
+#include <math.h>
+#include <string.h>
+
+#include "screens.h"
+#include "lanes.h"
+#include "memory.h"
+#include "models.h"
+#include "numbers.h"
+#include "samples.h"
+#include "sets.h"
+
+/* Lengths of each spectrum that count as slow; slow models leave steps in the residuals. */
+#define SLOW_LENGTHS 2
+
+/* Return the number of the most probable model of a set, or of its slow models. */
+static long long
+most_probable_model(const Models *m, const Set *set, int c, int slow)
+{
+    const double *evidence = (const double *)(set->evidence + c * m->groups);
+    long long process = m->chunks * LANES, best = 0;
+    for (long long k = 0; k < m->groups * LANES; k++) {
+        long long spectrum = m->spectrum[k], slower = k - SLOW_LENGTHS * process;
+        /* Processes of a spectrum begin with the longest. */
+        int is_fast = slower >= 0 && m->spectrum[slower] == spectrum;
+        int is_allowed = slow ? spectrum < m->spectra - 1 && !is_fast : spectrum != m->spectra - 1;
+        if (is_allowed && evidence[k] > evidence[best])
+            best = k;
+    }
+    return best;
+}
+
+PRIVATE void
+subtract_model(const Models *m, long long model, const double *coefficients, const double *signal,
+               Lanes *sums, double *residual)
+{
+    long long group = model / LANES, lane = model % LANES, n = m->count;
+    const double *shrinkage = (const double *)(m->shrinkage + group % m->chunks * m->rows) + lane;
+    const long long *first = m->first_row + group / m->chunks;
+    memcpy(residual, signal, n * sizeof(double));
+    for (int parity = 0; parity < 2; parity++, first += m->processes + 1) {
+        memset(sums, 0, m->half * sizeof(Lanes));
+        for (long long r = first[0] / LANES * LANES; r < first[1]; r += LANES) {
+            Lanes factor = all_lanes(0.0);
+            for (long long k = r > first[0] ? r : first[0]; k < r + LANES && k < first[1]; k++)
+                ((double *)&factor)[k - r] = shrinkage[k * LANES] * coefficients[k];
+            for (long long t = 0; t < m->half; t++)
+                sums[t] = multiply_add(sums[t], factor, m->basis[r / LANES * m->half + t]);
+        }
+        for (long long t = 0; t < m->half; t++) {
+            double sum = sum_of(sums[t]);
+            residual[t] -= t == n - 1 - t ? 2 * sum : sum;
+            if (t != n - 1 - t)
+                residual[n - 1 - t] -= parity ? -sum : sum;
+        }
+    }
+}
+
+/* Add a column b (count) with these coefficients to a screen, if the screen leaves any of it: P is
+   reduced by the matrix inversion lemma. */
+static void
+add_column(const Models *m, const Samples *s, const double *column, const double *coefficients,
+           double weight, double root, Lanes *sums, Screen *screen)
+{
+    long long n = m->count;
+    double *reduced = screen->reduced_columns + screen->columns * n;
+    subtract_model(m, screen->model, coefficients, column, sums, reduced);
+    for (long long k = 0; k < screen->columns; k++) {
+        const double *other = screen->reduced_columns + k * n;
+        double by = screen->factor[k] * dot(other, column, n);
+        for (long long t = 0; t < n; t++)
+            reduced[t] -= by * other[t];
+    }
+    double square = dot(column, reduced, n);
+    if (!(square > MIN_STEP_LEFT * MIN_STEP_LEFT * dot(column, column, n)))
+        square = 0.0;
+    double factor = root > 0.0 ? root * root / (weight + root * root * square) : 0.0;
+    for (int j = 0; j <= screen->c; j++) {
+        double by = factor * dot(reduced, s->x[screen->c + j], n);
+        for (long long t = 0; t < n; t++)
+            screen->residual[j * n + t] -= by * reduced[t];
+    }
+    screen->factor[screen->columns++] = factor;
+}
+
+PRIVATE void
+sum_products_with_steps(const double *signal, long long count, double *sums)
+{
+    double a = 0.0, b = 0.0, c = 0.0;
+    for (long long k = count - 1; k >= 0; k--) {
+        c += b, b += a, a += signal[k];
+        sums[k] = a;
+        sums[count + k] = b + a / 2;
+        sums[2 * count + k] = c + b + a / 8;
+    }
+}
+
+PRIVATE void
+screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, double *scratch,
+             Screen *screen)
+{
+    long long n = m->count, part = set->parts > 1 && screen->c > 0;
+    const double *of_model = m->step_squares + screen->model * STEP_ORDERS * n;
+    for (long long x = screen->columns; x < set->columns; x++) {
+        const double *column = scratch;
+        long long at = part * set->columns + x;
+        if (x < set->cells)
+            memset(scratch, 0, n * sizeof(double)), scratch[set->cell[x]] = 1.0;
+        else
+            column = set->step_columns + (x - set->cells) * n;
+        add_column(m, s, column, set->coefficients + x * m->rows, set->weight[at], set->root[at],
+                   w->column_products, screen);
+        double *products = screen->squared_products; /* free until the columns are added */
+        sum_products_with_steps(screen->reduced_columns + x * n, n, products);
+        for (long long k = 0; k < STEP_ORDERS * n; k++)
+            screen->step_squares[k] -= screen->factor[x] * products[k] * products[k];
+    }
+    memset(screen->squared_products, 0, STEP_ORDERS * n * sizeof(double));
+    screen->residual_squares = 0.0;
+    for (int j = 0; j <= screen->c; j++) {
+        screen->residual_squares += dot(screen->residual + j * n, s->x[screen->c + j], n);
+        double *products = screen->step_products + j * STEP_ORDERS * n;
+        sum_products_with_steps(screen->residual + j * n, n, products);
+        for (long long k = 0; k < STEP_ORDERS * n; k++)
+            screen->squared_products[k] += products[k] * products[k];
+    }
+    screen->residual_squares = larger(screen->residual_squares, 0.0);
+    for (long long k = 0; k < STEP_ORDERS * n; k++)
+        if (!(screen->step_squares[k] > MIN_STEP_LEFT * of_model[k]))
+            screen->step_squares[k] = INFINITY;
+}
+
+/* Begin a screen with a model, without columns. */
+static void
+begin_screen(const Models *m, const Samples *s, const Work *w, long long model, Screen *screen)
+{
+    long long n = m->count;
+    screen->model = model, screen->columns = 0;
+    for (int j = 0; j <= screen->c; j++)
+        subtract_model(m, model, w->coefficients + (screen->c + j) * m->rows, s->x[screen->c + j],
+                       w->column_products, screen->residual + j * n);
+    memcpy(screen->step_squares, m->step_squares + model * STEP_ORDERS * n,
+           STEP_ORDERS * n * sizeof(double));
+}
+
+PRIVATE_INLINE double
+explained_squares(const Screen *screen, long long k, double *ratio)
+{
+    *ratio = screen->squared_products[k] / screen->step_squares[k] / (screen->c + 1);
+    return (screen->c + 1) * *ratio * *ratio / (1 + *ratio);
+}
+
+/* Return the log evidence that such a step adds. */
+static double
+evidence_gain(const Screen *screen, const Work *w, long long k)
+{
+    double ratio, explained = explained_squares(screen, k, &ratio);
+    double before = screen->residual_squares + w->prior_samples;
+    double number = w->prior_samples + w->total_weight[screen->c] * (screen->c + 1);
+    double after = larger(before - explained, w->prior_samples);
+    return larger(number / 2 * log(before / after) - (screen->c + 1) * log(1 + ratio) / 2, 0.0);
+}
+
+PRIVATE void
+find_candidates(const Models *m, const Work *w, double value, Screens *screens, Candidate *best)
+{
+    long long n = m->count;
+    memset(screens->gain, 0, STEP_ORDERS * n * sizeof(double));
+    for (int c = 0; c < 2; c++) {
+        const Screen *screen = screens->signal + c;
+        double per = 1 / (c + 1.0), all = 1 / (screen->residual_squares + w->prior_samples);
+        double number = (w->prior_samples + w->total_weight[c] * (c + 1)) / 2;
+        for (long long k = 0; k < STEP_ORDERS * n; k++) {
+            double ratio = screen->squared_products[k] / screen->step_squares[k] * per;
+            double z = smaller((c + 1) * all * ratio * ratio / (1 + ratio), 1.0);
+            screens->gain[k] += number * z * (6 - z) / (6 - 4 * z);
+        }
+    }
+    for (int order = 0; order < STEP_ORDERS; order++) {
+        long long at = order * n + EDGE_SAMPLES;
+        for (long long k = at; k <= (order + 1) * n - EDGE_SAMPLES; k++)
+            if (screens->gain[k] > screens->gain[at])
+                at = k;
+        double gain = evidence_gain(screens->signal, w, at) +
+                      evidence_gain(screens->signal + 1, w, at);
+        Candidate one = {value + gain, gain, at - order * n, order, screens};
+        if (one.value > best[order].value)
+            best[order] = one;
+    }
+}
+
+PRIVATE const Candidate *
+best_candidate(const Candidate *candidates)
+{
+    const Candidate *best = candidates;
+    for (int k = 1; k < STEP_ORDERS; k++)
+        best = candidates[k].value > best->value ? candidates + k : best;
+    return best;
+}
+
+PRIVATE char *
+lay_out_screens(long long n, long long orders, long long columns, char *data, Screens *screens)
+{
+    for (int k = 0; k < 2; k++) {
+        TAKE(screens[k].gain, STEP_ORDERS * n), TAKE(screens[k].sample_weights, 2 * orders * n);
+        for (int c = 0; c < 2; c++) {
+            Screen *screen = screens[k].signal + c;
+            screen->c = c;
+            TAKE(screen->residual, 2 * n), TAKE(screen->step_products, 2 * STEP_ORDERS * n);
+            TAKE(screen->squared_products, STEP_ORDERS * n);
+            TAKE(screen->step_squares, STEP_ORDERS * n);
+            TAKE(screen->reduced_columns, columns * n), TAKE(screen->factor, columns);
+        }
+    }
+    return data;
+}
+
+PRIVATE void
+screen_window(const Models *m, const Samples *s, const Work *w, const Set *set, double *scratch,
+              Screens *screens, Candidate *best)
+{
+    for (int slow = 0; slow < 2; slow++, screens++) {
+        double value = 0.0;
+        long long model[2];
+        for (int c = 0; c < 2; c++) {
+            model[c] = most_probable_model(m, set, c, slow);
+            value += ((const double *)(set->evidence + c * m->groups))[model[c]];
+        }
+        if (slow && model[0] == screens[-1].signal[0].model &&
+            model[1] == screens[-1].signal[1].model)
+            break;
+        for (int c = 0; c < 2; c++) {
+            begin_screen(m, s, w, model[c], screens->signal + c);
+            screen_steps(m, s, w, set, scratch, screens->signal + c);
+        }
+        screens->has_sample_weights = 0;
+        find_candidates(m, w, value, screens, best);
+    }
+}

@@ -1,0 +1,82 @@
+/*
+ * Screening of steps at all places of a window, by one model.
+ */
+
+#ifndef KINPOLE_SCREENS_H
+#define KINPOLE_SCREENS_H
+
+#include "lanes.h"
+#include "models.h"
+#include "private.h"
+#include "samples.h"
+#include "sets.h"
+
+/* Samples between an event and the ends of the window, so that both sides are seen. */
+#define EDGE_SAMPLES 3
+/* A step of which the columns leave less than this share is already in the set. */
+#define MIN_STEP_LEFT 1e-6
+
+/* What one model with the columns of a set leaves of the angle (c = 0), or of the position (c = 1).
+   P is that of the model less the sum of factor r r' of the reduced columns r. */
+typedef struct {
+    int c;
+    long long model, columns;
+    double residual_squares;  /* x' P x */
+    double *residual;         /* (c + 1, count): P x */
+    double *step_products;    /* (c + 1, STEP_ORDERS, count): b' P x */
+    double *squared_products; /* (STEP_ORDERS, count): their squares, summed over coordinates */
+    double *step_squares;     /* (STEP_ORDERS, count): b' P b, infinite if it is rounding */
+    double *reduced_columns;  /* (columns, count): P b with the P before this column */
+    double *factor;           /* (columns) */
+} Screen;
+
+/* The screens of angle and position. */
+typedef struct {
+    Screen signal[2];
+    double *gain; /* (STEP_ORDERS, count): log evidence that a step adds, without SIZE_COST */
+    double *sample_weights; /* (2, orders, count): of the samples in the derivatives */
+    int has_sample_weights;
+} Screens;
+
+/* An event half a sample before `sample`: the log evidence with it, and what it adds to that. */
+typedef struct {
+    double value, gain;
+    long long sample;
+    int order;
+    Screens *screens;
+} Candidate;
+
+/* Compute the residual P x (count) that a model leaves of a signal x with these coefficients. */
+PRIVATE void subtract_model(const Models *m, long long model, const double *coefficients,
+                            const double *signal, Lanes *sums, double *residual);
+
+/* Compute the products (STEP_ORDERS, count) of a signal with steps half a sample before each one.
+   Those with (t + 1/2)^k / k! follow from repeated cumulative sums, in one pass. */
+PRIVATE void sum_products_with_steps(const double *signal, long long count, double *sums);
+
+/* Add the new columns of a set to a screen, and screen steps at all places. */
+PRIVATE void screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set,
+                          double *scratch, Screen *screen);
+
+/* Return by how much a step reduces the residual sum of squares, if the prior variance of its size
+   is the square of the estimate. `ratio` is that square over the variance of the estimate. */
+PRIVATE double explained_squares(const Screen *screen, long long k, double *ratio);
+
+/* Find the best place of a step of each order, if it is better than that in `best`. `value` is the
+   log evidence without the step. The gain of a place is without the cost of the size, and has the
+   approximation z (6 - z) / (6 - 4 z) of -log(1 - z), because there are many places. */
+PRIVATE void find_candidates(const Models *m, const Work *w, double value, Screens *screens,
+                             Candidate *best);
+
+PRIVATE const Candidate * best_candidate(const Candidate *candidates);
+
+/* Lay out the arrays of screens, each for so many columns; returns the end of their memory. */
+PRIVATE char * lay_out_screens(long long n, long long orders, long long columns, char *data,
+                               Screens *screens);
+
+/* Find the best event of each order in a window without events, by the most probable models and by
+   the most probable slow ones. */
+PRIVATE void screen_window(const Models *m, const Samples *s, const Work *w, const Set *set,
+                           double *scratch, Screens *screens, Candidate *best);
+
+#endif

@@ -1,0 +1,25 @@
+"""Headers of the library compile alone, and so do the files of the estimator."""
+
+import shlex
+import shutil
+import subprocess
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / 'kinpole_ros'
+COMPILER = shlex.split(sysconfig.get_config_var('CC') or 'cc')
+FILES = [*PACKAGE.rglob('*.h'), *PACKAGE.rglob('*.c')]
+
+pytestmark = pytest.mark.skipif(not shutil.which(COMPILER[0]), reason='no C compiler')
+
+
+@pytest.mark.parametrize('file', sorted(FILES), ids=lambda file: file.name)
+def test_each_file_compiles_alone(file: Path) -> None:
+    """A header that needs another before it would not."""
+    flags = '-fsyntax-only', '-Wall', '-Wextra', '-Wno-sign-compare', '-Wno-unknown-pragmas'
+    done = subprocess.run(
+        [*COMPILER, *flags, '-x', 'c', str(file)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0 and not done.stderr, done.stderr
