@@ -83,15 +83,16 @@ class Struct(ctypes.Structure):
         if array is None:
             setattr(self, name, None)
             return
-        element = self.elements[name]
+        element, flags = self.elements[name], array.flags
         if array.dtype is not element and not _is_same(array.dtype, element):
             raise TypeError(
                 f'{type(self).__name__}.{name} has elements {element}, not {array.dtype}'
             )
-        if not array.flags.c_contiguous:
+        if not flags.c_contiguous:
             raise TypeError(f'{type(self).__name__}.{name} needs an array that is contiguous')
         setattr(self, name, address_of(array))
-        self.__dict__.setdefault('_owners', {})[name] = array
+        # A field of ctypes goes before an attribute of this name, which keeps the array alive.
+        self.__dict__[name] = array
 
 
 def _is_same(dtype: np.dtype, element: np.dtype | None) -> bool:
