@@ -48,8 +48,9 @@ find_event_products(const Models *m, const Screen *screen, Set *set, long long b
     long long n = m->count, number = set->steps - begin, group = screen->model / LANES;
     const double *columns = set->step_columns + begin * n;
     const double *coefficients = set->coefficients + (set->cells + begin) * m->rows;
-    const double *shrinkage = (const double *)(m->shrinkage) + screen->model % LANES;
-    project_steps(m, group, set);
+    const double *shrinkage =
+        (const double *)(m->shrinkage + group % m->chunks * m->rows) + screen->model % LANES;
+    project_steps(m, group / m->chunks, set);
     for (int k = 0; k < number; k++) {
         for (int l = 0; l <= k; l++)
             products[k][l] = dot(columns + k * n, columns + l * n, n);
@@ -58,7 +59,8 @@ find_event_products(const Models *m, const Screen *screen, Set *set, long long b
             with_residual[j][k] = dot(columns + k * n, screen->residual + j * n, n);
     }
     for (int parity = 0; parity < 2; parity++) {
-        const long long *first = m->first_row + parity * (m->processes + 1) + group;
+        const long long *first =
+            m->first_row + parity * (m->processes + 1) + group / m->chunks;
         for (long long r = first[0]; r < first[1]; r++)
             for (int k = 0; k < number; k++)
                 for (int l = 0; l <= k; l++)

@@ -86,7 +86,7 @@ evaluate_models(const Models *m, const Samples *s, const Work *w, Set *set)
                 set->variance[g] = set->variance[m->groups + g] = all_lanes(1.0);
                 continue;
             }
-            project_steps(m, g, set);
+            project_steps(m, g / m->chunks, set);
         }
         memset(reduction, 0, sizeof reduction), memset(logs, 0, sizeof logs);
         if (set->columns)
