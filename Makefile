@@ -118,7 +118,7 @@ clean:  ## remove .venv and all else that can be made again
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Made anew for another Python, and when ROS 2 has come or gone.
-.venv/%-$(READY): setup.py $(if $(LOCK),$(LOCK)/%.txt) $(wildcard kinpole_ros/*/*.[ch] kinpole_ros/core/*/*.[ch])
+.venv/%-$(READY): setup.py $(if $(LOCK),$(LOCK)/%.txt) $(wildcard kinpole_ros/core/*/*.[ch])
 	@"$(BASE)" -c 'import ensurepip, venv' 2>/dev/null || { echo '$(BASE) has no venv: install it' \
 	  '(Debian and Ubuntu: sudo apt install python3-venv), then make again' >&2; exit 1; }
 	@echo 'Setting up .venv: a minute or two ...'

@@ -57,20 +57,15 @@ setup(
         Extension(
             f'{NAME}._compiled',
             [
-                f'{NAME}/tracking/_assign.c',
-                f'{NAME}/tracking/_quantities.c',
-                f'{NAME}/tracking/_fit.c',
-                f'{NAME}/tracking/_follow.c',
-                f'{NAME}/tracking/_rejection.c',
-                f'{NAME}/messages/_points.c',
-                f'{NAME}/messages/_rows.c',
-                f'{NAME}/messages/_joints.c',
-                *(
-                    f'{NAME}/core/src/{name}.c'
-                    for name in ('structs', 'dispatch', 'estimator', 'estimator_avx2')
-                ),
+                f'{NAME}/core/src/{name}.c'
+                for name in (
+                    *('structs', 'slots', 'fit', 'rejection', 'follow', 'poles'),
+                    *('points', 'rows', 'joints'),
+                    # All files of the estimator, twice.
+                    *('dispatch', 'estimator', 'estimator_avx2'),
+                )
             ],
-            depends=[*glob(f'{NAME}/*/*.[ch]'), *glob(f'{NAME}/core/*/*.[ch]')],
+            depends=glob(f'{NAME}/core/*/*.[ch]'),
         )
     ],
     cmdclass={'build_ext': BuildExt},

@@ -145,35 +145,35 @@ class Call(Struct):
 
 
 class Frames(Struct):
-    """The history, what is known of the bodies, and new frames: see _frames.h."""
+    """The history, what is known of the bodies, and new frames: see frames.h."""
 
 
 class Results(Struct):
-    """The results of some instants: see _frames.h."""
+    """The results of some instants: see frames.h."""
 
 
 class Motion(Struct):
-    """Derivatives of bodies at instants: see _quantities.h."""
+    """Derivatives of bodies at instants: see motion.h."""
 
 
 class Slots(Struct):
-    """Which rows of messages the slots of markers take: see _assign.h."""
+    """Which rows of messages the slots of markers take: see slots.h."""
 
 
 class MessageLayout(Struct):
-    """Where stamps and points are in messages: see _points.h."""
+    """Where stamps and points are in messages: see points.h."""
 
 
 class Row(Struct):
-    """The messages of a topic: see _rows.h."""
+    """The messages of a topic: see rows.h."""
 
 
 class Plane(Struct):
-    """The plane of the motion in space: see _rows.h."""
+    """The plane of the motion in space: see rows.h."""
 
 
 class Joints(Struct):
-    """The joints of joint states: see _joints.h."""
+    """The joints of joint states: see joints.h."""
 
 
 def _add_fields(struct: type[Struct], description: _Description) -> None:
@@ -218,13 +218,13 @@ def _read_structs() -> None:
 
 
 def fields_of(part: str) -> tuple[str, ...]:
-    """Return the names of the fields in a list of a header, as `BODY_ARRAYS` of _frames.h."""
+    """Return the names of the fields in a list of a header, as `BODY_ARRAYS` of frames.h."""
     description = _PARTS[part]
     return tuple(field.name.decode() for field in description.fields[: description.count])
 
 
 def codes_of(enum: str) -> dict[str, int]:
-    """Return the codes of an enum of a header by their names, as `REASONS` of _rejection.h."""
+    """Return the codes of an enum of a header by their names, as `REASONS` of codes.h."""
     listed = _CODES[enum]
     return {code.name.decode(): code.value for code in listed.codes[: listed.count]}
 

@@ -20,7 +20,7 @@ _BYTES, _BYTES_OF_JOINT = 64, 48
 
 
 class _Joints(Joints):
-    """`Joints` of _joints.h."""
+    """`Joints` of joints.h."""
 
     def __init__(
         self, joints: Mapping[str, tuple[str, str]], bodies: Sequence[str], is_deviation: bool

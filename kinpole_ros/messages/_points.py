@@ -28,7 +28,7 @@ class MessageLayout(bindings.MessageLayout):
     """
     Messages of `size` bytes that agree with `key` in the bits of `mask`, both (n,) uint8.
 
-    Their stamps are at byte `stamp`. It is that of _points.h.
+    Their stamps are at byte `stamp`. It is that of points.h.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """
 Messages of a header and doubles, of bodies or pairs, that compiled code writes.
 
-A row is what _rows.c needs to know of a topic. The messages of all rows, of all instants of an
+A row is what rows.c needs to know of a topic. The messages of all rows, of all instants of an
 estimate, are made by one call: in a node that sleeps between frames each call of numpy is dear.
 """
 
@@ -32,7 +32,7 @@ Build: TypeAlias = Callable[[Estimate], Built]
 # how many bytes precede these numbers.
 Template: TypeAlias = Callable[[str, int], tuple[bytes, int]]
 
-# Kinds of messages, quantities besides those of quantities.py, and doubles of a row, as in _rows.c.
+# Kinds of messages, quantities besides those of quantities.py, and doubles of a row, as in rows.c.
 NORMAL, VECTOR, POINT, POSE, ODOMETRY, FRAME, STATE_POINTS = range(7)
 RATE, RELATIVE_RATE, RELATIVE_CENTER, _GIVEN = 20, 30, 31, 32
 _DOUBLES = {NORMAL: 3, VECTOR: 3, POINT: 3, POSE: 43, ODOMETRY: 85, FRAME: 7}

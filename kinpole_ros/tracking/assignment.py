@@ -59,7 +59,7 @@ class Layout(NamedTuple):
 
 
 class MarkerSlots(Slots):
-    """`Slots` of _assign.h: the rows (...) of messages that slots take, `array`, and the plane."""
+    """`Slots` of slots.h: the rows (...) of messages that slots take, `array`, and the plane."""
 
     def __init__(self, rows: np.ndarray, points: int, scale: float, plane: Plane | None) -> None:
         self.array = rows

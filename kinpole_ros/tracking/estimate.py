@@ -40,7 +40,7 @@ from kinpole_ros.tracking.values import (
 )
 
 # A denominator counts as known when it exceeds its standard deviation this many times. Beyond this
-# many body sizes a pole is as good as at infinity. Both as in _quantities.c.
+# many body sizes a pole is as good as at infinity. Both as in poles.c.
 SIGNIFICANT, FARTHEST = 4.0, 1e3
 # Reasons why a body with a determined ICR has no curvature of the centrode.
 PINNED = 'pinned: the ICR stands still'
@@ -107,7 +107,7 @@ def _layout_of(
 
 class Results:
     """
-    The results of up to so many instants, of bodies with some markers, as _follow.c fills them.
+    The results of up to so many instants, of bodies with some markers, as follow.c fills them.
 
     `fields` are those of `Results` there: the number of instants that there is memory for, how many
     have results, the fewest samples of a window, how many results are of deformed bodies, and where

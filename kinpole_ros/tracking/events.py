@@ -8,7 +8,7 @@ from kinpole_ros.derivatives import Event, Samples, find_events
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
 
-# Frames after which the poses of those before are sure: see `wrong_before_last` in _rejection.c.
+# Frames after which the poses of those before are sure: see `wrong_before_last` in rejection.c.
 _SETTLED = 6
 # Places are searched a share of the window at a time, when motion has gone on for a window.
 _SHARE = 8

@@ -8,7 +8,7 @@ from kinpole_ros.core import bindings
 from kinpole_ros.core.bindings import address_of, library
 from kinpole_ros.planar._plane import Complex, Real
 
-# The numbers that _quantities.c gives to what it computes. Poles have their order, 1 to 4, and FREE
+# The numbers that poles.c gives to what it computes. Poles have their order, 1 to 4, and FREE
 # is added for a pole by the motion alone, whatever is known of pins.
 VELOCITY, CURVATURE, FREE = 5, 6, 10
 # The highest derivative that each of them needs; poles need their own order.
@@ -19,7 +19,7 @@ DETERMINED, MOVES = 1, 2
 
 class Motion(bindings.Motion):
     """
-    `Motion` of _quantities.c: derivatives of bodies at instants, of any shape (...).
+    `Motion` of poles.c: derivatives of bodies at instants, of any shape (...).
 
     Parameters
     ----------

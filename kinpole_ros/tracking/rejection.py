@@ -1,8 +1,9 @@
 """
 What is not used of the frames, and why: every verdict and its threshold.
 
-C applies the rules that run for every frame (`_rejection.h`), with the limits given here. A rule
-that needs a search for a correction is in `corrections` or `identity`, and takes its limits here.
+C applies the rules that run for every frame (core/src/rejection.c), with the limits given here. A
+rule that needs a search for a correction is in `corrections` or `identity`, and takes its limits
+here.
 
 | what | verdict | rule | applied in |
 | --- | --- | --- | --- |
@@ -56,7 +57,7 @@ NEAR = 0.01
 # A frame later than so many intervals follows a gap.
 GAP = 2.5
 
-# What is unusual of a body in a frame, and why it has no result: see _rejection.h.
+# What is unusual of a body in a frame, and why it has no result: see codes.h.
 UNUSUAL = codes_of('UNUSUAL_BITS')
 REASONS = codes_of('REASONS')
 ODD, NAME_DOUBTFUL = UNUSUAL['ODD'], UNUSUAL['NAME_DOUBTFUL']

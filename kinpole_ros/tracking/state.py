@@ -29,7 +29,7 @@ class Totals:
     What is counted from the first frame on, also over restarts.
 
     `counts` are frames and markers that were dropped, corrected or not seen, by cause; each stage
-    adds to its own. `outages` (B + 1, 5) are gaps, see _frames.h, and `wrong` (B,) poses off their
+    adds to its own. `outages` (B + 1, 5) are gaps, see frames.h, and `wrong` (B,) poses off their
     paths; C writes both.
     """
 

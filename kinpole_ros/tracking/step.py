@@ -21,11 +21,11 @@ from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.rejection import FAR, GAP, NEAR, NEWEST_FACTOR, reasons_of
 from kinpole_ros.tracking.thresholds import N_SIGMA
 
-# Why the compiled loop ends: see _call.h and _frames.h.
+# Why the compiled loop ends: see call.h and frames.h.
 _ENDS = codes_of('CALL_ENDS') | codes_of('LOOP_ENDS')
 DONE, TABLE_LACKING, UNUSUAL = _ENDS['DONE'], _ENDS['LACKING'], _ENDS['UNUSUAL']
 
-# Fields of `Frames` by their owners: see _frames.h.
+# Fields of `Frames` by their owners: see frames.h.
 _LEARNED, _STATES = fields_of('BODY_ARRAYS'), fields_of('TRACKING_STATE')
 _NEW_FRAMES = {name: Frames.elements[name] for name in fields_of('NEW_FRAMES')}
 
@@ -52,7 +52,7 @@ class Step:
     seen_last : (B,) int64
         Stamp of the last frame with a pose of each body, ns, -1 for none.
     outages : (B + 1, 5) int64
-        Gaps without each body, and last without any frame: see _frames.h.
+        Gaps without each body, and last without any frame: see frames.h.
     total_turn : (B,) float
         Turns of tilting bodies about the normal, beyond those of their headings, up to the last
         pose that is certainly right, rad; its angle is `sure_angle`, and its tilt `sure_tilt`.

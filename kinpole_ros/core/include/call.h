@@ -5,6 +5,7 @@
 #ifndef KINPOLE_CALL_H
 #define KINPOLE_CALL_H
 
+#include "codes.h"
 #include "structs.h"
 
 /* Arrays that _models.py makes once for a kind of window, of `count` samples, each the mean of
@@ -51,14 +52,6 @@ typedef STRUCT(TABLE_FIELDS) Table;
     VALUE(Table, lacking)
 
 typedef STRUCT(CALL_FIELDS) Call;
-
-#define CALL_ENDS(CODE) \
-    CODE(NO_MEMORY, -2) \
-    CODE(NO_FRAMES, -1) \
-    CODE(DONE, 0)       \
-    CODE(LACKING, 1)
-
-enum { CALL_ENDS(DECLARE_CODE) };
 
 /* Returns DONE, LACKING if `lacking` has to be made before another call, or an error below 0. */
 API int kinpole_derive(Call *call);

@@ -1,9 +1,11 @@
 /*
- * Doubles.
+ * Doubles and complex numbers.
  */
 
 #ifndef KINPOLE_NUMBERS_H
 #define KINPOLE_NUMBERS_H
+
+#include "../include/structs.h"
 
 static inline double
 larger(double a, double b)
@@ -15,6 +17,12 @@ static inline double
 smaller(double a, double b)
 {
     return a < b ? a : b;
+}
+
+static inline double
+square_of(Number z)
+{
+    return creal(z) * creal(z) + cimag(z) * cimag(z);
 }
 
 static inline double

@@ -5,13 +5,13 @@
 #include <stddef.h>
 
 #include "../include/call.h"
-#include "../../messages/_joints.h"
-#include "../../messages/_points.h"
-#include "../../messages/_rows.h"
-#include "../../tracking/_assign.h"
-#include "../../tracking/_frames.h"
-#include "../../tracking/_quantities.h"
-#include "../../tracking/_rejection.h"
+#include "../include/codes.h"
+#include "../include/frames.h"
+#include "../include/joints.h"
+#include "../include/motion.h"
+#include "../include/points.h"
+#include "../include/rows.h"
+#include "../include/slots.h"
 #include "../include/structs.h"
 
 enum { OF_VALUE = 0, OF_ARRAY = -1 };

@@ -7,8 +7,8 @@
 #ifndef KINPOLE_FRAMES_H
 #define KINPOLE_FRAMES_H
 
-#include "../core/include/structs.h"
-#include "../core/include/call.h"
+#include "call.h"
+#include "structs.h"
 
 /* Bodies with up to `width` markers. Rows `first` to `end` of the history are in use. The next result is
    that of row `due`, counted from `first`. The new frames `frame` to `frames` are still to be taken, at
@@ -149,21 +149,6 @@ typedef STRUCT(FRAMES_FIELDS) Frames;
 
 typedef STRUCT(RESULTS_FIELDS) Results;
 
-/* Why the loop ends, besides the return values of `kinpole_derive`. */
-#define LOOP_ENDS(CODE) \
-    CODE(UNUSUAL, 2)    \
-    CODE(FULL, 3)
-
-enum { LOOP_ENDS(DECLARE_CODE) };
-
-static inline double
-square_of(Number z)
-{
-    return creal(z) * creal(z) + cimag(z) * cimag(z);
-}
-
-int kinpole_fit_frame(const Frames *f, const Number *markers, int goes_on);
-void kinpole_unwrap(const Frames *f);
 API int kinpole_try_frame(Frames *f, const Number *markers);
 API int kinpole_follow(Frames *f, Call *call, Results *r);
 

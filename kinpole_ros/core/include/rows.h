@@ -1,7 +1,7 @@
 #ifndef KINPOLE_ROWS_H
 #define KINPOLE_ROWS_H
 
-#include "../tracking/_quantities.h"
+#include "motion.h"
 
 /* The messages of a topic, of a body, or of `other` with respect to it. A message has `size` bytes, of
    which the doubles begin behind `head`. `value`, `spread` (T, 2, 2) and `determined` are GIVEN. */

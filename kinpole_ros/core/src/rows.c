@@ -8,7 +8,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "_rows.h"
+#include "../include/rows.h"
+#include "poles.h"
 
 #ifndef __clang__
 #pragma GCC optimize("O3", "cx-limited-range")
@@ -17,7 +18,7 @@
 /* What a message is: a vector along the normal, in the plane, a point at the height of a body, a pose
    with covariance, odometry, a frame of /tf, or the topic `state`. */
 enum { NORMAL, VECTOR, POINT, POSE, ODOMETRY, FRAME, STATE };
-/* What quantity it has, besides those of _quantities.h: RATE + order, a relative one, or one that the
+/* What quantity it has, besides those of motion.h: RATE + order, a relative one, or one that the
    row has with it. */
 enum { RATE = 20, RELATIVE_RATE = 30, RELATIVE_CENTER, GIVEN };
 

@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "_assign.h"
+#include "../include/slots.h"
 
 /* Writes a point, m; NaN for none. */
 static void

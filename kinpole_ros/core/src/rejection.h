@@ -7,26 +7,8 @@
 #ifndef KINPOLE_REJECTION_H
 #define KINPOLE_REJECTION_H
 
-#include "_frames.h"
-
-/* What is unusual of a body in a frame, as bits: a marker does not fit its place, or the body turned by
-   more than a quarter; a marker is so far off that its name is doubtful; a marker has no place yet. */
-#define UNUSUAL_BITS(CODE) \
-    CODE(ODD, 1)           \
-    CODE(NAME_DOUBTFUL, 2) \
-    CODE(NEW_MARKER, 4)
-
-/* Why a body has no result; larger numbers go first. The texts are in rejection.py. */
-#define REASONS(CODE)      \
-    CODE(KNOWN, 0)         \
-    CODE(NOT_FULL, 1)      \
-    CODE(TOO_NOISY, 2)     \
-    CODE(NOISE_UNKNOWN, 3) \
-    CODE(NOT_SEEN, 4)      \
-    CODE(OFF_PATH, 5)
-
-enum { UNUSUAL_BITS(DECLARE_CODE) };
-enum { REASONS(DECLARE_CODE) };
+#include "../include/codes.h"
+#include "../include/frames.h"
 
 /* The verdict on marker `k` of body `b`, whose residual has this square. */
 static inline int

@@ -1,7 +1,7 @@
 #ifndef KINPOLE_JOINTS_H
 #define KINPOLE_JOINTS_H
 
-#include "../tracking/_quantities.h"
+#include "motion.h"
 
 /* Joints of the second body against the first, -1 for the ground. The name of joint k, with its
    terminating zero, is that from `ends[k]` to `ends[k + 1]`. See _joints.py. */

@@ -5,7 +5,7 @@
 #ifndef KINPOLE_QUANTITIES_H
 #define KINPOLE_QUANTITIES_H
 
-#include "../core/include/structs.h"
+#include "structs.h"
 
 #define HIGHEST 4
 
@@ -34,20 +34,6 @@ enum { DETERMINED = 1, MOVES = 2 };
 
 typedef STRUCT(MOTION_FIELDS) Motion;
 
-/* A quantity of one body at one instant: covariance xx, xy and yy, or a variance. */
-typedef struct {
-    Number value;
-    double spread[3];
-    int flags;
-} Quantity;
-
-/* Whether anything is known of a body at an instant. */
-int kinpole_is_known(const Motion *m, long long t);
-/* Of the body and instant `t`, or of `j` with respect to `i`. */
-Quantity kinpole_rate(const Motion *m, long long t, int order);
-Quantity kinpole_quantity(const Motion *m, long long t, int what);
-Quantity kinpole_relative_rate(const Motion *m, long long j, long long i);
-Quantity kinpole_relative_center(const Motion *m, long long j, long long i);
 API void kinpole_quantities(int what, const Motion *m, Number *values, double *spreads,
                             unsigned char *flags);
 API void kinpole_relative_centers(const Motion *m, long long bodies, const long long *pairs,

@@ -1,7 +1,7 @@
 #ifndef KINPOLE_ASSIGN_H
 #define KINPOLE_ASSIGN_H
 
-#include "../core/include/structs.h"
+#include "structs.h"
 
 /* Slot k of `count` takes row `rows[k]` of the `points` of a frame; none from row `points` on. Points
    are scaled, and those not nearer than `farthest`, m, are NaN. The plane is that of plane.py: without

@@ -6,7 +6,7 @@
 
 #include <math.h>
 
-#include "_quantities.h"
+#include "poles.h"
 
 /* Complex products that do not check for infinities take a third of the time. */
 #ifndef __clang__

@@ -4,7 +4,8 @@
 
 #include <math.h>
 
-#include "_rejection.h"
+#include "numbers.h"
+#include "rejection.h"
 
 #pragma GCC optimize("O3", "cx-limited-range")
 

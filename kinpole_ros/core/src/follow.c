@@ -9,7 +9,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "_rejection.h"
+#include "fit.h"
+#include "numbers.h"
+#include "rejection.h"
 
 #pragma GCC optimize("O3", "cx-limited-range")
 

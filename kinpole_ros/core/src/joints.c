@@ -5,7 +5,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "_joints.h"
+#include "../include/joints.h"
+#include "poles.h"
 
 /* Adds the angle or rate of a body `seconds` after an instant, by its Taylor series up to the
    acceleration; or the variance of that. Returns whether the body is known. */

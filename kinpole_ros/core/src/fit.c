@@ -1,12 +1,14 @@
 /*
  * Poses fitted to the markers of a frame.
  *
- * Arrays are those of _frames.h.
+ * Arrays are those of frames.h.
  */
 
 #include <math.h>
 
-#include "_rejection.h"
+#include "fit.h"
+#include "numbers.h"
+#include "rejection.h"
 
 #pragma GCC optimize("O3", "cx-limited-range")
 

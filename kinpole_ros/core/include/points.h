@@ -1,7 +1,7 @@
 #ifndef KINPOLE_POINTS_H
 #define KINPOLE_POINTS_H
 
-#include "../core/include/structs.h"
+#include "structs.h"
 
 /* Messages of `size` bytes that agree with `key` where `mask` has bits, both of `compared` bytes. The
    stamp is at byte `stamp`, and before `end_of_time`, ns. Point k of `count` begins at byte
