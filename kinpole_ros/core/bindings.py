@@ -232,3 +232,34 @@ def codes_of(enum: str) -> dict[str, int]:
 _read_structs()
 _PARTS = _read_list('kinpole_parts', _Description)
 _CODES = _read_list('kinpole_codes', _Codes)
+
+_pointer = ctypes.POINTER
+_NUMBER, _ARRAY, _DATA = ctypes.c_longlong, ctypes.c_void_p, ctypes.c_char_p
+# What the functions of the headers return, and their arguments. Structs that are rows of an array,
+# or in one, are passed as arrays: `Results`, `Plane` and `Row`.
+_PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
+    'derive': (ctypes.c_int, [_pointer(Call)]),
+    'try_frame': (ctypes.c_int, [_pointer(Frames), _ARRAY]),
+    'follow': (ctypes.c_int, [_pointer(Frames), _pointer(Call), _ARRAY]),
+    'assign': (None, [_pointer(Slots), _ARRAY, _NUMBER, *3 * [_ARRAY]]),
+    'quantities': (None, [ctypes.c_int, _pointer(Motion), *3 * [_ARRAY]]),
+    'relative_centers': (None, [_pointer(Motion), _NUMBER, _ARRAY, _NUMBER, *3 * [_ARRAY]]),
+    'count_matches': (_NUMBER, [_pointer(MessageLayout), _DATA, _NUMBER, _NUMBER]),
+    'read_points': (None, [_pointer(MessageLayout), _DATA, _ARRAY]),
+    'read_messages': (None, [_pointer(MessageLayout), _DATA, _NUMBER, _NUMBER, _ARRAY, _ARRAY]),
+    'write_rows': (None, [_pointer(Motion), _NUMBER, _ARRAY, _ARRAY, _NUMBER, _ARRAY, _ARRAY]),
+    'write_joints': (
+        None,
+        [_pointer(Motion), _pointer(Joints), _ARRAY, _ARRAY, _NUMBER, _ARRAY, _ARRAY],
+    ),
+}
+
+
+def _declare_functions() -> None:
+    """Give the functions of the library their types."""
+    for name, (result, arguments) in _PROTOTYPES.items():
+        function = getattr(library, f'kinpole_{name}')
+        function.restype, function.argtypes = result, arguments
+
+
+_declare_functions()

@@ -4,7 +4,7 @@ Call the compiled kernel: from poses at stamps to derivatives at instants.
 The tables of window kinds are kept between calls, because they take 30 to 100 ms to make.
 """
 
-from ctypes import POINTER, byref, c_longlong, sizeof
+from ctypes import byref, c_longlong, sizeof
 from typing import NamedTuple
 
 import numpy as np
@@ -63,10 +63,6 @@ class Derivatives(NamedTuple):
     freedom: Real
 
 
-_derive = library.kinpole_derive
-_derive.argtypes = [POINTER(Call)]
-
-
 class _Tables(NamedTuple):
     """The `arrays` that tables point to, and the `tables` (n, k), each the k fields of `Table`."""
 
@@ -115,7 +111,7 @@ def derive_poses(
     for name, array in numbers.items():
         call.bind(name, np.ascontiguousarray(array, call.elements[name]))
     tables = pass_tables(call)
-    while code := _derive(byref(call)):
+    while code := library.kinpole_derive(byref(call)):
         tables = go_on(call, code)
     del tables
     first, second, square = 2 * orders, 3 * orders, (orders, orders, instants, bodies)

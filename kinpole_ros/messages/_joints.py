@@ -1,7 +1,7 @@
 """What robot stacks read: states of joints between bodies."""
 
 from collections.abc import Mapping, Sequence
-from ctypes import POINTER, byref, c_longlong, c_void_p
+from ctypes import byref
 from fractions import Fraction
 from itertools import pairwise
 from typing import NamedTuple
@@ -46,19 +46,11 @@ class _Joints(Joints):
         out, lengths = np.empty(count * size, np.uint8), np.empty(count, np.int64)
         arrays = stamps, nearest, out, lengths
         at_stamps, at_nearest, at_out, at_lengths = map(address_of, arrays)
-        _write_joints(
+        library.kinpole_write_joints(
             *(byref(motion), byref(self), at_stamps, at_nearest, count, at_out, at_lengths)
         )
         data = out.tobytes()
         return [data[k * size : k * size + length] for k, length in enumerate(lengths.tolist())]
-
-
-_write_joints = library.kinpole_write_joints
-_write_joints.argtypes = [
-    *(POINTER(Motion), POINTER(_Joints), c_void_p, c_void_p),
-    *(c_longlong, c_void_p, c_void_p),
-]
-_write_joints.restype = None
 
 
 class _Last(NamedTuple):

@@ -1,6 +1,6 @@
 """Points in the bytes of messages, read by compiled code."""
 
-from ctypes import POINTER, byref, c_char_p, c_longlong, c_void_p
+from ctypes import byref
 from typing import NamedTuple
 
 import numpy as np
@@ -45,30 +45,21 @@ class MessageLayout(bindings.MessageLayout):
 
     def count_matches(self, data: bytes, first: int, count: int) -> int:
         """Return how many messages from `first` on are of the layout; `data` are `count`."""
-        matches: int = _count_matches(self._self, data, first, count)
+        matches: int = library.kinpole_count_matches(self._self, data, first, count)
         return matches
 
     def read(self, data: bytes, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return stamps (T,), ns, and points (T, n, 3) of `count` messages from `first` on."""
         stamps, points = np.empty(count, np.int64), np.empty((count, self.count, 3))
         into = pass_new_array(stamps), pass_new_array(points)
-        _read_messages(self._self, data, first, count, *into)
+        library.kinpole_read_messages(self._self, data, first, count, *into)
         return stamps, points
 
 
 def read_points(layout: PointLayout, data: bytes) -> np.ndarray:
     """Return the points (n, 3) in `data`; one that is not finite is NaN."""
     nothing, points = np.zeros(0, np.uint8), np.empty((len(layout.offsets), 3))
-    _read_points(byref(MessageLayout(layout, 0, 0, nothing, nothing)), data, address_of(points))
+    library.kinpole_read_points(
+        byref(MessageLayout(layout, 0, 0, nothing, nothing)), data, address_of(points)
+    )
     return points
-
-
-_count_matches = library.kinpole_count_matches
-_count_matches.argtypes = [c_void_p, c_char_p, c_longlong, c_longlong]
-_count_matches.restype = c_longlong
-_read_messages = library.kinpole_read_messages
-_read_messages.argtypes = [c_void_p, c_char_p, c_longlong, c_longlong, c_void_p, c_void_p]
-_read_messages.restype = None
-_read_points = library.kinpole_read_points
-_read_points.argtypes = [POINTER(MessageLayout), c_char_p, c_void_p]
-_read_points.restype = None

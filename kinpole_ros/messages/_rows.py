@@ -6,7 +6,7 @@ estimate, are made by one call: in a node that sleeps between frames each call o
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from ctypes import POINTER, byref, c_double, c_longlong, c_void_p, sizeof
+from ctypes import byref, c_double, sizeof
 from functools import partial
 from itertools import chain
 from operator import itemgetter
@@ -19,7 +19,6 @@ from kinpole_ros.core.bindings import address_of, library
 from kinpole_ros.messages._cdr import Writer
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
-from kinpole_ros.tracking.quantities import Motion
 from kinpole_ros.tracking.values import Numbers, Vectors
 
 if TYPE_CHECKING:
@@ -45,13 +44,6 @@ _UNMEASURED = 1e6  # m², rad², ...: a variance that a planar measurement says 
 # The same in a plane oblique to the axes of the frame, where it adds to all cells of the matrix and
 # must not round away what is measured: standard deviations down to 1e-7 m are kept.
 _UNMEASURED_OBLIQUE = 1e2
-
-_write_rows = library.kinpole_write_rows
-_write_rows.argtypes = [
-    *(POINTER(Motion), c_longlong, c_void_p),
-    *(c_void_p, c_longlong, c_void_p, c_void_p),
-]
-_write_rows.restype = None
 
 
 class Row(NamedTuple):
@@ -128,7 +120,7 @@ class Rows:
         out = np.empty(self._size * instants, np.uint8)
         made = np.empty((len(self.rows), instants), np.uint8)
         addresses = address_of(self._space), address_of(self._fields)
-        _write_rows(
+        library.kinpole_write_rows(
             *(byref(motion), bodies, *addresses, len(self.rows), address_of(out), address_of(made))
         )
         del arrays

@@ -6,7 +6,7 @@ in fixed slots. Most layouts repeat, so the rows of each layout are looked up on
 """
 
 from collections.abc import Sequence
-from ctypes import byref, c_longlong, c_void_p
+from ctypes import byref
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
@@ -30,10 +30,6 @@ FARTHEST_MARKER = 1e15
 
 # Points in the plane and their heights, m.
 InPlane: TypeAlias = tuple[np.ndarray, np.ndarray]
-
-_assign = library.kinpole_assign
-_assign.argtypes = [c_void_p, c_void_p, c_longlong, c_void_p, c_void_p, c_void_p]
-_assign.restype = None
 
 
 class Layout(NamedTuple):
@@ -196,7 +192,7 @@ class MarkerAssignment:
             return *self._in_plane(points, slots), None
         in_space = np.empty((len(points), *slots.array.shape, 3))
         into = None, None, pass_new_array(in_space)
-        _assign(byref(slots), pass_new_array(points), len(points), *into)
+        library.kinpole_assign(byref(slots), pass_new_array(points), len(points), *into)
         if self.posed:
             assert frames.axes is not None
             axes = frames.axes[first:]
@@ -215,7 +211,7 @@ class MarkerAssignment:
             return nowhere, nowhere.real
         flat, heights = np.empty(shape, complex), np.empty(shape)
         into = pass_new_array(flat), pass_new_array(heights), None
-        _assign(byref(slots), pass_new_array(points), len(points), *into)
+        library.kinpole_assign(byref(slots), pass_new_array(points), len(points), *into)
         return flat, heights
 
     def _project_poses(self, poses: np.ndarray) -> InPlane:

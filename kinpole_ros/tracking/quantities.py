@@ -1,6 +1,6 @@
 """Poles, the velocity of the ICR and the curvature of centrodes, and where they are determined."""
 
-from ctypes import POINTER, byref, c_int, c_longlong, c_void_p
+from ctypes import byref
 
 import numpy as np
 
@@ -63,14 +63,6 @@ class Motion(bindings.Motion):
         return motion
 
 
-_compute = library.kinpole_quantities
-_compute.argtypes = [c_int, POINTER(Motion), *[c_void_p] * 3]
-_compute.restype = None
-_relative_centers = library.kinpole_relative_centers
-_relative_centers.argtypes = [POINTER(Motion), c_longlong, c_void_p, c_longlong, *[c_void_p] * 3]
-_relative_centers.restype = None
-
-
 def compute_quantity(what: int, motion: Motion) -> tuple[Complex, Real, np.ndarray]:
     """
     Compute a quantity with its covariance.
@@ -101,7 +93,7 @@ def compute_quantity(what: int, motion: Motion) -> tuple[Complex, Real, np.ndarr
     if not 1 <= needed < motion.orders <= 5:
         raise ValueError(f'expected derivatives up to order {needed}, got {motion.orders - 1}')
     arrays = _empty(motion.shape)
-    _compute(what, byref(motion), *map(address_of, arrays))
+    library.kinpole_quantities(what, byref(motion), *map(address_of, arrays))
     return arrays
 
 
@@ -127,7 +119,9 @@ def relative_centers(motion: Motion, pairs: np.ndarray) -> tuple[Complex, Real, 
     arrays = _empty((*shape, number))
     if motion.count:
         addresses = map(address_of, arrays)
-        _relative_centers(byref(motion), bodies, address_of(pairs), number, *addresses)
+        library.kinpole_relative_centers(
+            byref(motion), bodies, address_of(pairs), number, *addresses
+        )
     return arrays
 
 

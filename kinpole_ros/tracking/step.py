@@ -1,6 +1,6 @@
 """Usual frames, taken by compiled code on the arrays of the history and the bodies."""
 
-from ctypes import POINTER, addressof, byref, c_void_p
+from ctypes import addressof, byref
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from kinpole_ros.core.bindings import (
     library,
     pass_new_array,
 )
-from kinpole_ros.derivatives import Call, go_on, new_call, pass_tables
+from kinpole_ros.derivatives import go_on, new_call, pass_tables
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins
 from kinpole_ros.tracking.estimate import Results
@@ -28,11 +28,6 @@ DONE, TABLE_LACKING, UNUSUAL = _ENDS['DONE'], _ENDS['LACKING'], _ENDS['UNUSUAL']
 # Fields of `Frames` by their owners: see frames.h.
 _LEARNED, _STATES = fields_of('BODY_ARRAYS'), fields_of('TRACKING_STATE')
 _NEW_FRAMES = {name: Frames.elements[name] for name in fields_of('NEW_FRAMES')}
-
-_try_frame = library.kinpole_try_frame
-_try_frame.argtypes = [POINTER(Frames), c_void_p]
-_follow = library.kinpole_follow
-_follow.argtypes = [POINTER(Frames), POINTER(Call), c_void_p]
 
 
 class Step:
@@ -172,7 +167,7 @@ class Step:
         # Keeps the tables alive while the library uses them.
         tables, result_fields = pass_tables(call), pass_new_array(results.fields)
         while (
-            code := _follow(self._frames, call, result_fields)
+            code := library.kinpole_follow(self._frames, call, result_fields)
         ) <= TABLE_LACKING and code != DONE:
             tables = go_on(call, code)
         del tables
@@ -186,7 +181,7 @@ class Step:
         if history.reserve(1):
             self.bind_history()
         self.fields.first, self.fields.end = history.first, history.end
-        return int(_try_frame(self._frames, address_of(markers)))
+        return int(library.kinpole_try_frame(self._frames, address_of(markers)))
 
     def correct_next(self, markers: np.ndarray) -> None:
         """Fit the next frame to these markers (B, n), complex, whatever is unusual of it."""
