@@ -9,7 +9,7 @@ PIP = $(RUN) -m pip install --disable-pip-version-check
 PYTEST := -m pytest -p xdist -n auto --dist loadfile
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test docs oldest newest lint bags fuzz lock clean
+.PHONY: help demo test docs oldest newest lint sanitize bags fuzz lock clean
 
 help:  ## list these targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST)
@@ -81,6 +81,14 @@ lint: .venv/test-$(READY)  ## style and types
 	@$(RUN) -m ruff check
 	@$(RUN) -m ruff format --check
 	@$(RUN) -m mypy
+
+sanitize: .venv/test-$(READY)  ## tests of the compiled library under the sanitizers of gcc, for addresses and undefined behavior
+	@CC=gcc CFLAGS='-O1 -g -fsanitize=address,undefined -fno-sanitize-recover=undefined -fno-omit-frame-pointer' \
+	  $(RUN) setup.py -q build_ext --inplace --force
+	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libubsan.so)" \
+	  ASAN_OPTIONS=detect_leaks=0 PYTHONMALLOC=malloc PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 OPENBLAS_NUM_THREADS=1 \
+	  $(RUN) -m pytest -q $(foreach name,bindings compiled quantities state marker_reader wrong_frames,test/test_$(name).py); \
+	  status=$$?; $(RUN) setup.py -q build_ext --inplace --force && exit $$status
 
 bags: .venv/demo-$(READY)  ## simulate the bags in bags/ again
 	@for scene in four_bar rolling_wheel cardan; do \

@@ -37,11 +37,11 @@ typedef double complex Number;
     }
 #define DECLARE_CODE(name, value) name = value,
 
-/* A function that Python calls. */
+/* A function that Python calls: the library exports no others. */
 #ifdef _WIN32
 #define API __declspec(dllexport)
 #else
-#define API
+#define API __attribute__((visibility("default")))
 #endif
 
 /* A field: its type as it is written, the number of a BLOCK, 0 for a VALUE, -1 for an ARRAY. */

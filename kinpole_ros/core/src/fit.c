@@ -10,8 +10,6 @@
 #include "numbers.h"
 #include "rejection.h"
 
-#pragma GCC optimize("O3", "cx-limited-range")
-
 static const double ROUNDING = 4 * 2.220446049250313e-16, TINY = 2.2250738585072014e-308;
 static const double TURN = 6.283185307179586;
 

@@ -13,8 +13,6 @@
 #include "numbers.h"
 #include "rejection.h"
 
-#pragma GCC optimize("O3", "cx-limited-range")
-
 /* The arrays of one call of `kinpole_derive`. `heading` is the angle of the body, and `angle` that by
    which its hub moves: the heading plus what a tilted body turns beyond it. */
 typedef struct {

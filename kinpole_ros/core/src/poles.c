@@ -8,11 +8,6 @@
 
 #include "poles.h"
 
-/* Complex products that do not check for infinities take a third of the time. */
-#ifndef __clang__
-#pragma GCC optimize("O3", "cx-limited-range")
-#endif
-
 /* A quantity with its partial derivatives by the derivatives of position and angle. */
 typedef struct {
     Number value, by_position[HIGHEST + 1], by_angle[HIGHEST + 1];

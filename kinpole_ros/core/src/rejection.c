@@ -7,8 +7,6 @@
 #include "numbers.h"
 #include "rejection.h"
 
-#pragma GCC optimize("O3", "cx-limited-range")
-
 enum { LONGEST = 3, LOOK_BACK = 4 * LONGEST, NODES = 4 };
 /* Poses off a pin in a window that are outliers at most. */
 enum { MAX_OFF_PIN = 2 };

@@ -11,10 +11,6 @@
 #include "../include/rows.h"
 #include "poles.h"
 
-#ifndef __clang__
-#pragma GCC optimize("O3", "cx-limited-range")
-#endif
-
 /* What a message is: a vector along the normal, in the plane, a point at the height of a body, a pose
    with covariance, odometry, a frame of /tf, or the topic `state`. */
 enum { NORMAL, VECTOR, POINT, POSE, ODOMETRY, FRAME, STATE };
