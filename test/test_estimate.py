@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from kinpole_ros import planar
-from kinpole_ros.tracking.estimate import PINNED, SLOW_ICR, Estimate
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.reasons import PINNED, SLOW_ICR
 
 COUNT, ORDER = 7, 3
 

@@ -24,8 +24,8 @@ from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.report import _page, report, settings_for
 from kinpole_ros.tools.report._record import Collector, theory_rates
 from kinpole_ros.tools.report._result_bag import Diagnostics
-from kinpole_ros.tracking.estimate import SLOW_ICR
 from kinpole_ros.tracking.parameters import Settings, load_settings
+from kinpole_ros.tracking.reasons import SLOW_ICR
 from kinpole_ros.tracking.values import RATE_NAMES
 
 ROOT = Path(__file__).parents[1]

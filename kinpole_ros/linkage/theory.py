@@ -29,8 +29,9 @@ from kinpole_ros.mechanism import (
 )
 from kinpole_ros.planar import Port, center_offset, covariance, measured_balance, point_motion
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.tracking.estimate import SIGNIFICANT, Estimate
+from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.parameters import POSE_TYPES, ParameterError, Settings, of_poses
+from kinpole_ros.tracking.reasons import SIGNIFICANT
 from kinpole_ros.tracking.values import Numbers, Vectors
 
 # Time between instants whose rates are compared, ns: the golden ratio, so that no rate of a

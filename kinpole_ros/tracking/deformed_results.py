@@ -11,7 +11,7 @@ from kinpole_ros.tracking.rejection import REASONS
 
 def add_deformation(results: Results, first: int, bodies: Bodies, history: History) -> None:
     """Add to the covariances of the results from `first` on what the deformation of bodies adds."""
-    for t in range(first, results.count):
+    for t in range(first, results.filled):
         usable = results.array('reason')[t] == REASONS['KNOWN']
         for b in np.flatnonzero(usable & (bodies.freedom > 0)).tolist():
             _add_deformation_of(results, t, bodies, b, history)

@@ -6,16 +6,14 @@ computed from them when they are first asked for. A quantity that does not excee
 undetermined, for a reason that is named.
 """
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from ctypes import addressof, c_longlong, sizeof
-from functools import cached_property, lru_cache, partial
-from typing import Any, NamedTuple, TypeVar
+from ctypes import addressof
+from functools import cached_property, partial
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from kinpole_ros import planar
-from kinpole_ros.core import bindings
 from kinpole_ros.core.bindings import pass_new_array
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.tracking.events import BodyEvent
@@ -30,7 +28,9 @@ from kinpole_ros.tracking.quantities import (
     compute_quantity,
     relative_centers,
 )
+from kinpole_ros.tracking.reasons import stands_out, why_no_curvature, why_no_poles
 from kinpole_ros.tracking.rejection import REASONS_OF_MARKERS, REASONS_OF_POSES
+from kinpole_ros.tracking.result_layout import COUNT, INSTANT_AXIS, Part, layout_of
 from kinpole_ros.tracking.values import (
     POLE_NAMES,
     FramePoses,
@@ -39,116 +39,76 @@ from kinpole_ros.tracking.values import (
     pair_indices,
 )
 
-# A denominator counts as known when it exceeds its standard deviation this many times. Beyond this
-# many body sizes a pole is as good as at infinity. Both as in poles.c.
-SIGNIFICANT, FARTHEST = 4.0, 1e3
-# Reasons why a body with a determined ICR has no curvature of the centrode.
-PINNED = 'pinned: the ICR stands still'
-SLOW_ICR = 'the velocity of the ICR does not stand out of its noise'
 _Arrays = TypeVar('_Arrays', bound=Vectors | Numbers | FramePoses)
-# Which axis of each array is that of the instants.
-INSTANT_AXIS = {
-    **dict.fromkeys(('position_covariance', 'angle_covariance'), 2),
-    **dict.fromkeys(('position', 'angle'), 1),
-}
 
 
-class _Part(NamedTuple):
-    """Where an array is in the buffer of results."""
-
-    shape: tuple[int, ...]
-    dtype: Any
-    offset: int
-
-
-# Where `fields` has the number of results, and of those of deformed bodies.
-COUNT, DEFORMED = (
-    field.offset // sizeof(c_longlong)
-    for field in (bindings.Results.count, bindings.Results.deformed)
-)
-# The arrays that C fills, of which the first of the derivatives stands for all of them.
-_FIELDS = tuple('position' if name == 'derivatives' else name for name in bindings.Results.elements)
-
-
-@lru_cache(maxsize=64)
-def _layout_of(
-    instants: int, orders: int, bodies: int, markers: int
-) -> tuple[dict[str, _Part], np.ndarray, np.ndarray, int]:
-    """Where the arrays of results, and the fields of C and of `Motion` are; the size of all."""
-    each, square = (instants, bodies), (orders, orders, instants, bodies)
-    arrays: dict[str, tuple[tuple[int, ...], Any]] = {
-        'stamp': ((instants,), np.int64),
-        'due': ((instants,), np.int64),
-        'rows': ((instants, 3), np.int64),
-        # From here to `freedom`: derivatives as `derive_poses` has them.
-        'position': ((orders, *each), complex),
-        'angle': ((orders, *each), float),
-        'position_covariance': (square, float),
-        'angle_covariance': (square, float),
-        'span': (each, float),
-        'freedom': (each, float),
-        **dict.fromkeys(('size', 'height', 'pin_variance', 'frame_angle'), (each, float)),
-        'information': ((instants, 2, bodies), float),
-        'noise': (each, float),
-        'pin': (each, complex),
-        'shape': ((*each, markers), complex),
-        **dict.fromkeys(('reference', 'frame_position', 'middle'), (each, complex)),
-        'reason': (each, np.uint8),
-    }
-    layout, offset = {}, 0
-    for name, (shape, dtype) in arrays.items():
-        layout[name] = _Part(shape, dtype, offset)
-        offset += math.prod(shape) * np.dtype(dtype).itemsize
-    of_fields, of_motion = (
-        np.array([layout[name].offset for name in names]) for names in (_FIELDS, Motion.elements)
-    )
-    return layout, of_fields, of_motion, offset
-
-
-class Results:
+class Results(NamedTuple):
     """
     The results of up to so many instants, of bodies with some markers, as follow.c fills them.
 
-    `fields` are those of `Results` there: the number of instants that there is memory for, how many
-    have results, the fewest samples of a window, how many results are of deformed bodies, and where
-    the arrays begin.
+    Attributes
+    ----------
+    fields : (n,) int64
+        Those of `Results` of frames.h: the number of instants that there is memory for, how many
+        have results, the fewest samples of a window, how many results are of deformed bodies, and
+        where the arrays begin.
+    layout : dict of str to Part
+        Where each array is in the buffer.
+    buffer : ndarray
+        All arrays, from `address` on.
+    of_motion : (m,) int64
+        Where the arrays of `Motion` are in the buffer.
+    instants, orders, bodies : int
+        Sizes of the arrays.
+
     """
 
-    def __init__(self, instants: int, orders: int, bodies: int, markers: int) -> None:
-        self.instants, self.orders, self._bodies = instants, orders, bodies
-        self._layout, offsets, self._of_motion, size = _layout_of(instants, orders, bodies, markers)
-        self._buffer = np.empty(size, np.uint8)
-        numbers = instants, 0, FEWEST_SAMPLES, 0
-        self.fields = np.empty(len(numbers) + len(offsets), np.int64)
-        self.fields[: len(numbers)] = numbers
-        self._address = addressof(pass_new_array(self._buffer))
-        np.add(offsets, self._address, out=self.fields[len(numbers) :])
+    fields: np.ndarray
+    layout: dict[str, Part]
+    buffer: np.ndarray
+    address: int
+    of_motion: np.ndarray
+    instants: int
+    orders: int
+    bodies: int
 
     @property
-    def count(self) -> int:
+    def filled(self) -> int:
         """How many instants have results."""
         return int(self.fields[COUNT])
 
     def array(self, name: str) -> np.ndarray:
         """Return an array, of all instants that there is memory for."""
-        shape, dtype, offset = self._layout[name]
-        return np.ndarray(shape, dtype, self._buffer, offset)
+        shape, dtype, offset = self.layout[name]
+        return np.ndarray(shape, dtype, self.buffer, offset)
 
     def column(self, name: str) -> np.ndarray:
         """Return an array, of the instants that have results."""
-        array, count = self.array(name), self.count
+        array, count = self.array(name), self.filled
         if count == self.instants:
             return array
         return array[(slice(None),) * INSTANT_AXIS.get(name, 0) + (slice(count),)]
 
     def motion(self) -> Motion:
         """Return the motion of the instants that have results."""
-        count = self.count
-        numbers = count * self._bodies, self.instants * self._bodies, self.orders
-        fields = np.empty(len(numbers) + len(self._of_motion), np.int64)
+        count = self.filled
+        numbers = count * self.bodies, self.instants * self.bodies, self.orders
+        fields = np.empty(len(numbers) + len(self.of_motion), np.int64)
         fields[: len(numbers)] = numbers
-        np.add(self._of_motion, self._address, out=fields[len(numbers) :])
-        return Motion.of_fields(fields, (count, self._bodies), self._buffer)
+        np.add(self.of_motion, self.address, out=fields[len(numbers) :])
+        return Motion.of_fields(fields, (count, self.bodies), self.buffer)
+
+
+def new_results(instants: int, orders: int, bodies: int, markers: int) -> Results:
+    """Return memory for the results of so many instants, with derivatives of so many `orders`."""
+    layout, offsets, of_motion, size = layout_of(instants, orders, bodies, markers)
+    numbers = instants, 0, FEWEST_SAMPLES, 0
+    fields = np.empty(len(numbers) + len(offsets), np.int64)
+    fields[: len(numbers)] = numbers
+    buffer = np.empty(size, np.uint8)
+    address = addressof(pass_new_array(buffer))
+    np.add(offsets, address, out=fields[len(numbers) :])
+    return Results(fields, layout, buffer, address, of_motion, instants, orders, bodies)
 
 
 class _Column:
@@ -356,10 +316,10 @@ class Estimate:
         """
         if self.missing[body]:
             return ''
-        if _stands_out(np.abs(self.angle), self.angle_covariance)[body]:
+        if stands_out(np.abs(self.angle), self.angle_covariance)[body]:
             return 'pinned' if self.pinned[body] else 'general'
         # The length of a vector has twice the variance of one coordinate.
-        moves = _stands_out(np.abs(self.position), 2 * self.position_covariance)
+        moves = stands_out(np.abs(self.position), 2 * self.position_covariance)
         return 'translating' if moves[body] else 'still'
 
     @cached_property
@@ -434,21 +394,15 @@ class Estimate:
         The quantities are the poles and, from order 3 on, the curvature of the centrode. A reason
         in `missing` holds for all of them.
         """
-        reasons = {}
-        for order in range(1, self.order + 1):
-            pole = self.pole(order)
-            with np.errstate(invalid='ignore'):
-                far = np.abs(pole.value - self.position[0]) > FARTHEST * self.size
-            reason = np.where(self.pole(1).determined, 'lost in its noise', 'no rotation')
-            reason = np.where(far, 'pole at infinity', reason)
-            reasons[POLE_NAMES[order - 1]] = np.where(pole.determined, '', reason)
+        poles = [self.pole(order) for order in range(1, self.order + 1)]
+        reasons = dict(
+            zip(POLE_NAMES, why_no_poles(poles, self.position[0], self.size), strict=False)
+        )
         if self.order >= 3:
-            # A velocity within its noise does not show a pin; all poses together do.
-            reason = np.where(self.pole(1).determined, SLOW_ICR, '')
-            reason = np.where(self.pinned & self.pole(1).determined, PINNED, reason)
-            reason = np.where(self.icr_moves, 'lost in its noise', reason)
-            is_known = self.centrode_curvature.determined
-            reasons['centrode_curvature'] = np.where(is_known, '', reason)
+            reasons['centrode_curvature'] = why_no_curvature(
+                *(self.pole(1).determined, self.pinned, self.icr_moves),
+                self.centrode_curvature.determined,
+            )
         return {
             name: np.where(self.missing == '', why, self.missing) for name, why in reasons.items()
         }
@@ -457,13 +411,6 @@ class Estimate:
 def _at(instant: int, arrays: _Arrays) -> _Arrays:
     """One instant of arrays (T, ...)."""
     return type(arrays)(*(array[instant] for array in arrays))
-
-
-def _stands_out(values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Where (..., B) any derivative (K, ..., B) of order 1 or higher exceeds its noise."""
-    variance = np.einsum('kk...->k...', covariance)
-    with np.errstate(invalid='ignore'):
-        return np.asarray((values > SIGNIFICANT * np.sqrt(variance))[1:].any(axis=0))
 
 
 def estimate_of(

@@ -15,7 +15,7 @@ from kinpole_ros.core.bindings import (
 from kinpole_ros.derivatives import go_on, new_call, pass_tables
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins
-from kinpole_ros.tracking.estimate import Results
+from kinpole_ros.tracking.estimate import Results, new_results
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.rejection import FAR, GAP, NEAR, NEWEST_FACTOR, reasons_of
@@ -154,6 +154,13 @@ class Step:
             setattr(self.fields, name, address)
         self.fields.frame, self.fields.frames = 0, number
         self.fields.hidden_is_unusual = hidden_is_unusual
+
+    def reserve_results(self, frames: int, order: int | None) -> Results:
+        """Return memory for the results that so many frames can complete; none without an order."""
+        if order is None:
+            return new_results(0, 1, 0, 0)
+        waiting = self._history.end - self._history.first - self.fields.due
+        return new_results(frames + waiting, order + 1, self.fields.bodies, self.fields.width)
 
     def follow(self, until_update: int, results: Results) -> bool:
         """Take usual frames, at most so many; return whether the next frame is unusual."""

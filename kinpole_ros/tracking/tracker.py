@@ -11,17 +11,19 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from kinpole_ros.tracking.assignment import PlacedFrames
+from kinpole_ros.tracking.before_plane import keep_frame, take_again
 from kinpole_ros.tracking.correction import correct_next
 from kinpole_ros.tracking.deformed_results import add_deformation
-from kinpole_ros.tracking.estimate import COUNT, DEFORMED, Estimate, Results, estimate_of
+from kinpole_ros.tracking.estimate import Estimate, Results, estimate_of
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import no_outages, note_gap
 from kinpole_ros.tracking.parameters import Settings
-from kinpole_ros.tracking.state import Totals, start, start_bodies, widen
+from kinpole_ros.tracking.result_layout import COUNT, DEFORMED
+from kinpole_ros.tracking.state import Totals, start, widen
 from kinpole_ros.tracking.summary import TrackerSummary
 from kinpole_ros.tracking.timeline import TimedFrames, Timeline
-from kinpole_ros.tracking.update import update_clock, update_if_due
+from kinpole_ros.tracking.update import learn_if_due, update_clock, update_if_due
 
 
 class Tracker(TrackerSummary):
@@ -140,7 +142,7 @@ class Tracker(TrackerSummary):
         placed = self._place(frames, times)
         if state.bodies.width > width:
             estimates += self._flush_results()
-        results = self._reserve_results(len(frames.stamps), order)
+        results = state.step.reserve_results(len(frames.stamps), order)
         first, count = 0, len(frames.stamps)
         while first < count:
             self._search_events(first, numbers)
@@ -151,10 +153,10 @@ class Tracker(TrackerSummary):
             if state.assignment.plane is not state.space.plane:
                 self._keep_results(results, numbers)
                 estimates += self._flush_results()
-                self._replay_in_plane()
+                take_again(state, self._place)
                 placed = self._place(frames, times)
                 state.step.fields.frame = first
-                results = self._reserve_results(count - first, order)
+                results = state.step.reserve_results(count - first, order)
             self._follow(placed, times, results)
             first = state.step.fields.frame
         self._search_events(first, numbers)
@@ -183,7 +185,7 @@ class Tracker(TrackerSummary):
         state, computed = self.state, int(results.fields[COUNT])
         before, is_unusual = state.step.fields.frame, True
         if state.assignment.plane is None:
-            self._keep_before_plane(placed, times)
+            keep_frame(state, placed, times)
         else:
             if state.matcher.is_in_order(placed) and not state.bodies.exchanged:
                 is_unusual = state.step.follow(state.next_update - state.frame_count, results)
@@ -204,37 +206,6 @@ class Tracker(TrackerSummary):
         self.state.frame_count += taken
         self.state.new_frames += taken
 
-    def _keep_before_plane(self, placed: PlacedFrames, times: Sequence[np.ndarray]) -> None:
-        """Keep the next frame until the plane is known, and measure how it lies in space."""
-        state, in_space = self.state, placed.in_space
-        k = state.step.fields.frame
-        part = slice(k, k + 1)
-        frame = part_of(placed.frames, part), [array[part] for array in times]
-        state.before_plane.append(frame)
-        assert in_space is not None
-        unusable = state.matcher.is_incomplete_cloud(placed)
-        state.space.add(np.full_like(in_space[part], np.nan) if unusable else in_space[part])
-        state.step.correct_next(placed.points[k])
-
-    def _replay_in_plane(self) -> None:
-        """Take the earlier frames again, now that the plane is known."""
-        state = self.state
-        early = list(state.before_plane)
-        state.before_plane.clear()
-        due = state.step.fields.due - (len(state.history) - len(early))
-        seen_last = state.step.seen_last
-        state.assignment.set_plane(state.space.plane)
-        assert state.assignment.plane is not None
-        start_bodies(state)
-        for frame, times in early:
-            update_if_due(state)
-            placed = self._place(frame, times)
-            state.step.correct_next(correct_next(state, placed, 0))
-            state.step.follow(1, self._reserve_results(0, None))
-            self._count_taken(0)
-        state.step.fields.due = max(due, 0)
-        state.step.seen_last[:] = seen_last
-
     def _search_events(self, first: int, numbers: np.ndarray) -> None:
         """Search for events in the history, to which the frames before `first` were appended."""
         if not self._events_needed or first == 0:
@@ -243,14 +214,6 @@ class Tracker(TrackerSummary):
         hub = np.where(np.isfinite(state.pins.center), 0.0, state.bodies.hub)
         for event in state.event_search.search(state.history, state.bodies, hub, first - 1):
             self._events.append(event._replace(due=int(numbers[max(event.due, 0)])))
-
-    def _reserve_results(self, frames: int, order: int | None) -> Results:
-        """Reserve memory for the results that so many frames can complete."""
-        if order is None:
-            return Results(0, 1, 0, 0)
-        state = self.state
-        waiting = state.history.end - state.history.first - state.step.fields.due
-        return Results(frames + waiting, order + 1, state.bodies.count, state.bodies.width)
 
     def _keep_results(self, results: Results, numbers: np.ndarray) -> None:
         """Keep results for the next estimate; `numbers` count the frames passed to the step."""
@@ -270,8 +233,4 @@ class Tracker(TrackerSummary):
 
     def learn_if_due(self) -> None:
         """Learn from the history now if an update is due; otherwise the next `add` does."""
-        state = self.state
-        if state.frame_count >= state.next_update:
-            state.names_changed = update_if_due(state)
-        if state.timeline.until_update <= 0:
-            update_clock(state)
+        learn_if_due(self.state)

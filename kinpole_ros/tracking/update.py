@@ -31,6 +31,14 @@ def update_clock(state: State) -> None:
     state.timeline.update_clock(state.history, samples, state.bodies.noise)
 
 
+def learn_if_due(state: State) -> None:
+    """Learn, and estimate the clock, if either is due; the next frame need not then."""
+    if state.frame_count >= state.next_update:
+        state.names_changed = update_if_due(state)
+    if state.timeline.until_update <= 0:
+        update_clock(state)
+
+
 def _update(state: State) -> bool:
     """Learn from the history; return whether names stand for other markers since."""
     bodies, history, window = state.bodies, state.history, state.settings.window_ns
