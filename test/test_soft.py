@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from kinpole_ros import planar
 from kinpole_ros.messages import DiagnosticsMaker
-from kinpole_ros.tracking.deformation import TISSUE, deformation_covariance
+from kinpole_ros.tracking.deformation import TISSUE, ResultWindow, deformation_covariance
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import settings_from
@@ -166,9 +166,8 @@ def test_slow_residuals_count_by_their_derivatives_less_the_noise(
 
     def found(noise: float) -> np.ndarray:
         now, oldest = 100 - round(lag / step), 40
-        return deformation_covariance(
-            residual, now, oldest, step, 0.1, float(degree), noise, 1.0, 2
-        )
+        window = ResultWindow(now, oldest, step)
+        return deformation_covariance(residual, window, 0.1, float(degree), noise, 1.0, 2)
 
     quiet = found(0.0)
     np.testing.assert_array_less(-1e-9 * np.trace(quiet), np.linalg.eigvalsh(quiet))

@@ -7,6 +7,8 @@ gives c. A pin has degree 0 over all poses, a hub a low degree over each window.
 is smoother than that of a point on the rim, so the hub represents the position of the body.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
@@ -127,7 +129,6 @@ class Pins:
         is_pose = np.arange(_MAX_POSES)[:, None] < count
         fit = bodies.fit(np.where(is_pose[..., None], self._markers, np.nan))
         is_pose = (is_pose & np.isfinite(fit.angle))[:, which]
-        count = np.maximum(is_pose.sum(axis=0), 3)
         z = np.where(is_pose, fit.position[:, which], 0)
         e = np.where(is_pose, np.exp(1j * fit.angle[:, which]), 0)
         misfit = bodies.error[which]
@@ -140,44 +141,18 @@ class Pins:
             marker_residual = fit.residual[:, which] / scale
         usable = is_pose[..., None] & ~np.isnan(marker_residual)
         marker_residual = np.where(usable, marker_residual, 0)
-        # Weight by the variance at the pin, which depends on the arm.
-        arm = _fit_arm(z, e, is_pose / count)[0]
-        across = even + np.abs(arm) ** 2 * of_angle
-        weights = 1 / np.where(is_pose, across, 1)
-        weights = np.where(is_pose, weights, 0.0)
-        weights /= weights.sum(axis=0)
-        arm, z_mean, e_mean, spread = _fit_arm(z, e, weights)
-        across = even + np.abs(arm) ** 2 * of_angle
-        around = np.where(is_pose, e - e_mean, 0)
-        # Residuals in the frame of the body, along and across the arm.
-        residual = (np.where(is_pose, z - z_mean, 0) + arm * around) * e.conj()
-        direction = np.where(arm == 0, 1, arm / np.maximum(np.abs(arm), np.finfo(float).tiny))
-        residual = residual * direction.conj()
-        squares = residual.real**2 / np.where(is_pose, even, 1)
-        squares += residual.imag**2 / np.where(is_pose, across, 1)
-        square = squares.sum(axis=0) / np.maximum(2 * count - 4, 1)
-        # The center is linear in the poses, with these coefficients.
-        shares = weights * (1 - e_mean * around.conj() / spread)
-        white = np.maximum(square, 1) * np.where(is_pose, even + across, 0) / 2
-        variance = (np.abs(shares) ** 2 * white).sum(axis=0)
-        variance += _ARC_BIAS * _correlated_part(residual * np.sqrt(weights), count) / spread
-        # Errors of the shape move the center with the angle, and are seen in the markers.
-        slow = np.einsum('kb,kbn->bn', shares * e * np.sqrt((even + across) / 2), marker_residual)
-        freedom = np.maximum(2 * marker_residual.any(axis=0).sum(axis=-1) - 3, 1)
-        slow = (np.abs(slow) ** 2).sum(axis=-1) / freedom
-        is_slow = slow > chi_square(freedom, _CORRELATION_SIGMAS) * variance
-        variance = np.where(is_slow, slow * student(freedom), variance)
-        contradicted = square > _MAX_MISFIT_RATIO
-        noise, size = (weights * even).sum(axis=0), bodies.fitting.size[which]
-        is_seen = np.sqrt(noise) < _MIN_ICR_SPEED * 0.45 * size * spread
-        is_seen &= variance < (_MIN_ICR_SPEED * size) ** 2
+        pin = _fit_pins(z, e, is_pose, (even, of_angle), marker_residual)
+        contradicted = pin.square > _MAX_MISFIT_RATIO
+        size = bodies.fitting.size[which]
+        is_seen = np.sqrt(pin.noise) < _MIN_ICR_SPEED * 0.45 * size * pin.spread
+        is_seen &= pin.variance < (_MIN_ICR_SPEED * size) ** 2
         is_pinned = (self._pose_count[which] >= self._required_poses[which]) & is_seen
         is_pinned |= np.isfinite(self.center[which])
         is_pinned &= ~contradicted
         pinned = which[is_pinned]
-        self.center[pinned] = (z_mean + arm * e_mean)[is_pinned]
-        self.arm[pinned] = arm[is_pinned]
-        self.variance[pinned] = variance[is_pinned]
+        self.center[pinned] = pin.center[is_pinned]
+        self.arm[pinned] = pin.arm[is_pinned]
+        self.variance[pinned] = pin.variance[is_pinned]
         dropped = np.zeros(bodies.count, bool)
         dropped[which[contradicted]] = True
         self._drop(dropped)
@@ -289,6 +264,64 @@ def _hubs_of_sums(sums: Complex, variance: Real, freedom: Real, before: Complex)
     is_hub = (explained > required) & (turning**2 > _MIN_WINDOWS * squares)
     best = np.where(turns, unexplained / turning, np.inf).argmin(axis=0), np.arange(hub.shape[1])
     return np.where(turns[best] & is_hub[deciding] & ~is_wrong, hub[best], 0.0)
+
+
+class _PinFit(NamedTuple):
+    """
+    Pins fitted to poses of b bodies.
+
+    `center`, `arm` and `variance` are as in `Pins`. `square` is the mean square residual over that
+    of the noise, `noise` the variance of a position, m^2, and `spread` that of the turns.
+    """
+
+    center: Complex
+    arm: Complex
+    variance: Real
+    square: Real
+    noise: Real
+    spread: Real
+
+
+def _fit_pins(
+    z: Complex, e: Complex, is_pose: np.ndarray, noise: tuple[Real, Real], marker_residual: Complex
+) -> _PinFit:
+    """
+    Fit pins to poses (T, b) of bodies at `z`, turned by `e`, where there `is_pose`.
+
+    `noise` are the variances (T, b) of a position, m^2, and of an angle, rad^2; the residuals of
+    the markers (T, b, n) are in standard deviations.
+    """
+    even, of_angle = noise
+    count = np.maximum(is_pose.sum(axis=0), 3)
+    # Weight by the variance at the pin, which depends on the arm.
+    arm = _fit_arm(z, e, is_pose / count)[0]
+    across = even + np.abs(arm) ** 2 * of_angle
+    weights = 1 / np.where(is_pose, across, 1)
+    weights = np.where(is_pose, weights, 0.0)
+    weights /= weights.sum(axis=0)
+    arm, z_mean, e_mean, spread = _fit_arm(z, e, weights)
+    across = even + np.abs(arm) ** 2 * of_angle
+    around = np.where(is_pose, e - e_mean, 0)
+    # Residuals in the frame of the body, along and across the arm.
+    residual = (np.where(is_pose, z - z_mean, 0) + arm * around) * e.conj()
+    direction = np.where(arm == 0, 1, arm / np.maximum(np.abs(arm), np.finfo(float).tiny))
+    residual = residual * direction.conj()
+    squares = residual.real**2 / np.where(is_pose, even, 1)
+    squares += residual.imag**2 / np.where(is_pose, across, 1)
+    square = squares.sum(axis=0) / np.maximum(2 * count - 4, 1)
+    # The center is linear in the poses, with these coefficients.
+    shares = weights * (1 - e_mean * around.conj() / spread)
+    white = np.maximum(square, 1) * np.where(is_pose, even + across, 0) / 2
+    variance = (np.abs(shares) ** 2 * white).sum(axis=0)
+    variance += _ARC_BIAS * _correlated_part(residual * np.sqrt(weights), count) / spread
+    # Errors of the shape move the center with the angle, and are seen in the markers.
+    slow = np.einsum('kb,kbn->bn', shares * e * np.sqrt((even + across) / 2), marker_residual)
+    freedom = np.maximum(2 * marker_residual.any(axis=0).sum(axis=-1) - 3, 1)
+    slow = (np.abs(slow) ** 2).sum(axis=-1) / freedom
+    is_slow = slow > chi_square(freedom, _CORRELATION_SIGMAS) * variance
+    variance = np.where(is_slow, slow * student(freedom), variance)
+    mean_noise = (weights * even).sum(axis=0)
+    return _PinFit(z_mean + arm * e_mean, arm, variance, square, mean_noise, spread)
 
 
 def _fit_arm(z: Complex, e: Complex, weights: Real) -> tuple[Complex, Complex, Complex, Real]:

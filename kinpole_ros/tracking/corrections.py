@@ -6,6 +6,7 @@ half a turn, come here. So the corrections that are tried need not be fast.
 """
 
 from collections import Counter
+from functools import partial
 from itertools import combinations
 from typing import NamedTuple
 
@@ -176,23 +177,13 @@ def correct_markers(
     def without(count: int) -> list[np.ndarray]:
         return [np.where(np.isin(slots, out), -1, in_order) for out in combinations(seen, count)]
 
-    def best_of(orders: np.ndarray | list[np.ndarray]) -> Correction | None:
-        """The markers in the best of the orders (m, n), -1 for none; None if none fits."""
-        if not len(orders):
-            return None
-        rows = np.where(np.array(orders) < 0, _NOWHERE, points[orders])
-        used = np.where(np.isnan(rows), 0.0, weights)
-        best, worst = _best_fit(rows, shape, used, limit, angle, noise_ratio)
-        return _apply_order(points, seen, orders[best]) if worst <= limit else None
-
+    best_of = partial(_best_of, points, seen, shape, weights, limit, angle, noise_ratio)
     if len(seen) > 2:
         orders = find_candidates(points, seen, learned, limit).indices
         full = _complete_orders(orders, points, seen, learned, limit * noise_ratio)
         if correction := best_of(full):
             return correction
-        mirrored = np.where(in_order < 0, _NOWHERE, points.conj())[None]
-        used = np.where(in_order < 0, 0.0, weights)
-        if _best_fit(mirrored, shape, used, noise_ratio=noise_ratio)[1] <= limit:
+        if _fits_mirrored(points, shape, weights, in_order, limit, noise_ratio):
             return _leave_out_body(points, seen, MIRRORED)
         correction = best_of(without(1))
         if correction is None and len(seen) > 3:
@@ -203,6 +194,39 @@ def correct_markers(
         if correction is not None:
             return correction
     return _leave_out_body(points, seen, DROPPED)
+
+
+def _best_of(
+    points: Complex,
+    seen: np.ndarray,
+    shape: Complex,
+    weights: Real,
+    limit: float,
+    angle: float,
+    noise_ratio: Real | float,
+    orders: np.ndarray | list[np.ndarray],
+) -> Correction | None:
+    """Return the markers in the best of the orders (m, n), -1 for none; None if none fits."""
+    if not len(orders):
+        return None
+    rows = np.where(np.array(orders) < 0, _NOWHERE, points[orders])
+    used = np.where(np.isnan(rows), 0.0, weights)
+    best, worst = _best_fit(rows, shape, used, limit, angle, noise_ratio)
+    return _apply_order(points, seen, orders[best]) if worst <= limit else None
+
+
+def _fits_mirrored(
+    points: Complex,
+    shape: Complex,
+    weights: Real,
+    in_order: np.ndarray,
+    limit: float,
+    noise_ratio: Real | float,
+) -> bool:
+    """Whether the markers seen, `in_order` (n,) with -1 for the others, fit the mirrored body."""
+    mirrored = np.where(in_order < 0, _NOWHERE, points.conj())[None]
+    used = np.where(in_order < 0, 0.0, weights)
+    return bool(_best_fit(mirrored, shape, used, noise_ratio=noise_ratio)[1] <= limit)
 
 
 def _leave_out_body(points: Complex, seen: np.ndarray, kind: str) -> Correction:

@@ -11,6 +11,7 @@ to the variances of the derivatives.
 
 from functools import lru_cache
 from math import factorial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -87,11 +88,17 @@ def deformed_freedom(
     return np.where(deformed, free, 0.0), factor
 
 
+class ResultWindow(NamedTuple):
+    """Rows of an instant and of the oldest frame of its window; mean interval of its frames, s."""
+
+    now: int
+    oldest: int
+    interval: float
+
+
 def deformation_covariance(
     residual: Complex,
-    now: int,
-    oldest: int,
-    interval: float,
+    window: ResultWindow,
     span: float,
     degree: float,
     noise: float,
@@ -105,12 +112,10 @@ def deformation_covariance(
     ----------
     residual : array, shape (N, n), complex, m
         Residuals up to the newest of the window, hidden markers held.
-    now, oldest : int
-        Rows of the instant and of the oldest frame of the window.
-    interval, span : float, s
-        Mean interval of the frames, and length of the stencils.
-    degree : float
-        Degree of the stencils.
+    window : ResultWindow
+        The window of the instant, in rows of the residuals.
+    span, degree : float
+        Length of the stencils, s, and their degree.
     noise : float, m
         Standard deviation of a coordinate.
     freedom : float
@@ -124,17 +129,12 @@ def deformation_covariance(
         The covariance of one coordinate, per degree of freedom.
 
     """
+    now, oldest, interval = window
     newest = len(residual) - 1
     frames = newest - oldest
     if not (np.isfinite(span) and frames > DEGREES[0] + 1):
         return np.zeros((order + 1, order + 1))
-    degree = max(degree, DEGREES[0])
-    integer = min(round(degree), DEGREES[1])
-    # A stencil of a lower degree has to be shorter to follow the same motion.
-    length = (span / interval + 1) * (integer + 1) / (degree + 1)
-    length = LENGTH_RATIO ** np.rint(np.log(length) / np.log(LENGTH_RATIO))
-    integer = min(integer, frames - 2)
-    count = int(np.clip(np.rint(length), integer + 2, frames))
+    count, integer = _stencil_size(frames, span / interval + 1, degree)
     rows = stencils(count, min((count - 1) // 2, newest - now), integer, order)
     step = max(1, round(STEP_SHARE * count))
     first = max(oldest - round(EARLIER_WINDOWS * frames), 0)
@@ -151,6 +151,17 @@ def deformation_covariance(
     share *= np.sqrt(student(np.asarray(freedom * independent)))
     share /= interval ** np.arange(order + 1.0)
     return np.asarray(share[:, None] * share * mean)
+
+
+def _stencil_size(frames: int, length: float, degree: float) -> tuple[int, int]:
+    """Return samples and degree of stencils for a window, about as those of `length` samples."""
+    degree = max(degree, DEGREES[0])
+    integer = min(round(degree), DEGREES[1])
+    # A stencil of a lower degree has to be shorter to follow the same motion.
+    length = length * (integer + 1) / (degree + 1)
+    length = LENGTH_RATIO ** np.rint(np.log(length) / np.log(LENGTH_RATIO))
+    integer = min(integer, frames - 2)
+    return int(np.clip(np.rint(length), integer + 2, frames)), integer
 
 
 @lru_cache(maxsize=512)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from kinpole_ros.tracking.bodies import Bodies
-from kinpole_ros.tracking.deformation import deformation_covariance, hold_hidden
+from kinpole_ros.tracking.deformation import ResultWindow, deformation_covariance, hold_hidden
 from kinpole_ros.tracking.estimate import Results
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.rejection import REASONS
@@ -26,9 +26,7 @@ def _add_deformation_of(results: Results, t: int, bodies: Bodies, b: int, histor
     residual = hold_hidden(history['residual'][first : newest + 1, b : b + 1])[:, 0]
     slow = deformation_covariance(
         residual,
-        now - first,
-        oldest - first,
-        interval,
+        ResultWindow(now - first, oldest - first, interval),
         float(results.array('span')[t, b]),
         float(results.array('freedom')[t, b]) - 1,
         float(bodies.white[b] * np.sqrt(bodies.hidden_factor[b])),

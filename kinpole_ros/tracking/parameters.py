@@ -430,15 +430,21 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
         settings = Settings(**checked)
         check_poses(settings, settings.marker_type)
         return _consistent(settings)
-    by_shape = checked['marker_identity'] == 'shape'
+    _check_markers(Settings(**checked))
+    return _consistent(Settings(**checked))
+
+
+def _check_markers(settings: Settings) -> None:
+    """Check that the markers and shapes of bodies agree, and suffice to identify them."""
+    bodies, shapes = settings.bodies, settings.shapes
     for name, shape in shapes.items():
         if bodies[name] and len(bodies[name]) != len(shape):
             raise ParameterError(
                 f'parameter {name}.shape has x and y of {len(shape)} markers, and {name}.markers '
                 f'names {len(bodies[name])}; give both of each marker, in the same order'
             )
-    if by_shape:
-        if checked['plane'] == FIT:
+    if settings.marker_identity == 'shape':
+        if settings.plane == FIT:
             raise ParameterError(
                 'parameter plane is fit; with marker_identity shape give its normal, as kinpole '
                 'discover finds it'
@@ -462,7 +468,6 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
                 f'parameter {name}.markers names one marker; a body needs at least two, or a '
                 f'marker_type of poses ({", ".join(POSE_TYPES)})'
             )
-    return _consistent(Settings(**checked))
 
 
 def of_poses(settings: Settings) -> Settings:

@@ -218,6 +218,30 @@ copy_derivatives(const Frames *f, const Call *call, Results *r)
     }
 }
 
+/* Replaces the angles by those of the headings of tilted bodies, and turns the hubs into their axes. */
+static int
+derive_headings(Call *call, Workspace *work)
+{
+    long long bodies = call->bodies;
+    /* The published angle is the heading; the hub is turned into its axes. */
+    double *angle = work->derivatives + 2 * call->orders * bodies;
+    for (long long b = 0; b < bodies; b++)
+        work->hub[b] *= isnan(angle[b]) ? 1.0 : unit_at(angle[b]);
+    call->angle = work->heading, call->next = 0;
+    long long size = (3 * call->orders + 2 * call->orders * call->orders + 2) * bodies;
+    call->results = work->derivatives + size;
+    int code = kinpole_derive(call);
+    if (code)
+        return code;
+    const double *heading = call->results + 2 * call->orders * bodies;
+    for (long long b = 0; b < bodies; b++) {
+        work->hub[b] *= isnan(heading[b]) ? 1.0 : conj(unit_at(heading[b]));
+        angle[b] = heading[b];
+    }
+    call->results = work->derivatives;
+    return DONE;
+}
+
 /* Computes the result of the frame in row `now` from the window of those from `oldest` on. */
 static int
 compute_result(const Frames *f, Call *call, Results *r, Workspace *work, long long oldest, long long now)
@@ -242,24 +266,8 @@ compute_result(const Frames *f, Call *call, Results *r, Workspace *work, long lo
     int code = kinpole_derive(call);
     if (code)
         return code;
-    if (tilts) {
-        /* The published angle is the heading; the hub is turned into its axes. */
-        double *angle = work->derivatives + 2 * call->orders * bodies;
-        for (long long b = 0; b < bodies; b++)
-            work->hub[b] *= isnan(angle[b]) ? 1.0 : unit_at(angle[b]);
-        call->angle = work->heading, call->next = 0;
-        long long size = (3 * call->orders + 2 * call->orders * call->orders + 2) * bodies;
-        call->results = work->derivatives + size;
-        code = kinpole_derive(call);
-        if (code)
-            return code;
-        const double *heading = call->results + 2 * call->orders * bodies;
-        for (long long b = 0; b < bodies; b++) {
-            work->hub[b] *= isnan(heading[b]) ? 1.0 : conj(unit_at(heading[b]));
-            angle[b] = heading[b];
-        }
-        call->results = work->derivatives;
-    }
+    if (tilts && (code = derive_headings(call, work)))
+        return code;
     for (long long b = 0; b < bodies; b++) {
         long long at = now * bodies + b, to = t * bodies + b, orders = call->orders;
         const double *information = f->information + 2 * now * bodies + b;
