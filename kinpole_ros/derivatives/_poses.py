@@ -132,8 +132,9 @@ def new_call(window: float, order: int) -> Call:
 def pass_tables(call: Call) -> _Tables:
     """Pass all tables, and return them; the caller holds them during the call of the library."""
     tables = _tables
-    call.table_count = len(tables.tables)
-    call.bind('tables', tables.tables)
+    if vars(call).get('tables') is not tables.tables:
+        call.table_count = len(tables.tables)
+        call.bind('tables', tables.tables)
     return tables
 
 

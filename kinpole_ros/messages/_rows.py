@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from kinpole_ros.core import bindings
-from kinpole_ros.core.bindings import address_of, library
+from kinpole_ros.core.bindings import address_of, library, pass_new_array
 from kinpole_ros.messages._cdr import Writer
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
@@ -119,10 +119,9 @@ class Rows:
             raise ValueError(f'expected derivatives up to order {self._order}')
         out = np.empty(self._size * instants, np.uint8)
         made = np.empty((len(self.rows), instants), np.uint8)
-        addresses = address_of(self._space), address_of(self._fields)
-        library.kinpole_write_rows(
-            *(byref(motion), bodies, *addresses, len(self.rows), address_of(out), address_of(made))
-        )
+        given = pass_new_array(self._space), pass_new_array(self._fields)
+        into = pass_new_array(out), pass_new_array(made)
+        library.kinpole_write_rows(byref(motion), bodies, *given, len(self.rows), *into)
         del arrays
         return out.tobytes(), made
 

@@ -5,7 +5,7 @@ from ctypes import byref
 import numpy as np
 
 from kinpole_ros.core import bindings
-from kinpole_ros.core.bindings import address_of, library
+from kinpole_ros.core.bindings import address_of, library, pass_new_array
 from kinpole_ros.planar._plane import Complex, Real
 
 # The numbers that poles.c gives to what it computes. Poles have their order, 1 to 4, and FREE
@@ -93,7 +93,7 @@ def compute_quantity(what: int, motion: Motion) -> tuple[Complex, Real, np.ndarr
     if not 1 <= needed < motion.orders <= 5:
         raise ValueError(f'expected derivatives up to order {needed}, got {motion.orders - 1}')
     arrays = _empty(motion.shape)
-    library.kinpole_quantities(what, byref(motion), *map(address_of, arrays))
+    library.kinpole_quantities(what, byref(motion), *map(pass_new_array, arrays))
     return arrays
 
 
@@ -118,10 +118,8 @@ def relative_centers(motion: Motion, pairs: np.ndarray) -> tuple[Complex, Real, 
     number = pairs.shape[1]
     arrays = _empty((*shape, number))
     if motion.count:
-        addresses = map(address_of, arrays)
-        library.kinpole_relative_centers(
-            byref(motion), bodies, address_of(pairs), number, *addresses
-        )
+        into = map(pass_new_array, arrays)
+        library.kinpole_relative_centers(byref(motion), bodies, address_of(pairs), number, *into)
     return arrays
 
 

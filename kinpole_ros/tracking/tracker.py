@@ -233,4 +233,6 @@ class Tracker(TrackerSummary):
 
     def learn_if_due(self) -> None:
         """Learn from the history now if an update is due; otherwise the next `add` does."""
-        learn_if_due(self.state)
+        state = self.state
+        if state.frame_count >= state.next_update or state.timeline.until_update <= 0:
+            learn_if_due(state)
