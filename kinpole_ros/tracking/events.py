@@ -64,13 +64,15 @@ class EventSearch:
         self._next, self._is_paused = None, True
 
     def search(
-        self, history: History, bodies: Bodies, hub: np.ndarray, due: int
+        self, history: History, bodies: Bodies, pin: np.ndarray, numbers: np.ndarray
     ) -> list[BodyEvent]:
         """
-        Search where the frames that have come allow it; the newest is number `due` of its call.
+        Search where the frames that have come allow it.
 
-        `hub` (B,) are the points of the bodies that stand for their positions.
+        `pin` (B,) are the pins of the bodies, NaN for none. `numbers` (T,) are those of the newest
+        frames of the history, as `due` of the events counts them.
         """
+        hub = np.where(np.isfinite(pin), 0.0, bodies.hub)
         time = history.columns['time'][history.first : history.end]
         if len(time) <= _SETTLED:
             return []
@@ -113,7 +115,7 @@ class EventSearch:
             # The frame that showed it: the sixth after a window after the places.
             ready = begin + self._window + self._share
             with_frame = int(np.searchsorted(time, ready)) + _SETTLED
-            number = due - (len(time) - 1 - with_frame)
+            number = int(numbers[max(len(numbers) - (len(time) - with_frame), 0)])
             body_events.append(_body_event(event, b, at, rows, history, hub[b], number))
         return body_events
 

@@ -13,6 +13,7 @@ from kinpole_ros.tracking.events import EventSearch
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.matcher import Matcher
+from kinpole_ros.tracking.outages import no_outages
 from kinpole_ros.tracking.parameters import Settings, of_poses
 from kinpole_ros.tracking.space import Space
 from kinpole_ros.tracking.step import Step
@@ -36,6 +37,11 @@ class Totals:
     counts: Counter[str]
     outages: np.ndarray
     wrong: np.ndarray
+
+
+def new_totals(bodies: int) -> Totals:
+    """Return the totals before the first frame."""
+    return Totals(Counter(), no_outages(bodies), np.zeros(bodies, np.int64))
 
 
 @dataclass

@@ -5,7 +5,6 @@ Node and replay use it in the same way, so live results equal replayed ones. It 
 stamps of the frames only, never on the clock of the machine.
 """
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -17,10 +16,10 @@ from kinpole_ros.tracking.deformed_results import add_deformation
 from kinpole_ros.tracking.estimate import Estimate, Results, estimate_of
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.outages import no_outages, note_gap
+from kinpole_ros.tracking.outages import note_gap
 from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.result_layout import COUNT, DEFORMED
-from kinpole_ros.tracking.state import Totals, start, widen
+from kinpole_ros.tracking.state import new_totals, start, widen
 from kinpole_ros.tracking.summary import TrackerSummary
 from kinpole_ros.tracking.timeline import TimedFrames, Timeline
 from kinpole_ros.tracking.update import learn_if_due, update_clock, update_if_due
@@ -31,13 +30,11 @@ class Tracker(TrackerSummary):
 
     def __init__(self, settings: Settings) -> None:
         self.settings, self.bodies = settings, tuple(settings.bodies)
-        count = len(self.bodies)
-        totals = Totals(Counter(), no_outages(count), np.zeros(count, np.int64))
         self._frame_id = ''
         self._results: list[Results] = []
         self._events: list[BodyEvent] = []
         self._events_needed = False
-        self.state = start(settings, False, totals, None)
+        self.state = start(settings, False, new_totals(len(self.bodies)), None)
 
     def reset(self) -> None:
         """Forget all frames and everything learned from them."""
@@ -145,7 +142,7 @@ class Tracker(TrackerSummary):
         results = state.step.reserve_results(len(frames.stamps), order)
         first, count = 0, len(frames.stamps)
         while first < count:
-            self._search_events(first, numbers)
+            self._search_events(numbers[:first])
             learns = state.frame_count >= state.next_update or state.names_changed
             if learns and update_if_due(state):
                 state.matcher.assign_again(placed, first)
@@ -159,7 +156,7 @@ class Tracker(TrackerSummary):
                 results = state.step.reserve_results(count - first, order)
             self._follow(placed, times, results)
             first = state.step.fields.frame
-        self._search_events(first, numbers)
+        self._search_events(numbers[:first])
         self._keep_results(results, numbers)
         if placed.in_space is not None and state.assignment.plane is not None:
             state.space.add(placed.in_space)
@@ -186,15 +183,13 @@ class Tracker(TrackerSummary):
         before, is_unusual = state.step.fields.frame, True
         if state.assignment.plane is None:
             keep_frame(state, placed, times)
-        else:
-            if state.matcher.is_in_order(placed) and not state.bodies.exchanged:
-                is_unusual = state.step.follow(state.next_update - state.frame_count, results)
-                self._count_taken(before)
-            if is_unusual:
-                k = state.step.fields.frame
-                state.step.correct_next(correct_next(state, placed, k))
+        elif state.matcher.is_in_order(placed) and not state.bodies.exchanged:
+            is_unusual = state.step.follow(state.next_update - state.frame_count, results)
+            self._count_taken(before)
         if is_unusual:
             before = state.step.fields.frame
+            if state.assignment.plane is not None:
+                state.step.correct_next(correct_next(state, placed, before))
             state.step.follow(1, results)
             self._count_taken(before)
         if results.fields[DEFORMED]:
@@ -206,14 +201,11 @@ class Tracker(TrackerSummary):
         self.state.frame_count += taken
         self.state.new_frames += taken
 
-    def _search_events(self, first: int, numbers: np.ndarray) -> None:
-        """Search for events in the history, to which the frames before `first` were appended."""
-        if not self._events_needed or first == 0:
-            return
-        state = self.state
-        hub = np.where(np.isfinite(state.pins.center), 0.0, state.bodies.hub)
-        for event in state.event_search.search(state.history, state.bodies, hub, first - 1):
-            self._events.append(event._replace(due=int(numbers[max(event.due, 0)])))
+    def _search_events(self, numbers: np.ndarray) -> None:
+        """Search for events in the history, to which frames with these numbers were appended."""
+        state, pin = self.state, self.state.pins.center
+        if self._events_needed and len(numbers):
+            self._events += state.event_search.search(state.history, state.bodies, pin, numbers)
 
     def _keep_results(self, results: Results, numbers: np.ndarray) -> None:
         """Keep results for the next estimate; `numbers` count the frames passed to the step."""
