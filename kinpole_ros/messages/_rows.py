@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from kinpole_ros.core import bindings
-from kinpole_ros.core.bindings import address_of, library, pass_new_array
+from kinpole_ros.core.bindings import address_of, codes_of, library, pass_new_array
 from kinpole_ros.messages._cdr import Writer
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
+from kinpole_ros.tracking.quantities import QUANTITIES
 from kinpole_ros.tracking.values import Numbers, Vectors
 
 if TYPE_CHECKING:
@@ -31,9 +32,12 @@ Build: TypeAlias = Callable[[Estimate], Built]
 # how many bytes precede these numbers.
 Template: TypeAlias = Callable[[str, int], tuple[bytes, int]]
 
-# Kinds of messages, quantities besides those of quantities.py, and doubles of a row, as in rows.c.
-NORMAL, VECTOR, POINT, POSE, ODOMETRY, FRAME, STATE_POINTS = range(7)
-RATE, RELATIVE_RATE, RELATIVE_CENTER, _GIVEN = 20, 30, 31, 32
+# Kinds of messages, and quantities besides those that `compute_quantity` takes: see codes.h.
+NORMAL, VECTOR, POINT, POSE, ODOMETRY, FRAME, STATE_POINTS = codes_of('MESSAGE_KINDS').values()
+RATE, RELATIVE_RATE, RELATIVE_CENTER, _GIVEN = (
+    QUANTITIES[name] for name in ('RATE', 'RELATIVE_RATE', 'RELATIVE_CENTER', 'GIVEN')
+)
+# Doubles of a row, as in rows.c.
 _DOUBLES = {NORMAL: 3, VECTOR: 3, POINT: 3, POSE: 43, ODOMETRY: 85, FRAME: 7}
 # Rows are filled as integers, all of their fields at once.
 _ROW_FIELDS = len(bindings.Row._fields_)

@@ -5,16 +5,18 @@ from ctypes import byref
 import numpy as np
 
 from kinpole_ros.core import bindings
-from kinpole_ros.core.bindings import address_of, library, pass_new_array
+from kinpole_ros.core.bindings import address_of, codes_of, library, pass_new_array
 from kinpole_ros.planar._plane import Complex, Real
 
-# The numbers that poles.c gives to what it computes. Poles have their order, 1 to 4, and FREE
-# is added for a pole by the motion alone, whatever is known of pins.
-VELOCITY, CURVATURE, FREE = 5, 6, 10
+# What is computed: see codes.h. Poles have their order, 1 to 4, and FREE is added for a pole by the
+# motion alone, whatever is known of pins.
+QUANTITIES = codes_of('QUANTITIES')
+VELOCITY, CURVATURE, FREE = (QUANTITIES[name] for name in ('VELOCITY', 'CURVATURE', 'FREE'))
 # The highest derivative that each of them needs; poles need their own order.
 _NEEDED = {VELOCITY: 2, CURVATURE: 3}
 # Bits of the flags: a quantity stands out of its noise; the ICR is seen to move.
-DETERMINED, MOVES = 1, 2
+_FLAGS = codes_of('QUANTITY_FLAGS')
+DETERMINED, MOVES = _FLAGS['DETERMINED'], _FLAGS['MOVES']
 
 
 class Motion(bindings.Motion):

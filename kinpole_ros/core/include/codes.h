@@ -43,4 +43,38 @@ enum { UNUSUAL_BITS(DECLARE_CODE) };
 
 enum { REASONS(DECLARE_CODE) };
 
+/* What a quantity is. A pole of order 1 to 4 has its order, and FREE plus that order is the pole by the
+   motion alone; RATE plus its order is a derivative of the angle. VELOCITY is that of the ICR, CURVATURE
+   that of the centrode, and GIVEN a quantity that a row of messages has with it. */
+#define QUANTITIES(CODE)      \
+    CODE(VELOCITY, 5)         \
+    CODE(CURVATURE, 6)        \
+    CODE(FREE, 10)            \
+    CODE(RATE, 20)            \
+    CODE(RELATIVE_RATE, 30)   \
+    CODE(RELATIVE_CENTER, 31) \
+    CODE(GIVEN, 32)
+
+enum { QUANTITIES(DECLARE_CODE) };
+
+/* Bits of the flags of a quantity: it stands out of its noise; the ICR is seen to move. */
+#define QUANTITY_FLAGS(CODE) \
+    CODE(DETERMINED, 1)      \
+    CODE(MOVES, 2)
+
+enum { QUANTITY_FLAGS(DECLARE_CODE) };
+
+/* What a message is: a vector along the normal, in the plane, a point at the height of a body, a pose
+   with covariance, odometry, a frame of /tf, or the topic `state`. */
+#define MESSAGE_KINDS(CODE) \
+    CODE(NORMAL, 0)         \
+    CODE(VECTOR, 1)         \
+    CODE(POINT, 2)          \
+    CODE(POSE, 3)           \
+    CODE(ODOMETRY, 4)       \
+    CODE(FRAME, 5)          \
+    CODE(STATE, 6)
+
+enum { MESSAGE_KINDS(DECLARE_CODE) };
+
 #endif

@@ -5,15 +5,10 @@
 #ifndef KINPOLE_QUANTITIES_H
 #define KINPOLE_QUANTITIES_H
 
+#include "codes.h"
 #include "structs.h"
 
 #define HIGHEST 4
-
-/* What a quantity is: a pole of order 1 to 4, FREE plus that order for the pole by the motion alone, the
-   velocity of the ICR, or the curvature of the centrode. */
-enum { VELOCITY = HIGHEST + 1, CURVATURE, FREE = 10 };
-/* Bits of the flags: see quantities.py. */
-enum { DETERMINED = 1, MOVES = 2 };
 
 /* Arrays of `count` elements, each a body at an instant; elements of two orders are `stride` apart. The
    stamps are of instants. See quantities.py. */

@@ -8,15 +8,9 @@
 #include <math.h>
 #include <string.h>
 
+#include "../include/codes.h"
 #include "../include/rows.h"
 #include "poles.h"
-
-/* What a message is: a vector along the normal, in the plane, a point at the height of a body, a pose
-   with covariance, odometry, a frame of /tf, or the topic `state`. */
-enum { NORMAL, VECTOR, POINT, POSE, ODOMETRY, FRAME, STATE };
-/* What quantity it has, besides those of motion.h: RATE + order, a relative one, or one that the
-   row has with it. */
-enum { RATE = 20, RELATIVE_RATE = 30, RELATIVE_CENTER, GIVEN };
 
 /* A message to be written: of instant `t`, and of the body with the element `at` of the motion. */
 typedef struct {
@@ -32,15 +26,20 @@ quantity_of(const Task *task)
     const Motion *m = task->motion;
     const Row *row = task->row;
     long long other = task->t * task->bodies + row->other;
-    if (row->what == GIVEN) {
+    switch (row->what) {
+    case GIVEN: {
         const double *spread = row->spread + 4 * task->t;
         int flags = row->determined[task->t] ? DETERMINED : 0;
         return (Quantity){row->value[task->t], {spread[0], spread[1], spread[3]}, flags};
     }
-    return row->what == RELATIVE_RATE    ? kinpole_relative_rate(m, other, task->at)
-        : row->what == RELATIVE_CENTER   ? kinpole_relative_center(m, other, task->at)
-        : row->what > RATE               ? kinpole_rate(m, task->at, (int)row->what - RATE)
-                                         : kinpole_quantity(m, task->at, (int)row->what);
+    case RELATIVE_RATE:
+        return kinpole_relative_rate(m, other, task->at);
+    case RELATIVE_CENTER:
+        return kinpole_relative_center(m, other, task->at);
+    default:
+        return row->what > RATE ? kinpole_rate(m, task->at, (int)row->what - RATE)
+                                : kinpole_quantity(m, task->at, (int)row->what);
+    }
 }
 
 static void

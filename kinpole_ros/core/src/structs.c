@@ -64,6 +64,9 @@ static const Code call_ends[] = {CALL_ENDS(DESCRIBE_CODE)};
 static const Code loop_ends[] = {LOOP_ENDS(DESCRIBE_CODE)};
 static const Code unusual_bits[] = {UNUSUAL_BITS(DESCRIBE_CODE)};
 static const Code reasons[] = {REASONS(DESCRIBE_CODE)};
+static const Code quantities[] = {QUANTITIES(DESCRIBE_CODE)};
+static const Code quantity_flags[] = {QUANTITY_FLAGS(DESCRIBE_CODE)};
+static const Code message_kinds[] = {MESSAGE_KINDS(DESCRIBE_CODE)};
 
 #define CODES(list, codes) {#list, sizeof codes / sizeof *codes, codes}
 
@@ -109,6 +112,9 @@ kinpole_codes(void)
         CODES(LOOP_ENDS, loop_ends),
         CODES(UNUSUAL_BITS, unusual_bits),
         CODES(REASONS, reasons),
+        CODES(QUANTITIES, quantities),
+        CODES(QUANTITY_FLAGS, quantity_flags),
+        CODES(MESSAGE_KINDS, message_kinds),
         {NULL, 0, NULL},
     };
     return all;
