@@ -227,28 +227,29 @@ def _copy(folder: Path, constant: Constant | None, value: float) -> None:
         (folder / name).symlink_to(_ROOT / name)
     changed = _ROOT / constant.path if constant else None
     compiled = changed is not None and changed.suffix != '.py'
-    for room in (_ROOT / 'kinpole_ros').iterdir():
-        if compiled and room.name.startswith('_compiled'):
-            continue
-        into = folder / 'kinpole_ros' / room.name
-        if changed is None or changed.parent != room:
-            into.parent.mkdir(exist_ok=True)
-            into.symlink_to(room)
-            continue
-        into.mkdir(parents=True)
-        for file in room.iterdir():
-            if file != changed and file.name != '__pycache__':
-                (into / file.name).symlink_to(file)
-        assert constant is not None
+    _link(_ROOT / 'kinpole_ros', folder / 'kinpole_ros', changed)
+    if constant is not None and changed is not None:
         lines = changed.read_text(encoding='utf-8').splitlines(keepends=True)
         line = lines[constant.line - 1]
         lines[constant.line - 1] = f'{line[: constant.column]}{value!r}{line[constant.end :]}'
-        (into / changed.name).write_text(''.join(lines), encoding='utf-8')
+        (folder / constant.path).write_text(''.join(lines), encoding='utf-8')
     if compiled:
         for name in ('setup.py', 'README.md'):
             (folder / name).symlink_to(_ROOT / name)
         build = [sys.executable, 'setup.py', '-q', 'build_ext', '--inplace']
         subprocess.run(build, cwd=folder, capture_output=True, check=True)
+
+
+def _link(source: Path, into: Path, changed: Path | None) -> None:
+    """Link to a file or folder; of folders with a `changed` file, to all that is beside it."""
+    if changed is None or source not in changed.parents:
+        into.symlink_to(source)
+        return
+    into.mkdir()
+    for file in source.iterdir():
+        is_old = changed.suffix != '.py' and file.name.startswith('_compiled')
+        if file != changed and file.name != '__pycache__' and not is_old:
+            _link(file, into / file.name, changed)
 
 
 def constant_rows(

@@ -218,6 +218,23 @@ def test_constants_are_numbers_as_written_or_made_of_such(
     assert [one['constant'] for one in constants.of_now(rows)] == ['_B']
 
 
+def test_a_constant_of_c_is_changed_where_the_library_is_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root, folder, source = tmp_path / 'root', tmp_path / 'copy', Path('kinpole_ros/core/src')
+    (root / source).mkdir(parents=True)
+    folder.mkdir()
+    (root / source / 'cells.h').write_text('/* Why. */\n#define A 4\n', encoding='utf-8')
+    (root / source / 'grid.h').write_text('', encoding='utf-8')
+    monkeypatch.setattr(constants, '_ROOT', root)
+    built: list[Any] = []
+    monkeypatch.setattr(constants.subprocess, 'run', lambda *_, **given: built.append(given['cwd']))
+    constants._copy(folder, constants.constants()[0], 8)
+    text = (folder / source / 'cells.h').read_text(encoding='utf-8')
+    assert (text, built) == ('/* Why. */\n#define A 8\n', [folder])
+    assert (folder / source / 'grid.h').is_symlink()
+
+
 def test_pendulum_of_exact_motion_has_its_poles_at_pivot_and_joint() -> None:
     t = np.arange(400) / 500
     pivot = 0.4 + 0.1j
