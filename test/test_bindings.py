@@ -5,7 +5,7 @@ from ctypes import sizeof
 import numpy as np
 import pytest
 
-from kinpole_ros.core.bindings import Frames, Struct
+from kinpole_ros.core.bindings import Frames, Struct, codes_of, fields_of
 
 BYTES = 8
 
@@ -35,3 +35,11 @@ def test_a_field_keeps_its_array() -> None:
     view = np.ctypeslib.as_array((np.ctypeslib.ctypes.c_double * 1000).from_address(frames.angle))
     assert (view == 7.0).all()
     assert len(others) == 100
+
+
+def test_lists_of_headers_are_read() -> None:
+    assert codes_of('UNUSUAL_BITS') == {'ODD': 1, 'NAME_DOUBTFUL': 2, 'NEW_MARKER': 4}
+    lists = 'BODY_ARRAYS', 'TRACKING_STATE', 'NEW_FRAMES'
+    arrays = [name for part in lists for name in fields_of(part)]
+    assert len(set(arrays)) == len(arrays)
+    assert set(arrays) < set(Frames.elements)
