@@ -27,7 +27,7 @@ from kinpole_ros.mechanism import (
 )
 from kinpole_ros.messages import stamp_to_ns
 from kinpole_ros.tools import cli
-from kinpole_ros.tracking import tracker
+from kinpole_ros.tracking import update
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.parameters import ParameterError, Settings, load_settings, settings_from
 
@@ -102,7 +102,7 @@ def test_the_effort_that_balances_the_loads_is_that_of_virtual_work(
         return np.full(bodies.count, reference + 0j)
 
     # Whatever point of each body is differentiated.
-    monkeypatch.setattr(tracker, 'find_hubs', stand)
+    monkeypatch.setattr(update, 'find_hubs', stand)
     path = scene(tmp_path)
     messages = replayed(bag, tmp_path, path)
     found = messages['/kinpole/balance']
