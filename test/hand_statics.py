@@ -21,7 +21,8 @@ from kinpole_ros.mechanism._loops import (
     LinkageError,
     loop_jacobian,
     reduce,
-    term_vectors,
+    term_directions,
+    term_lengths,
     with_laws,
 )
 from kinpole_ros.mechanism._mechanism import Mechanism
@@ -56,7 +57,7 @@ def move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) -> Mov
         step = inverse @ np.concatenate((gap.real, gap.imag)).T[..., None]
         rate -= linkage.free @ (step[..., 0].T / size)
         determined &= rank == unknowns
-    length, turn = term_vectors(loops, values)
+    length, turn = term_lengths(loops, values), term_directions(loops, values)
     terms = turn * (loops.lengths @ rate + 1j * length * (loops.angles @ rate))
     with np.errstate(invalid='ignore'):
         # The rates of least squares need not keep all loops closed where constraints are too many.

@@ -439,7 +439,7 @@ def test_a_scene_of_this_folder_is_named_with_its_suffix(
         load_scene('other')
 
 
-def test_gears_on_fixed_hubs_drive_a_four_bar_by_dyads(tmp_path: Path) -> None:
+def test_gears_on_fixed_hubs_drive_a_four_bar(tmp_path: Path) -> None:
     data = {
         'bodies': {
             'ground': {'O': [0.1, 0.05], 'Q': [0.19, 0.05], 'C': [0.49, 0.05]},
@@ -455,7 +455,7 @@ def test_gears_on_fixed_hubs_drive_a_four_bar_by_dyads(tmp_path: Path) -> None:
         'start': {'coupler': '50 deg', 'rocker': '107 deg'},
     }
     exact = load_scene(save(tmp_path, data))
-    assert [block.dyad for block in exact.mechanism.linkage.blocks] == ['RRR']
+    assert len(exact.mechanism.linkage.blocks) == 1
     times = np.linspace(0.0, 5.0, 7)
     geared = exact.motion(times)
     np.testing.assert_allclose(geared['crank'].angle[1], 1.0, rtol=1e-14)

@@ -23,7 +23,7 @@ from kinpole_ros.mechanism._joints import (
     loop_form,
 )
 from kinpole_ros.mechanism._laws import Follower, Law
-from kinpole_ros.mechanism._loops import LinkageError, Loops, term_vectors
+from kinpole_ros.mechanism._loops import LinkageError, Loops, term_lengths, weigh
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -54,22 +54,22 @@ class Assembly(NamedTuple):
 
 def largest_length(assembly: Assembly, values: Real) -> float:
     """The largest length (m) in the loops, at variables (n, T)."""
-    length = np.abs(term_vectors(assembly.loops, values)[0])
+    length = np.abs(term_lengths(assembly.loops, values))
     return float(np.max(length, where=np.isfinite(length), initial=0.0)) or 1.0
 
 
 def body_motion(assembly: Assembly, values: Real) -> tuple[Complex, Real]:
     """Origins (orders, B, T), complex, and angles (orders, B, T) from variables (orders, n, T)."""
-    loops = assembly.loops
-    length, angle = loops.lengths @ values, loops.angles @ values
-    length[0] += loops.length0[:, None]
-    angle[0] += loops.angle0[:, None]
+    loops, used = assembly.loops, assembly.origins.any(axis=0)
+    length, angle = weigh(loops.lengths[used], values), weigh(loops.angles[used], values)
+    length[0] += loops.length0[used, None]
+    angle[0] += loops.angle0[used, None]
     turn = rotation_derivatives(angle)
-    orders = range(len(values))
-    terms = np.stack(
-        [sum(comb(k, j) * length[j] * turn[k - j] for j in range(k + 1)) for k in orders]
-    )
-    return assembly.origins @ terms, assembly.turns @ values
+    terms = [
+        sum(comb(k, j) * length[j] * turn[k - j] for j in range(k + 1)) for k in range(len(values))
+    ]
+    terms = np.reshape(terms, turn.shape)
+    return weigh(assembly.origins[:, used], terms), weigh(assembly.turns, values)
 
 
 def poses_of(assembly: Assembly, values: Real) -> dict[str, Pose]:

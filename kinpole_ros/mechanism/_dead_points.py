@@ -140,7 +140,7 @@ def loose_variables(linkage: Linkage, here: Solution) -> tuple[str, ...]:
 
 def loop_names(linkage: Linkage, block: int) -> tuple[str, ...]:
     """The joints, or vectors, of a block's loops, each once."""
-    around = [linkage.loops.around[loop] for loop in linkage.blocks[block].loops]
+    around = linkage.blocks[block].loops.around
     return tuple(dict.fromkeys(name for names in around for name in names))
 
 

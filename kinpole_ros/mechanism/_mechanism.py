@@ -8,7 +8,6 @@ on (`_path`) and their drivers (`_laws`).
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import comb
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import Assembly, body_motion
 from kinpole_ros.mechanism._dead_points import loop_names, most_singular, unit_input
-from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce, sums, weigh
+from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce
 from kinpole_ros.mechanism._motions import ORDERS
 from kinpole_ros.mechanism._path import Path, Table, initial_guess, tabulate, trace
 from kinpole_ros.mechanism._solution import Solution, solve, sound_orders
@@ -156,8 +155,8 @@ class Mechanism:
                 raise LinkageError('a sweep is over one driver: hold the others')
             self.path(float(along.min()), float(along.max()))
             table = self._table
-        # Much of it stays zero: memory that nobody writes to costs nothing.
-        position = np.zeros((orders, len(self.bodies), count), complex)
+        shape = orders, len(self.bodies), count
+        position, angle = np.empty(shape, complex), np.empty(shape)
         values, regular = np.empty((orders, len(self.start), count)), np.empty(count, bool)
         sound = np.empty(count, np.int8)
         for first in range(0, count, _CHUNK):
@@ -167,35 +166,14 @@ class Mechanism:
                 guess = np.zeros((len(self.start), here.shape[-1]))
             else:
                 guess = initial_guess(table, along[part])
-            solution = solve(self.linkage, here, guess, orders, out=values[:, :, part])
+            solution = solve(self.linkage, here, guess, orders)
             if not solution.closed.all():
                 when = None if times is None else times[part]
                 raise LinkageError(self._out_of_reach(here, when, solution.closed))
-            regular[part] = solution.regular
+            values[:, :, part], regular[part] = solution.values, solution.regular
             sound[part] = sound_orders(self.linkage, here, solution)
-            self._fill_positions(solution, position[:, :, part])
-        turns = self.assembly.turns
-        # Without a copy where the angles of the bodies are the first variables.
-        are_variables = np.array_equal(turns, np.eye(*turns.shape))
-        angle = values[:, : len(turns)] if are_variables else weigh(turns, values)
+            position[:, :, part], angle[:, :, part] = body_motion(self.assembly, solution.values)
         return Motion(position, angle, values, regular, sound)
-
-    @cached_property
-    def _origin_sums(self) -> tuple[Complex, Complex]:
-        return sums(self.linkage, self.assembly.origins)
-
-    def _fill_positions(self, solution: Solution, position: Complex) -> None:
-        """Fill in origins of all bodies (orders, B, T) from the angles and lengths of `solve`."""
-        constant, sliding = self._origin_sums
-        weigh(constant, solution.turns[0], out=position[0])
-        moving = constant * self.linkage.turns.any(axis=1)
-        weigh(moving, solution.turns[1:], out=position[1:])
-        for v, coefficients in enumerate(sliding):
-            if coefficients.any():
-                turned = weigh(coefficients, solution.turns)
-                for k in range(len(position)):
-                    for j in range(k + 1):
-                        position[k] += comb(k, j) * solution.slides[j, v] * turned[k - j]
 
     def path(self, low: float, high: float) -> Path:
         """The branch over the inputs from `low` to `high`, or as far as it goes."""

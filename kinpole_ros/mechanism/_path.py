@@ -30,8 +30,8 @@ from kinpole_ros.planar._plane import Real
 # The largest error of a predicted variable, rad or lengths over the largest, and limits of steps.
 _GUESS_ERROR, _LONGEST, _SHORTEST = 1e-3, 0.25, 1e-7
 _MOST_NODES = 20_000
-# Determinants below this are those of a dead point, above the other far away from one.
-_DEAD, _EASY = 1e-5, 0.05
+# Determinants below this are those of a dead point.
+_DEAD = 1e-5
 
 
 class Path(NamedTuple):
@@ -188,8 +188,7 @@ class Table(NamedTuple):
     Guesses for `solve`: nodes of a path so dense that one step of Newton's method is left.
 
     `inputs` (K,), `between` the nodes, and in `values` (orders, unknowns, K) the unknowns and their
-    derivatives: three, or one if all loops are dyads, which need but a rough guess, and far from
-    dead points. `period` and `winding` as in Path.
+    three derivatives. `period` and `winding` as in Path.
     """
 
     between: Real
@@ -214,8 +213,6 @@ def tabulate(linkage: Linkage, path: Path, inputs: Inputs = unit_input) -> Table
     good, rows = solution.regular, list(linkage.unknown)
     values = solution.values[:, rows][:, :, good]
     at, rates = at[good], np.abs(values[1:3]).max(axis=1, initial=0.0)
-    easy = all(block.dyad for block in linkage.blocks)
-    easy &= bool((np.abs(solution.determinant) > _EASY).all())
     # A series is good for as far as its terms fall, which next to a limit is hardly at all.
     gap = np.diff(at)
     with np.errstate(divide='ignore', invalid='ignore'):
@@ -225,7 +222,7 @@ def tabulate(linkage: Linkage, path: Path, inputs: Inputs = unit_input) -> Table
     return Table(
         at[:-1] + share * gap,
         at,
-        np.ascontiguousarray(values[: 2 if easy else 4]),
+        np.ascontiguousarray(values),
         path.period,
         path.winding[rows],
     )

@@ -13,7 +13,7 @@ import numpy as np
 from kinpole_ros.mechanism._assembly import body_motion, largest_length
 from kinpole_ros.mechanism._joints import GROUND, Belt
 from kinpole_ros.mechanism._loads import Force, Holder, Load, Torque, check_loads
-from kinpole_ros.mechanism._loops import LinkageError, loop_jacobian, term_vectors
+from kinpole_ros.mechanism._loops import Block, LinkageError, loop_jacobian, term_lengths
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._solution import SINGULAR
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
@@ -186,12 +186,12 @@ def unit_drive(mechanism: Mechanism, values: Real, k: int) -> Moving:
     solution = mechanism.rates(values, k)
     position, angle = body_motion(mechanism.assembly, solution.values)
     rates, determined = solution.values[1], solution.regular & np.isfinite(values).all(axis=0)
-    if any(len(block.unknown) < 2 * len(block.loops) for block in mechanism.linkage.blocks):
+    if any(len(block.unknown) < 2 * len(block.loops.loops) for block in mechanism.linkage.blocks):
         # With redundant constraints the rates of least squares need not keep all loops closed.
         loops = mechanism.assembly.loops
         slope = loop_jacobian(loops, values)[1]
         gap = np.abs(np.einsum('mnt,nt->mt', slope, rates)).max(axis=0)
-        length, _ = term_vectors(loops, values)
+        length = term_lengths(loops, values)
         terms = np.hypot(loops.lengths @ rates, length * (loops.angles @ rates))
         determined &= gap <= _OPENING * terms.max(axis=0)
     return Moving(angle[0], position[1], angle[1], rates, determined)
@@ -322,10 +322,23 @@ def transmission_angles(mechanism: Mechanism, values: Real) -> dict[tuple[str, .
     angles = {
         _names(mechanism, block.unknown): np.arcsin(np.minimum(sine, 1.0))
         for block, sine in zip(mechanism.linkage.blocks, sines, strict=True)
-        if block.dyad
+        if _is_dyad(block)
     }
     belts = {joint.name for joint in mechanism.assembly.joints if isinstance(joint, Belt)}
     return {names: angle for names, angle in angles.items() if belts.isdisjoint(names)}
+
+
+def _is_dyad(block: Block) -> bool:
+    """Whether a block is one loop of two links, or a link and a slide, each an unknown."""
+    loops, unknown = block.loops, list(block.unknown)
+    turns, slides = (rows[rows[:, unknown].any(axis=1)] for rows in (loops.angles, loops.lengths))
+    distinct = [*np.unique(turns, axis=0), *np.unique(slides, axis=0)]
+    if len(loops.loops) != 1 or not len(turns) or len(distinct) != 2 or len(unknown) != 2:
+        return False
+    by = np.array(distinct)[:, unknown] != 0
+    # A slide turns with the link, or it does not.
+    turning = loops.angles[loops.lengths[:, unknown].any(axis=1)][:, unknown].any(axis=1)
+    return bool(by.sum() == 2 and by.any(axis=0).all() and (turning.all() or not turning.any()))
 
 
 def _names(mechanism: Mechanism, unknown: Sequence[int]) -> tuple[str, ...]:
