@@ -91,9 +91,9 @@ centers, unit = np.array([0, icr, z[0]]), np.full((3, 2, 2), np.eye(2))
 loader = load_scene('loader')
 at_45 = loader.mechanism.sweep(np.radians([45.0]))
 at_limit = loader.mechanism.sweep(np.radians([71.33339598]))
-borne = reactions(loader.mechanism, at_45.values[0], loader.loads).force
-let_go, _ = releases(loader.mechanism, at_45.values[0], loader.loads)
-forces = [-one.way * one.powers.sum(axis=0) for one in let_go]
+statics = Statics(loader.mechanism, at_45.values[0], loader.loads)
+borne = statics.force
+forces = [-one.way * one.powers.sum(axis=0) for one in statics.releases]
 released = np.array(forces).reshape(-1, 2, 1).sum(axis=1)
 
 

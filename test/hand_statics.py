@@ -3,19 +3,19 @@ Reactions in the joints by giving way in one constraint at a time, as seed 003 t
 
 Each joint is put on a carriage that can slide on the body `one`. At unit rate of that slide, all
 drivers held, the loads do work that only the freed reaction balances. The motion is that of the
-vector loops of the linkage so changed, so this shares with `kinpole_ros.mechanism.reactions` the
+vector loops of the linkage so changed, so this shares with `kinpole_ros.mechanism.Statics` the
 position and the axes of the joints only, and proves it.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import Assembly, assemble, body_motion
-from kinpole_ros.mechanism._constraints import Constraints, constraints, has_teeth
 from kinpole_ros.mechanism._joints import GROUND, Belt, Revolute, Rolling, Slot, Strut
-from kinpole_ros.mechanism._loads import Load, check_loads
+from kinpole_ros.mechanism._loads import Force, Load
 from kinpole_ros.mechanism._loops import (
     Linkage,
     LinkageError,
@@ -26,9 +26,56 @@ from kinpole_ros.mechanism._loops import (
     with_laws,
 )
 from kinpole_ros.mechanism._mechanism import Mechanism
-from kinpole_ros.mechanism._reactions import Reactions, _separating
-from kinpole_ros.mechanism._statics import Moving, efforts, power_of
+from kinpole_ros.mechanism._statics import (
+    Statics,
+    separating_loads,
+    why_no_reactions,
+)
+from kinpole_ros.mechanism._virtual_motions import has_teeth
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
+
+
+class Moving(NamedTuple):
+    """Bodies (B) in motion: `angle`, `velocity` and `omega` (B, T), and where determined (T,)."""
+
+    angle: Real
+    velocity: Complex
+    omega: Real
+    determined: np.ndarray
+
+
+class Freed(NamedTuple):
+    """Reactions (J, T) and efforts (d, T), named as those of Statics."""
+
+    along: Real
+    across: Real
+    moment: Real
+    axis: Complex
+    effort: Real
+    determined: np.ndarray
+
+    @property
+    def force(self) -> Complex:
+        """The force (J, T), complex, in the ground's axes."""
+        return np.asarray((self.along + 1j * self.across) * self.axis)
+
+    @property
+    def unique(self) -> np.ndarray:
+        """Whether (J, T) statics alone determines the reaction of a joint."""
+        return np.isfinite(self.along + self.across + self.moment)
+
+
+def power_of(mechanism: Mechanism, load: Load, moving: Moving) -> Real:
+    """Power (T,) of a load on moving bodies."""
+    if load.body == GROUND:
+        return np.zeros(moving.omega.shape[1])
+    b = mechanism.bodies.index(load.body)
+    if not isinstance(load, Force):
+        return np.asarray(load.torque * moving.omega[b])
+    arm = load.point * np.exp(1j * moving.angle[b])
+    rate = moving.velocity[b] + 1j * moving.omega[b] * arm
+    return np.asarray((np.conj(load.force) * rate).real)
+
 
 # Below the root of rounding a singular value is zero but for errors of the position.
 SINGULAR_VALUE = np.sqrt(ROUNDING)
@@ -64,7 +111,7 @@ def move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) -> Mov
         gap = np.abs(loops.loops @ terms).max(axis=0, initial=0.0)
         determined &= gap <= SINGULAR_VALUE * np.abs(terms).max(axis=0, initial=0.0)
     position, angle = body_motion(assembly, np.stack((values, rate)))
-    return Moving(angle[0], position[1], angle[1], rate, determined)
+    return Moving(angle[0], position[1], angle[1], determined)
 
 
 def balance(
@@ -82,18 +129,19 @@ def balance(
     return np.asarray(-power / np.where(moving == 0, np.nan, moving))
 
 
-def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Reactions:
+def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Freed:
     """
-    The same as of `reactions`, at the cost of a solution for each constraint.
+    The same as of `Statics`, at the cost of a solution for each constraint.
 
     Raises LinkageError for several positions of teeth with a pressure angle, whose line of action
     differs from one to the next.
     """
-    check_loads(mechanism, loads)
     joints = mechanism.assembly.joints
     if values.shape[1] > 1 and any(map(has_teeth, joints)):
         raise LinkageError('teeth with a pressure angle are freed at one position at a time')
-    system = constraints(mechanism, values)
+    system = Statics(mechanism, values, loads)
+    if reason := why_no_reactions(mechanism):
+        raise LinkageError(reason)
     loads = list(loads)
     teeth = np.zeros((len(joints), values.shape[1]))
     for k, joint in enumerate(joints):
@@ -104,12 +152,12 @@ def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -
         load
         for k, joint in enumerate(joints)
         if isinstance(joint, Rolling) and joint.pressure is not None
-        for load in _separating(joint, system, k, teeth[k])
+        for load in separating_loads(system, k, teeth[k])
     ]
-    effort = efforts(mechanism, values, loads).effort
+    effort = system.effort
     loads += separating
-    parts = np.zeros((3, *system.contact.shape))
-    for k, part in system.rows:
+    parts = np.zeros((3, *system.at.shape))
+    for k, part, _ in system.motions.bearings:
         way = None if part == 2 else 1j**part * system.axis[k]
         parts[part, k] = -_freed(mechanism, values, loads, system, k, way).sum(axis=0)
     names, rows = mechanism.assembly.loops.variables, mechanism.driver_rows
@@ -126,15 +174,14 @@ def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -
                 weight = rows[:, names.index(name)]
                 if weight.any():
                     parts[part, k] += weight[weight != 0] @ effort[weight != 0] / arm
-    joint_names = tuple(joint.name for joint in joints)
-    return Reactions(joint_names, *parts, system.contact, system.axis, effort, held)
+    return Freed(*parts, system.axis, effort, held)
 
 
 def _freed(
     mechanism: Mechanism,
     values: Real,
     loads: Sequence[Load],
-    system: Constraints,
+    system: Statics,
     k: int,
     way: Complex | None,
 ) -> Real:

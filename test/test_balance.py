@@ -9,7 +9,7 @@ from kinpole_ros.mechanism._assembly import assemble
 from kinpole_ros.mechanism._joints import GROUND, Revolute
 from kinpole_ros.mechanism._loads import Force, Torque
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
-from kinpole_ros.mechanism._statics import efforts
+from kinpole_ros.mechanism._statics import Statics
 from kinpole_ros.planar._balance import Port, balancing_effort, measured_balance, port_power
 from kinpole_ros.planar._uncertainty import Linear
 
@@ -54,7 +54,7 @@ def test_a_measured_linkage_needs_what_its_statics_say() -> None:
         Port(0, 1.0), [Port(1, 3 - 50j, point), Port(2, -2.0)], position, angle, nothing, nothing
     )
     loads = [Force('coupler', point, 3 - 50j), Torque('rocker', -2.0)]
-    np.testing.assert_allclose(value, efforts(mechanism, values, loads).effort[0], atol=1e-12)
+    np.testing.assert_allclose(value, Statics(mechanism, values, loads).effort[0], atol=1e-12)
     assert np.all(noise == 0)
     assert determined.all()
     # The same torque as a force across the crank's end; its length is of no account.

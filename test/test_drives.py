@@ -10,12 +10,11 @@ from kinpole_ros.mechanism import (
     LinkageError,
     Scene,
     SceneError,
+    Statics,
     Torque,
-    efforts,
     explain,
     instant_centers,
     load_scene,
-    reactions,
     rotation_derivatives,
     transmission_angles,
 )
@@ -159,16 +158,16 @@ def test_a_belt_pulls_its_wheels_along_the_strand() -> None:
     scene = load_scene(two_wheels(radii=[0.03, 0.09]))
     values = scene.mechanism.motion(TIMES[:3]).values[0]
     loads = [Torque('fan', -1.8)]
-    borne = reactions(scene.mechanism, values, loads)
+    borne = Statics(scene.mechanism, values, loads)
     freed = freed_reactions(scene.mechanism, values, loads)
     np.testing.assert_allclose(borne.force, freed.force, rtol=1e-9)
     row = borne.joints.index('belt')
     # The tension, which is a negative thrust, is the torque over the radius.
     np.testing.assert_allclose(np.abs(borne.along[row]), 1.8 / 0.09, rtol=1e-9)
-    np.testing.assert_allclose(efforts(scene.mechanism, values, loads).effort, 0.6, rtol=1e-9)
+    np.testing.assert_allclose(Statics(scene.mechanism, values, loads).effort, 0.6, rtol=1e-9)
     rope = hoist()
     values = rope.mechanism.motion(TIMES[:3]).values[0]
-    borne = reactions(rope.mechanism, values, rope.loads)
+    borne = Statics(rope.mechanism, values, rope.loads)
     np.testing.assert_allclose(borne.force[borne.joints.index('rope')], 80j, rtol=1e-9)
     np.testing.assert_allclose(borne.effort, 80 * 0.05, rtol=1e-9)
 
@@ -266,12 +265,12 @@ def test_a_geneva_crank_bears_what_its_wheel_does_and_nothing_in_the_dwell() -> 
     scene = load_scene(geneva())
     mechanism = scene.mechanism
     values = mechanism.motion(TIMES * np.pi).values
-    found = efforts(mechanism, values[0], scene.loads).effort[0]
+    found = Statics(mechanism, values[0], scene.loads).effort[0]
     rate = values[1, mechanism.assembly.loops.variables.index('wheel')]
     np.testing.assert_allclose(found, 3 * rate / 2.0, rtol=1e-9, atol=1e-12)
     assert (found[rate == 0] == 0).any()
     with pytest.raises(LinkageError, match='where a cam or a Geneva wheel is touched'):
-        reactions(mechanism, values[0], scene.loads)
+        _ = Statics(mechanism, values[0], scene.loads).force
 
 
 def test_a_geneva_drive_and_its_crank_have_their_center_where_the_rates_are_equal() -> None:
@@ -413,7 +412,7 @@ def test_loops_behind_a_cam_move_as_if_the_follower_were_driven() -> None:
         )
     # The power is the same.
     torque, own = (
-        efforts(one.mechanism, one.mechanism.motion(TIMES).values[0], one.loads).effort[0]
+        Statics(one.mechanism, one.mechanism.motion(TIMES).values[0], one.loads).effort[0]
         for one in (by_cam, by_driver)
     )
     rate = moving(by_driver, 'rocker')[1]

@@ -9,11 +9,10 @@ from kinpole_ros.mechanism import (
     Load,
     Motion,
     Scene,
-    efforts,
+    Statics,
     inertial_loads,
     load_scene,
     poles,
-    reactions,
     spring_loads,
     transmission_angles,
 )
@@ -92,7 +91,7 @@ def test_an_arm_bears_what_keeps_it_turning() -> None:
     )
     motion, loads = solved(arm, np.linspace(0, 0.5, 9))
     angle, rate, acceleration = motion.angle[:3, 0]
-    found = reactions(arm.mechanism, motion.values[0], loads)
+    found = Statics(arm.mechanism, motion.values[0], loads)
     torque = (0.03 + 1.5 * 0.04) * acceleration + 0.1 * (np.degrees(angle) - 30)
     np.testing.assert_allclose(found.effort[0], torque, rtol=1e-9, atol=1e-9)
     pull = 1.5 * 0.2 * (1j * acceleration - rate**2) * np.exp(1j * angle)
@@ -119,7 +118,7 @@ def test_a_piston_and_its_spring_by_hand() -> None:
     second -= (0.01 * np.sin(crank) * np.cos(crank)) ** 2 / root**3
     push = 0.8 * second * rate**2 - 4000 * (0.25 - (0.6 - place)) * -1
     torque = -push * 0.1 * np.sin(crank + rod) / np.cos(rod)
-    found = reactions(piston.mechanism, motion.values[0], loads)
+    found = Statics(piston.mechanism, motion.values[0], loads)
     np.testing.assert_allclose(found.effort[0], torque, rtol=0, atol=1e-9 * 200)
     rows = dict(zip(found.joints, found.force, strict=True))
     np.testing.assert_allclose(rows['B'].real, push, rtol=0, atol=1e-9 * 1000)
@@ -130,7 +129,7 @@ def test_all_forces_do_no_work_and_the_effort_changes_the_energy() -> None:
     scene = linkage()
     times = np.linspace(0.0, 0.6, 13)
     motion, loads = solved(scene, times)
-    effort = efforts(scene.mechanism, motion.values[0], loads).effort[0]
+    effort = Statics(scene.mechanism, motion.values[0], loads).effort[0]
     rate = motion.angle[1, 0]
     power = effort * rate
     for load in loads:
@@ -179,7 +178,7 @@ def test_all_forces_do_no_work_and_the_effort_changes_the_energy() -> None:
 def test_bearing_loads_are_the_same_both_ways_and_balance_each_body() -> None:
     scene = linkage()
     motion, loads = solved(scene, np.linspace(0.0, 0.6, 7))
-    found = reactions(scene.mechanism, motion.values[0], loads)
+    found = Statics(scene.mechanism, motion.values[0], loads)
     other = freed_reactions(scene.mechanism, motion.values[0], loads)
     np.testing.assert_allclose(other.force, found.force, rtol=0, atol=1e-9 * 100)
     for body in scene.mechanism.bodies:
@@ -198,7 +197,7 @@ def test_all_turns_moves_and_scales_with_the_scene(
     forces = []
     for scene in (plain, moved):
         motion, loads = solved(scene, times)
-        forces.append(reactions(scene.mechanism, motion.values[0], loads))
+        forces.append(Statics(scene.mechanism, motion.values[0], loads))
     one, other = forces
     np.testing.assert_allclose(other.force, one.force * np.exp(1j * turn), rtol=0, atol=1e-7)
     np.testing.assert_allclose(other.effort, one.effort * size, rtol=1e-9, atol=1e-7)

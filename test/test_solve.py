@@ -15,11 +15,10 @@ from conftest import title_of
 
 from kinpole_ros.mechanism import (
     SceneError,
-    efforts,
+    Statics,
     holding,
     load_scene,
     poles,
-    reactions,
     scene_names,
     scene_text,
     scenes_folder,
@@ -681,7 +680,7 @@ def test_virtual_work_step_by_step_gives_the_statics(name: str) -> None:
         loads = [*loads, holder]
         truth = size
     else:
-        truth = efforts(scene.mechanism, here.values, loads).effort[:, 0]
+        truth = Statics(scene.mechanism, here.values, loads).effort[:, 0]
     found = [re.search(r'= (-?[\d.e+-]+) N( m)?$', line) for line in lines]
     assert [float(one[1]) for one in found if one] == pytest.approx(truth, rel=1e-8)
     # The shares add up to it, and it does the power that the loads do not.
@@ -696,7 +695,7 @@ def test_virtual_work_step_by_step_gives_the_statics(name: str) -> None:
     if not scene.mechanism.assembly.joints:
         assert lines[-1].startswith('vectors have no joints')
         return
-    borne = reactions(scene.mechanism, here.values, loads)
+    borne = Statics(scene.mechanism, here.values, loads)
     rows = [line.split() for line in lines if re.search(r' (deg|turning) .* N( m)?$', line)]
     assert rows
     least = 1e-5 * float(np.abs(borne.force).max())
@@ -741,7 +740,7 @@ def test_the_work_of_several_drivers_and_at_a_limit(tmp_path: Path) -> None:
     scene.write_text(scene_text('double_pendulum') + 'loads: [{weight: 2 kg, at: lower.P}]\n')
     lines = solve_scene(scene, SolveOptions(time='0.3', work=True))
     solved = over_time(load_scene(scene), np.array([0.3]))
-    truth = efforts(solved.scene.mechanism, solved.values, solved.scene.loads).effort[:, 0]
+    truth = Statics(solved.scene.mechanism, solved.values, solved.scene.loads).effort[:, 0]
     found = [float(line.split()[-3]) for line in lines if re.match('the effort of .* = ', line)]
     assert found == pytest.approx(truth, rel=1e-6)
     assert sum('the other drivers held' in line for line in lines) == 2

@@ -18,7 +18,7 @@ from kinpole_ros.linkage.theory import (
     rate_differences,
 )
 from kinpole_ros.mechanism import (
-    efforts,
+    Statics,
     holding,
     load_scene,
     rotation_derivatives,
@@ -111,7 +111,7 @@ def test_the_effort_that_balances_the_loads_is_that_of_virtual_work(
     begin = stamp_to_ns(decoded(bag)['/markers'][0].markers[0].header.stamp)
     loaded = load_scene(path)
     values = loaded.mechanism.motion((stamps - begin) * 1e-9).values[0]
-    true = efforts(loaded.mechanism, values, loaded.loads).effort[0]
+    true = Statics(loaded.mechanism, values, loaded.loads).effort[0]
     said = np.array([message.wrench.torque.z for message in found])
     sigma = np.array(
         [message.wrench.torque.z for message in messages['/kinpole/balance/deviation']]
@@ -141,7 +141,7 @@ def test_what_holds_the_loads_is_what_the_scene_says_holds_them(name: str) -> No
             assert way is not None
             assert complex(load.force[0]) == pytest.approx(complex(true[0] * way), rel=1e-2)  # type: ignore[union-attr,index]
         else:
-            true = efforts(scene.mechanism, variables, scene.loads).effort[0]
+            true = Statics(scene.mechanism, variables, scene.loads).effort[0]
         said = balance(theory, estimate)
         if said.determined:
             known += 1

@@ -6,7 +6,6 @@ from kinpole_ros.mechanism._constraints import (
     Anchor,
     constraint_rows,
     wheel_state,
-    why_no_reactions,
 )
 from kinpole_ros.mechanism._equations import (
     Dimension,
@@ -43,7 +42,6 @@ from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
 from kinpole_ros.mechanism._pitch import write_pitch_curves
 from kinpole_ros.mechanism._polygon import Polygon, polygon
-from kinpole_ros.mechanism._reactions import Release, reactions, releases, undetermined
 from kinpole_ros.mechanism._scene import Scene, load_scene
 from kinpole_ros.mechanism._scene_file import (
     rewritten,
@@ -55,19 +53,18 @@ from kinpole_ros.mechanism._scene_file import (
 )
 from kinpole_ros.mechanism._scene_values import SceneError, quantity
 from kinpole_ros.mechanism._start import mobility
-from kinpole_ros.mechanism._statics import (
-    Port,
-    advantage,
-    efforts,
-    holding,
-    load_rates,
-    transmission_angles,
-)
+from kinpole_ros.mechanism._statics import Release, Statics, undetermined, why_no_reactions
 from kinpole_ros.mechanism._tolerance import (
     Tolerance,
     ToleranceSpread,
     propagate_tolerances,
     tolerances_of,
+)
+from kinpole_ros.mechanism._transmission import (
+    Port,
+    advantage,
+    holding,
+    transmission_angles,
 )
 
 __all__ = [
@@ -99,6 +96,7 @@ __all__ = [
     'SceneError',
     'Slot',
     'Spring',
+    'Statics',
     'Strut',
     'Tolerance',
     'ToleranceSpread',
@@ -108,13 +106,11 @@ __all__ = [
     'center_name',
     'centrodes',
     'constraint_rows',
-    'efforts',
     'explain',
     'holding',
     'inertial_loads',
     'instant_centers',
     'joint_at',
-    'load_rates',
     'load_scene',
     'loop_form',
     'marker_positions',
@@ -124,8 +120,6 @@ __all__ = [
     'polygon',
     'propagate_tolerances',
     'quantity',
-    'reactions',
-    'releases',
     'rewritten',
     'rotation_derivatives',
     'scene_names',

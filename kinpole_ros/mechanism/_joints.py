@@ -170,7 +170,7 @@ def loop_form(joint: Joint) -> LoopForm:
             return LoopForm((name,), (Term(1.0, along, one, name),), guide)
         case Rolling(name, one, _, other, _, radius, along, circle, start):
             if circle:
-                tie = Tie({name: joint.arm, one: -circle, other: -radius}, joint.arm * start)
+                tie = Tie({name: -joint.arm, one: circle, other: radius}, -joint.arm * start)
                 return LoopForm((name,), (Term(joint.arm, 0.0, name),), (tie,))
             slide, up = Term(1.0, along, one, name), Term(radius, along + np.pi / 2, one)
             return LoopForm(

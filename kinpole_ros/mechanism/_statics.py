@@ -1,46 +1,78 @@
 """
-Statics of a linkage by virtual work: efforts of its drivers, mechanical advantage, transmission.
+Statics of a linkage: efforts of its drivers and reactions in its joints, by virtual work.
 
-Loads and drivers do no net work in any motion that the joints allow (seed 003), which gives the
-efforts without the reactions in the joints (`_reactions`).
+Both are the power of the loads in a motion in which one driver or joint gives way at unit rate
+(`_virtual_motions`).
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import body_motion, largest_length
-from kinpole_ros.mechanism._joints import GROUND, Belt
-from kinpole_ros.mechanism._loads import Force, Holder, Load, Torque, check_loads
-from kinpole_ros.mechanism._loops import Block, LinkageError, loop_jacobian, term_lengths
+from kinpole_ros.mechanism._assembly import poses_of
+from kinpole_ros.mechanism._dead_points import loose_variables
+from kinpole_ros.mechanism._joints import GROUND, Pose, Rolling
+from kinpole_ros.mechanism._loads import Force, Load, check_loads
+from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
-from kinpole_ros.mechanism._solution import SINGULAR
-from kinpole_ros.planar._plane import ROUNDING, Complex, Real
+from kinpole_ros.mechanism._virtual_motions import (
+    ACROSS,
+    ALONG,
+    TURN,
+    UNSTRESSED,
+    VirtualMotions,
+    has_teeth,
+    virtual_motions,
+)
+from kinpole_ros.planar._plane import Complex, Real
 
-# Share of the largest rate of a term at which a loop counts as opening.
-_OPENING = np.sqrt(ROUNDING)
-# A port for power, in or out: along a force, with a torque, or with a variable by its name.
-Port = Force | Torque | str
 
-
-class Efforts(NamedTuple):
+class Release(NamedTuple):
     """
-    The efforts of the drivers that balance the loads.
+    A joint let go in one direction at 1 m/s, or 1 rad/s, all drivers held.
 
-    `effort` (d, T), N for a slide or length and N m for an angle, is positive along the rate of the
-    driver. `share` (K, d, T) is the part of each load; they add up to the effort. NaN where not
-    `determined` (d, T).
+    `way` (T,), complex of length 1, is the direction in which its body `other` moves relative to
+    `one`, None for a turn. `powers` (loads, T), W, are those of the loads then: the reaction is
+    minus their sum.
     """
 
-    effort: Real
-    share: Real
-    determined: np.ndarray
+    joint: str
+    way: Complex | None
+    powers: Real
 
 
-def efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Efforts:
+class UnitMotion(NamedTuple):
     """
-    Efforts of the drivers that balance loads, by virtual work.
+    The bodies (B) at T positions when one driver moves at unit rate, the others held.
+
+    `velocity` (B, T), complex, is that of their origins, `omega` (B, T) the angular one, `rates`
+    (n, T) those of the variables; NaN where they are not determined.
+    """
+
+    velocity: Complex
+    omega: Real
+    rates: Real
+
+
+@dataclass(frozen=True, eq=False)
+class Statics:
+    """
+    The forces that balance loads on a linkage at T positions.
+
+    All reactions, N, are those that the joint's body `one` exerts on its body `other`, acting at
+    `at`: the pin, or the point of contact. `axis` is the joint's own direction: of the slot, the
+    strut or the tangent, with the wheel to its left. `along` it acts the friction of a wheel or the
+    thrust of a strut; `across`, 90 degrees to the left, the normal force, which presses a wheel on
+    if it is positive. The effort of a driver is in `effort` alone, except for struts, whose force
+    it is. The axis of a pin is the ground's x axis, or the direction that is not determined, so
+    that its `across` is.
+
+    Everything is NaN where not `determined`, and reactions also where joints share a load in a way
+    that statics alone does not determine; `undetermined` gives the reason. Reactions raise
+    LinkageError for a linkage without joints, and with cams.
 
     Parameters
     ----------
@@ -50,11 +82,6 @@ def efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Effort
         Its variables (n, T), m and rad.
     loads
         Forces, N, and torques, N m.
-
-    Returns
-    -------
-    Efforts
-        Those of d drivers at T positions, N or N m.
 
     Raises
     ------
@@ -63,284 +90,264 @@ def efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Effort
 
     Notes
     -----
-    Seed 003.
+    Seed 003: virtual work for the efforts, and one constraint released at a time for reactions.
 
     """
-    check_loads(mechanism, loads)
-    drivers, count = len(mechanism.drivers), values.shape[1]
-    share = np.zeros((len(loads), drivers, count))
-    determined = np.zeros((drivers, count), bool)
-    for k in range(drivers):
-        moving = unit_drive(mechanism, values, k)
-        determined[k] = moving.determined
-        for load_share, load in zip(share, loads, strict=True):
-            power = power_of(mechanism, load, moving)
-            load_share[k] = np.where(moving.determined, -power, np.nan)
-    effort = np.where(determined, share.sum(axis=0), np.nan)
-    return Efforts(effort, share, determined)
+
+    mechanism: Mechanism
+    values: Real
+    loads: Sequence[Load]
+
+    def __post_init__(self) -> None:
+        check_loads(self.mechanism, self.loads)
+
+    @cached_property
+    def poses(self) -> dict[str, Pose]:
+        """Poses of all bodies by name, the ground first."""
+        return poses_of(self.mechanism.assembly, self.values)
+
+    @cached_property
+    def motions(self) -> VirtualMotions:
+        """The motions in which one joint or driver gives way."""
+        return virtual_motions(self.mechanism, self.values, self.poses)
+
+    @cached_property
+    def determined(self) -> np.ndarray:
+        """Positions (T,) at which joints and drivers determine the poses of all bodies."""
+        return self.motions.determined
+
+    @cached_property
+    def share(self) -> Real:
+        """The part (loads, d, T) of each load in the efforts, N or N m."""
+        return -self._powers(self.loads)[:, self.motions.drivers]
+
+    @cached_property
+    def effort(self) -> Real:
+        """Efforts of the drivers (d, T), N or N m, positive along their rates."""
+        return self.share.sum(axis=0) + 0.0 * self.motions.rates[0, self.motions.drivers]
+
+    def unit_motion(self, driver: int) -> UnitMotion:
+        """All bodies at unit rate of a driver, the others held."""
+        motion = self.motions.rates[:, self.motions.drivers][:, driver]
+        x, y, rates = np.split(motion, [len(self.poses) - 1, 2 * len(self.poses) - 2])
+        return UnitMotion(x + 1j * y, self.mechanism.assembly.turns @ rates, rates)
+
+    def load_rates(self, driver: int = 0) -> list[Complex | Real]:
+        """
+        Velocities (T,) of the loads' points or bodies at unit rate of a driver, the others held.
+
+        Complex, in the ground's axes, for a force; the angular velocity for a torque.
+        """
+        motion = self.unit_motion(driver)
+        rates: list[Complex | Real] = []
+        for load in self.loads:
+            if load.body == GROUND:
+                rates.append(np.zeros(self.values.shape[1]))
+                continue
+            b = self.mechanism.bodies.index(load.body)
+            rate = motion.omega[b]
+            if isinstance(load, Force):
+                rate = motion.velocity[b] + 1j * rate * load.point * self.poses[load.body].turn
+            rates.append(rate)
+        return rates
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints (J)."""
+        return tuple(joint.name for joint in self.mechanism.assembly.joints)
+
+    @property
+    def at(self) -> Complex:
+        """Points (J, T), complex, m, at which the reactions act."""
+        return self.motions.contact
+
+    @property
+    def axis(self) -> Complex:
+        """Directions (J, T) of the joints, complex of length 1."""
+        return self.motions.axis
+
+    @property
+    def along(self) -> Real:
+        """Reactions (J, T), N, along the axes of the joints."""
+        return self._reactions[ALONG]
+
+    @property
+    def across(self) -> Real:
+        """Reactions (J, T), N, across the axes of the joints, to the left."""
+        return self._reactions[ACROSS]
+
+    @property
+    def moment(self) -> Real:
+        """Moments (J, T), N m, of prismatic joints."""
+        return self._reactions[TURN]
+
+    @property
+    def force(self) -> Complex:
+        """The force (J, T), complex, in the ground's axes; NaN if a component of it is."""
+        return np.asarray((self.along + 1j * self.across) * self.axis)
+
+    @property
+    def unique(self) -> np.ndarray:
+        """Whether (J, T) statics alone determines the reaction of a joint."""
+        return np.isfinite(self.along + self.across + self.moment)
+
+    @cached_property
+    def acting(self) -> list[Load]:
+        """The loads with those by which teeth with a pressure angle separate each other."""
+        joints = self.mechanism.assembly.joints
+        if not any(map(has_teeth, joints)):
+            return list(self.loads)
+        # These do no work, so the force that teeth transmit does not depend on them.
+        transmitted = -self._powers(self.loads).sum(axis=0)
+        acting = list(self.loads)
+        for row, (k, direction) in enumerate(self.motions.labels):
+            if k is not None and direction == ALONG and has_teeth(joints[k]):
+                acting += separating_loads(self, k, transmitted[row])
+        return acting
+
+    @cached_property
+    def releases(self) -> list[Release]:
+        """Each constraint of each joint let go, one at a time, in the order of the joints."""
+        if reason := why_no_reactions(self.mechanism):
+            raise LinkageError(reason)
+        powers, joints = self._powers(self.acting), self.mechanism.assembly.joints
+        released = []
+        for k, direction, row in self.motions.bearings:
+            way = None if direction == TURN else 1j**direction * self.axis[k]
+            released.append(Release(joints[k].name, way, powers[:, row]))
+        return released
+
+    @cached_property
+    def _reactions(self) -> Real:
+        """Reactions (3, J, T): along the axis, across it, and moments."""
+        if reason := why_no_reactions(self.mechanism):
+            raise LinkageError(reason)
+        forces = 0.0 * self.motions.rates[0] - self._powers(self.acting).sum(axis=0)
+        components = np.zeros((3, *self.at.shape))
+        components[:, :, ~self.determined] = np.nan
+        for k, direction, row in self.motions.bearings:
+            components[direction, k] = forces[row]
+        for k, joint in enumerate(self.mechanism.assembly.joints):
+            if isinstance(joint, Rolling) and joint.pressure is not None:
+                components[ACROSS, k] = np.abs(components[ALONG, k]) * np.tan(joint.pressure)
+        for k, direction, row in self.motions.driven_struts:
+            components[direction, k] = forces[row]
+        return components
+
+    def _powers(self, loads: Sequence[Load]) -> Real:
+        """Powers (loads, rows, T) of loads in the virtual motions."""
+        assembly, motions = self.mechanism.assembly, self.motions.rates
+        count = len(assembly.bodies)
+        turning = np.einsum('bn,nrt->brt', assembly.turns, motions[2 * count :])
+        powers = np.zeros((len(loads), *motions.shape[1:]))
+        for power, load in zip(powers, loads, strict=True):
+            if load.body == GROUND:
+                continue
+            b = assembly.bodies.index(load.body)
+            if isinstance(load, Force):
+                force = np.asarray(load.force, complex)
+                arm = load.point * self.poses[load.body].turn
+                power += force.real * motions[b] + force.imag * motions[count + b]
+                power += (np.conj(arm) * force).imag * turning[b]
+            else:
+                power += load.torque * turning[b]
+        return powers
 
 
-def holding(
-    mechanism: Mechanism, values: Real, loads: Sequence[Load], holder: Holder
-) -> tuple[Real, Load]:
+def separating_loads(statics: Statics, k: int, transmitted: Real) -> list[Load]:
+    """The two forces that separate the teeth of joint k, which transmit a force (T,)."""
+    joint = statics.mechanism.assembly.joints[k]
+    assert isinstance(joint, Rolling)
+    push = np.abs(transmitted) * np.tan(joint.pressure or 0.0) * 1j * statics.axis[k]
+    loads: list[Load] = []
+    for body, force in ((joint.one, -push), (joint.other, push)):
+        if body != GROUND:
+            pose = statics.poses[body]
+            arm = (statics.at[k] - pose.position) * pose.turn.conj()
+            loads.append(Force(body, arm, force))
+    return loads
+
+
+def loose_teeth(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
+    """The joints with a pressure angle, at one position (n,), if nothing else holds their hubs."""
+    joints = mechanism.assembly.joints
+    toothed = [joint.name for joint in joints if has_teeth(joint)]
+    if not toothed or why_no_reactions(mechanism):
+        return ()
+    smooth = tuple(j._replace(pressure=None) if isinstance(j, Rolling) else j for j in joints)
+    assembly = mechanism.assembly._replace(joints=smooth)
+    rigid = Mechanism(assembly, mechanism.drivers, mechanism.start)
+    ranks = [Statics(one, values[:, None], ()).motions.rank[0] for one in (mechanism, rigid)]
+    return tuple(toothed) if ranks[0] < ranks[1] else ()
+
+
+def why_no_reactions(mechanism: Mechanism) -> str:
     """
-    The force or torque that balances loads in place of the one driver, which is free.
+    The reason for which a linkage has no reactions in its joints.
 
     Parameters
     ----------
     mechanism
         The linkage.
-    values
-        Its variables (n, T), m and rad.
-    loads
-        Forces, N, and torques, N m.
-    holder
-        The force or torque that holds them.
 
     Returns
     -------
-    effort : ndarray
-        Its size (T,), N or N m. NaN at dead points, and where the holder does not move along
-        itself.
-    load : Force or Torque
-        The same as a load.
-
-    Raises
-    ------
-    LinkageError
-        For another number of drivers, or a body that does not exist.
-
-    Notes
-    -----
-    By virtual work in the motion of the driver (seed 003).
+    str
+        The reason, empty if it has them.
 
     """
-    if len(mechanism.drivers) != 1:
-        raise LinkageError(
-            f'{len(mechanism.drivers)} drivers cannot be replaced by what holds {holder.body}: '
-            'leave one of them'
+    if not mechanism.assembly.joints:
+        return 'vectors have no joints: for what these bear write bodies and joints'
+    if mechanism.assembly.loops.laws:
+        return (
+            'what joints bear depends on where a cam or a Geneva wheel is touched, which its law '
+            'does not say: only the efforts of the drivers are determined'
         )
-    unit: Load = Torque(holder.body, 1.0)
-    if holder.point is not None:
-        angles = dict(zip(mechanism.bodies, mechanism.assembly.turns @ values, strict=True))
-        angle = holder.along + angles.get(holder.of, np.zeros(values.shape[1]))
-        unit = Force(holder.body, holder.point, np.exp(1j * angle))
-    share = efforts(mechanism, values, [unit, *loads]).share[:, 0]
-    with np.errstate(divide='ignore', invalid='ignore'):
-        size = -share[1:].sum(axis=0) / share[0]
-    size = np.where(np.isfinite(size), size, np.nan)
-    if isinstance(unit, Force):
-        return size, unit._replace(force=size * unit.force)
-    return size, unit._replace(torque=size)
+    return ''
 
 
-def load_rates(
-    mechanism: Mechanism, values: Real, loads: Sequence[Load], driver: int = 0
-) -> list[Complex | Real]:
+def undetermined(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
     """
-    Velocities of the points or bodies of loads at unit rate of a driver, the others held.
+    Reasons for which efforts or reactions are NaN at one position.
 
     Parameters
     ----------
     mechanism
         The linkage.
     values
-        Its variables (n, T), m and rad.
-    loads
-        Forces, N, and torques, N m.
-    driver
-        The number of the driver.
+        Its variables (n,), m and rad.
 
     Returns
     -------
-    list of ndarray
-        For each load (T,): the velocity of the force's point, complex, in the ground's axes, or the
-        angular velocity of the torque's body. NaN at dead points.
-
-    Notes
-    -----
-    The rates in the virtual work Σ F·v + Σ T ω = 0 of seed 003.
+    tuple of str
+        A line each, empty if they are determined.
 
     """
-    moving = unit_drive(mechanism, values, driver)
-    return [np.where(moving.determined, rate_of(mechanism, load, moving), np.nan) for load in loads]
-
-
-class Moving(NamedTuple):
-    """
-    Bodies (B) at T positions that move at unit rate of one driver.
-
-    `angle`, `velocity` and `omega` are (B, T), `rates` (n, T) those of the variables. `determined`
-    (T,) is where the loops determine them.
-    """
-
-    angle: Real
-    velocity: Complex
-    omega: Real
-    rates: Real
-    determined: np.ndarray
-
-
-def unit_drive(mechanism: Mechanism, values: Real, k: int) -> Moving:
-    """All bodies at unit rate of driver k, the others held."""
-    solution = mechanism.rates(values, k)
-    position, angle = body_motion(mechanism.assembly, solution.values)
-    rates, determined = solution.values[1], solution.regular & np.isfinite(values).all(axis=0)
-    if any(len(block.unknown) < 2 * len(block.loops.loops) for block in mechanism.linkage.blocks):
-        # With redundant constraints the rates of least squares need not keep all loops closed.
-        loops = mechanism.assembly.loops
-        slope = loop_jacobian(loops, values)[1]
-        gap = np.abs(np.einsum('mnt,nt->mt', slope, rates)).max(axis=0)
-        length = term_lengths(loops, values)
-        terms = np.hypot(loops.lengths @ rates, length * (loops.angles @ rates))
-        determined &= gap <= _OPENING * terms.max(axis=0)
-    return Moving(angle[0], position[1], angle[1], rates, determined)
-
-
-def rate_of(mechanism: Mechanism, load: Load, moving: Moving) -> Complex | Real:
-    """The velocity (T,), complex, of a force's point, or the angular one of a torque's body."""
-    if load.body == GROUND:
-        return np.zeros(moving.omega.shape[1:])
-    b = mechanism.bodies.index(load.body)
-    if isinstance(load, Torque):
-        return np.asarray(moving.omega[b])
-    arm = load.point * np.exp(1j * moving.angle[b])
-    return np.asarray(moving.velocity[b] + 1j * moving.omega[b] * arm)
-
-
-def power_of(mechanism: Mechanism, load: Load, moving: Moving) -> Real:
-    """Power (T,) of a load on moving bodies."""
-    effort = load.torque if isinstance(load, Torque) else load.force
-    return np.asarray((np.conj(effort) * rate_of(mechanism, load, moving)).real)
-
-
-def advantage(mechanism: Mechanism, values: Real, into: Port, out: Port) -> Real:
-    """
-    Mechanical advantage: the force or torque at `out` over that at `into`.
-
-    Parameters
-    ----------
-    mechanism
-        The linkage.
-    values
-        Its variables (n, T), m and rad.
-    into, out
-        A force (only its point and direction count), a torque (only its body), or a variable by its
-        name, as a driver or a slide. With several drivers the input is one of them, the others are
-        held.
-
-    Returns
-    -------
-    ndarray
-        The advantage (T,), N or N m over N or N m. Infinite where the output stands still while the
-        input moves (a toggle), zero the other way round, NaN at dead points of the driver.
-
-    Raises
-    ------
-    LinkageError
-        For a port that does not exist, or an input that is none of several drivers.
-
-    Notes
-    -----
-    All power that goes in comes out, so it is the rate of `into` over that of `out` (seed 003).
-
-    """
-    names = [driver.name for driver in mechanism.drivers]
-    if not names:
-        raise LinkageError('without a driver nothing moves: there is no advantage, add a driver')
-    if len(names) > 1 and (into not in names or out in names):
-        raise LinkageError(
-            f'with {len(names)} drivers the advantage is that of one of them, the others held: '
-            f'give {names[0]} or another as the input, and a force or torque as the output'
-        )
-    k = names.index(into) if isinstance(into, str) and into in names else 0
-    moving = unit_drive(mechanism, values, k)
-    length = largest_length(mechanism.assembly, values)
-    fastest = np.maximum(np.abs(moving.velocity), np.abs(moving.omega) * length).max(axis=0)
-    rates = []
-    for port in (into, out):
-        if isinstance(port, str):
-            rates.append(_rate(mechanism, moving, k, port, fastest, length))
-            continue
-        check_loads(mechanism, [port])
-        if isinstance(port, Force):
-            size = np.abs(port.force)
-            if not np.all(size > 0):
-                raise LinkageError(f'the force on {port.body} needs a direction, to be a port')
-            port, scale = port._replace(force=port.force / size), fastest
-        else:
-            port, scale = port._replace(torque=1.0), fastest / length
-        rate = power_of(mechanism, port, moving)
-        rates.append(np.where(np.abs(rate) > ROUNDING * scale, rate, 0.0))
-    with np.errstate(divide='ignore', invalid='ignore'):
-        ratio = rates[0] / rates[1]
-    # The sign of an infinite advantage is that of a rounding error: it has none.
-    return np.where(moving.determined, np.where(np.isinf(ratio), np.inf, ratio), np.nan)
-
-
-def _rate(
-    mechanism: Mechanism, moving: Moving, k: int, port: str, fastest: Real, length: float
-) -> Real:
-    """The rate (T,) of a variable, or of a driver, at unit rate of driver `k`."""
-    names = [driver.name for driver in mechanism.drivers]
-    if port in names:
-        return np.full(len(moving.determined), float(names.index(port) == k))
-    kinds = mechanism.assembly.kinds
-    if port not in kinds:
-        raise LinkageError(f'no variable {port}: there are {", ".join(kinds)}')
-    rate = moving.rates[list(kinds).index(port)]
-    scale = fastest if kinds[port] == 'length' else fastest / length
-    return np.where(np.abs(rate) > ROUNDING * scale, rate, 0.0)
-
-
-def transmission_angles(mechanism: Mechanism, values: Real) -> dict[tuple[str, ...], Real]:
-    """
-    Transmission angles, by the two variables of each dyad.
-
-    Parameters
-    ----------
-    mechanism
-        The linkage.
-    values
-        Its variables (n, T), m and rad.
-
-    Returns
-    -------
-    dict
-        By names of variables (T,), rad, 0 to π/2: the acute angle between the dyad's two links; of
-        a link and a slide, that between the link and the normal to the slide. Loops that are no
-        dyads, or have a belt, have none.
-
-    Notes
-    -----
-    The sine is the determinant of the dyad's equations over the lengths of their columns, so it is
-    zero at a dead point.
-
-    """
-    sines = np.abs(mechanism.rates(values).determinant)
-    sines[sines <= SINGULAR] = 0.0
-    angles = {
-        _names(mechanism, block.unknown): np.arcsin(np.minimum(sine, 1.0))
-        for block, sine in zip(mechanism.linkage.blocks, sines, strict=True)
-        if _is_dyad(block)
-    }
-    belts = {joint.name for joint in mechanism.assembly.joints if isinstance(joint, Belt)}
-    return {names: angle for names, angle in angles.items() if belts.isdisjoint(names)}
-
-
-def _is_dyad(block: Block) -> bool:
-    """Whether a block is one loop of two links, or a link and a slide, each an unknown."""
-    loops, unknown = block.loops, list(block.unknown)
-    turns, slides = (rows[rows[:, unknown].any(axis=1)] for rows in (loops.angles, loops.lengths))
-    distinct = [*np.unique(turns, axis=0), *np.unique(slides, axis=0)]
-    if len(loops.loops) != 1 or not len(turns) or len(distinct) != 2 or len(unknown) != 2:
-        return False
-    by = np.array(distinct)[:, unknown] != 0
-    # A slide turns with the link, or it does not.
-    turning = loops.angles[loops.lengths[:, unknown].any(axis=1)][:, unknown].any(axis=1)
-    return bool(by.sum() == 2 and by.any(axis=0).all() and (turning.all() or not turning.any()))
-
-
-def _names(mechanism: Mechanism, unknown: Sequence[int]) -> tuple[str, ...]:
-    variables = mechanism.assembly.loops.variables
-    return tuple(variables[mechanism.linkage.unknown[k]] for k in unknown)
+    here = np.asarray(values, float)[:, None]
+    if not np.isfinite(here).all():
+        return ('the loops do not close here: no forces without a position',)
+    names = ', '.join(loose_variables(mechanism.linkage, mechanism.rates(here)))
+    dead = f'dead point of the loop of {names}' if names else 'dead point'
+    drivers = ', '.join(driver.name for driver in mechanism.drivers) or 'nothing'
+    open_ended = f'{drivers} cannot hold it there, and no effort balances every load'
+    if why_no_reactions(mechanism):
+        return (f'{dead}: {open_ended}',) if names else ()
+    statics = Statics(mechanism, here, ())
+    system = statics.motions
+    stressed = system.stress[:, 0] > UNSTRESSED
+    of_joints = (statics.joints[k] for k, _, row in system.bearings if stressed[row])
+    shared = ', '.join(dict.fromkeys(of_joints))
+    if names or not system.determined[0]:
+        where = f', in the joints {shared}' if shared else ''
+        return (f'{dead}{where}: {open_ended}',)
+    if not stressed.any():
+        return ()
+    driver_stress = stressed[len(stressed) - len(mechanism.drivers) :].tolist()
+    unknown = [
+        driver.name for driver, is_so in zip(mechanism.drivers, driver_stress, strict=True) if is_so
+    ]
+    ending = f', nor are the efforts of {", ".join(unknown)}' if unknown else ', the efforts are'
+    return (
+        f'overconstrained: the reactions in the joints {shared} are not unique{ending}; how they '
+        'share a load is a matter of stiffness and fit',
+    )

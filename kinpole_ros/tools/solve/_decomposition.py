@@ -1,7 +1,7 @@
 """
 Poisson's decomposition of the motion of a body into translation and rotation, for two points.
 
-Equation numbers are those of seed 001 in docs/seeds.md.
+Equation numbers are those of seed 001 in docs/course_notes.md.
 """
 
 from pathlib import Path

@@ -8,10 +8,9 @@ import numpy as np
 
 from kinpole_ros.mechanism import (
     SceneError,
-    efforts,
+    Statics,
     holding,
     poles,
-    reactions,
     transmission_angles,
     why_no_reactions,
 )
@@ -89,12 +88,10 @@ def _add_statics(columns: _Columns, solution: Solution) -> None:
     if scene.held_by:
         columns['held_by'], load = holding(mechanism, solution.values, loads, scene.held_by)
         loads = [*loads, load]
-    for driver, effort in zip(
-        mechanism.drivers, efforts(mechanism, solution.values, loads).effort, strict=True
-    ):
+    forces = Statics(mechanism, solution.values, loads)
+    for driver, effort in zip(mechanism.drivers, forces.effort, strict=True):
         columns[f'{driver.name}_effort'] = effort
     if not why_no_reactions(mechanism):
-        forces = reactions(mechanism, solution.values, loads)
         for joint, force, moment in zip(forces.joints, forces.force, forces.moment, strict=True):
             columns.set_point(f'{joint}_force', force)
             columns[f'{joint}_moment'] = moment

@@ -12,13 +12,10 @@ from kinpole_ros.mechanism import (
     Force,
     Load,
     Scene,
+    Statics,
     Torque,
     advantage,
-    efforts,
     holding,
-    load_rates,
-    reactions,
-    releases,
     undetermined,
     why_no_reactions,
 )
@@ -59,7 +56,7 @@ def static_lines(solution: Solution) -> list[str]:
 def _reaction_lines(scene: Scene, values: np.ndarray, loads: list[Load]) -> list[str]:
     """Return the forces in the joints, and those that are not unique."""
     lines = []
-    forces = reactions(scene.mechanism, values, loads)
+    forces = Statics(scene.mechanism, values, loads)
     rows: list[Row] = [
         [name, force.real, force.imag, abs(force), moment]
         for name, force, moment in zip(
@@ -81,10 +78,10 @@ def _reaction_lines(scene: Scene, values: np.ndarray, loads: list[Load]) -> list
 def _effort_lines(scene: Scene, values: np.ndarray, acting: ActingLoads) -> list[str]:
     """Return the effort of each driver that balances the loads, and the share of each load."""
     lines = []
-    balance = efforts(scene.mechanism, values, acting.loads)
+    balance = Statics(scene.mechanism, values, acting.loads)
     for k, driver in enumerate(scene.mechanism.drivers):
         unit, _ = _UNITS[scene.mechanism.kind(k) == 'angle']
-        if not balance.determined[k, 0]:
+        if np.isnan(balance.effort[k, 0]):
             lines.append(f'{driver.name}: a dead point, where no finite effort balances the loads')
             continue
         lines.append(f'{driver.name} balances the loads with {balance.effort[k, 0]:.9g} {unit}')
@@ -132,7 +129,7 @@ def work_lines(solution: Solution) -> list[str]:
         lines += _balance_lines(here, named, 0, holder, float(size[0]))
         named[f'{len(named) + 1} holder, {_load_text(scene, holder)}'] = holder
     else:
-        balance = efforts(scene.mechanism, here.values, acting.loads)
+        balance = Statics(scene.mechanism, here.values, acting.loads)
         for k in range(len(scene.mechanism.drivers)):
             lines += _balance_lines(here, named, k, None, float(balance.effort[k, 0]))
     return [*lines, *_bearing_lines(here, named)]
@@ -160,7 +157,8 @@ def _balance_lines(
     driver_rate = float(here.rates[k, 0]) if len(mechanism.drivers) == 1 else 0.0
     driver_rate = driver_rate or 1.0
     loads = [*named.values()] if holder is None else [*named.values(), holder]
-    rates = [driver_rate * v[0] for v in load_rates(mechanism, here.values, loads, k)]
+    unit_rates = Statics(mechanism, here.values, loads).load_rates(k)
+    rates = [driver_rate * v[0] for v in unit_rates]
     powers = [_power(load, v) for load, v in zip(named.values(), rates, strict=False)]
     title, rate = f'the effort of {driver}', driver_rate
     effort_unit, unit = _UNITS[mechanism.kind(k) == 'angle']
@@ -219,13 +217,13 @@ def _bearing_lines(here: Solution, named: dict[str, Load]) -> list[str]:
     mechanism = here.scene.mechanism
     if reason := why_no_reactions(mechanism):
         return ['', reason]
-    released, loads = releases(mechanism, here.values, list(named.values()))
+    statics = Statics(mechanism, here.values, list(named.values()))
     names: Sequence[str] = [name.partition(' ')[0] for name in named]
-    names = [*names, *('teeth' for _ in loads[len(named) :])]
+    names = [*names, *('teeth' for _ in statics.acting[len(named) :])]
     drivers = ', '.join(driver.name for driver in mechanism.drivers)
     lines = ['', f'bearings: each released at 1 m/s or 1 rad/s in one direction, {drivers} held']
     rows: list[Row] = []
-    for one in released:
+    for one in statics.releases:
         direction = 'turning' if one.way is None else f'{_degrees(one.way[0]):g} deg'
         powers = one.powers[:, 0]
         unit = 'N m' if one.way is None else 'N'
