@@ -14,6 +14,7 @@ from bench._hindsight import apply_weights
 from bench._polynomial import derivative_weights
 from bench._record import START
 from kinpole_ros import planar
+from kinpole_ros.planar._poles import rotation_coefficient
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import Settings
@@ -128,7 +129,7 @@ def _judged(angle: np.ndarray) -> np.ndarray:
     """Frames (5, M) judged at each place: where the links turn, per frame, as the README says."""
     w, a, j = (angle[k] / _RATE**k for k in (1, 2, 3))
     first, second = np.abs(w).T > 0.01
-    coefficients = [np.abs(planar.rotation_coefficient(k, (angle[0], w, a, j))) for k in (2, 3)]
+    coefficients = [np.abs(rotation_coefficient(k, (angle[0], w, a, j))) for k in (2, 3)]
     return np.stack(
         (
             first,

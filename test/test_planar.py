@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from kinpole_ros import planar
 from kinpole_ros.mechanism import rotation_derivatives
 from kinpole_ros.planar import LandmarkKinematics, landmark_kinematics
+from kinpole_ros.planar._poles import point_motion
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -567,7 +568,7 @@ OTHER = polynomial_motion(np.linspace(-0.5, 0.5, 12))
 ARM = np.linspace(0.1, 0.5, 12) - 0.3j
 LINEARS: dict[str, Callable[[np.ndarray, np.ndarray], planar.Linear]] = {
     **{f'pole {k}': lambda z, a, k=k: planar.pole(k, z, a) for k in range(1, 5)},  # type: ignore[misc]
-    **{f'point {k}': lambda z, a, k=k: planar.point_motion(k, ARM, z, a) for k in range(4)},  # type: ignore[misc]
+    **{f'point {k}': lambda z, a, k=k: point_motion(k, ARM, z, a) for k in range(4)},  # type: ignore[misc]
     'icr_velocity': planar.icr_velocity,
     'icr_acceleration': planar.icr_acceleration,
     'centrode_curvature': planar.centrode_curvature,

@@ -18,10 +18,10 @@ from kinpole_ros.mechanism import (
     SceneError,
     load_scene,
     marker_positions,
-    rewritten,
     scene_names,
     scene_text,
 )
+from kinpole_ros.mechanism._scene_file import rewritten
 from kinpole_ros.messages import DiagnosticsMaker
 from kinpole_ros.tools import cli
 from kinpole_ros.tracking.estimate import Estimate

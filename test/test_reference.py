@@ -5,8 +5,8 @@ import pytest
 from stretches import instants
 
 from bench import _record
-from kinpole_ros import planar
 from kinpole_ros.messages import result_outputs
+from kinpole_ros.planar._poles import rotation_coefficient
 from kinpole_ros.tracking import center
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import find_hubs
@@ -153,7 +153,7 @@ def test_whatever_point_stands_for_a_body_the_figures_are_the_same() -> None:
     reference = rng.normal(size=(*shape[1:], 2)) @ (1, 1j)
     arm = reference * np.exp(1j * angle[0])
     moved = [position[0] + arm]
-    moved += [position[k] + planar.rotation_coefficient(k, angle) * arm for k in (1, 2, 3)]
+    moved += [position[k] + rotation_coefficient(k, angle) * arm for k in (1, 2, 3)]
     arrays = {
         'stamp': np.arange(3),
         'position': position,

@@ -11,16 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.linkage._matches import BodyMatch
-from kinpole_ros.mechanism import (
-    Anchor,
-    Equations,
-    Pose,
-    Rolling,
-    constraint_rows,
-    joint_at,
-    part_sum,
-    wheel_state,
-)
+from kinpole_ros.mechanism import Equations, Pose, Rolling
+from kinpole_ros.mechanism._constraints import Anchor, constraint_rows, wheel_state
+from kinpole_ros.mechanism._equations import joint_at, part_sum
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.values import FramePoses

@@ -12,7 +12,8 @@ import numpy as np
 from kinpole_ros.linkage._least_squares import Solution
 from kinpole_ros.linkage.positions import Positions
 from kinpole_ros.linkage.theory import Theory
-from kinpole_ros.mechanism import Dimension, Equations, Part, Scene, SceneError, part_sum
+from kinpole_ros.mechanism import Dimension, Equations, Part, Scene, SceneError
+from kinpole_ros.mechanism._equations import part_sum
 from kinpole_ros.planar._plane import Real
 from kinpole_ros.tracking.estimate import Estimate
 

@@ -49,25 +49,11 @@ Anchor = tuple[float, float, float]
 
 def constraint_rows(joint: Joint, one: Pose, other: Pose, anchor: Anchor | None = None) -> Rows:
     """
-    Equations of a joint between the poses of its bodies, with their derivatives.
+    Equations of a joint between the poses of its bodies at T instants, with their derivatives.
 
-    Parameters
-    ----------
-    joint
-        The joint, with lengths in m and angles in rad.
-    one, other
-        Poses of its bodies at T instants.
-    anchor
-        The state from which the slip of a wheel is measured (`wheel_state`); without one it is
-        measured from where the hub and both angles are zero.
-
-    Returns
-    -------
-    Rows
-        A pin has the distances along x and y; a slot the distance across it; a guide also the turn;
-        a wheel the error of the distance of its hub, and its slip; a belt its slack. A strut has no
-        rows.
-
+    A pin has the distances along x and y; a slot the distance across it; a guide also the turn; a
+    wheel the error of the distance of its hub, and its slip; a belt its slack; a strut no rows. The
+    slip is measured from `anchor` (`wheel_state`), or from where the hub and both angles are zero.
     """
     between, slope = _between(joint, one, other)
     match joint:
@@ -93,23 +79,7 @@ def constraint_rows(joint: Joint, one: Pose, other: Pose, anchor: Anchor | None 
 
 
 def wheel_state(joint: Rolling, one: Pose, other: Pose) -> Anchor:
-    """
-    Position of a wheel at the first instant, from which `constraint_rows` measures its slip.
-
-    Parameters
-    ----------
-    joint
-        The wheel.
-    one, other
-        Poses of its bodies at T instants.
-
-    Returns
-    -------
-    tuple of float
-        The slide of the hub, m, or its direction from the center of the circle, rad, and the angles
-        of both bodies, rad.
-
-    """
+    """Where a wheel is at the first instant, from which `constraint_rows` measures its slip."""
     between, slope = _between(joint, one, other)
     if joint.circle:
         hub = float(np.angle(between[0] * np.sign(joint.arm)))

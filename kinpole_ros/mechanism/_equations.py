@@ -89,24 +89,7 @@ class Equations(NamedTuple):
 
 
 def part_sum(parts: Sequence[Part], values: Real) -> tuple[complex, Complex]:
-    """
-    The sum of vectors of a body.
-
-    Parameters
-    ----------
-    parts
-        The vectors.
-    values
-        All dimensions (D,), m and rad.
-
-    Returns
-    -------
-    total : complex
-        The sum, m, in the frame of the body.
-    slope : ndarray
-        Its derivatives (D,), complex, by the dimensions.
-
-    """
+    """The sum of vectors of a body, m, in its frame, and its derivatives (D,) by the dimensions."""
     total, slope = 0j, np.zeros(len(values), complex)
     for part in parts:
         first, second = values[part.first], values[part.second]
@@ -124,26 +107,11 @@ def part_sum(parts: Sequence[Part], values: Real) -> tuple[complex, Complex]:
 
 def joint_at(equations: Equations, number: int, values: Real) -> tuple[Joint, Real]:
     """
-    The joint of an equation at given dimensions.
+    The joint of an equation at dimensions `values` (D,), m and rad.
 
-    Parameters
-    ----------
-    equations
-        The equations of a scene.
-    number
-        Which of `equations.joints`.
-    values
-        All dimensions (D,), m and rad.
-
-    Returns
-    -------
-    joint : Revolute, Slot or Rolling
-        With the difference to the scene's own value for the `start` of a wheel, since no scene
-        tells which teeth are in mesh.
-    by_dimension : ndarray
-        Derivatives (9, D) of the sizes of the joint, in the columns of `constraint_rows` from the
-        seventh on, by the dimensions.
-
+    The `start` of a wheel is the difference to the scene's own, since no scene tells which teeth
+    are in mesh. Also its sizes' derivatives (9, D) by the dimensions, in the order of the columns
+    of `constraint_rows` from the seventh on.
     """
     equation = equations.joints[number]
     (a, by_a), (b, by_b) = part_sum(equation.a, values), part_sum(equation.b, values)

@@ -144,25 +144,12 @@ class LoopForm(NamedTuple):
 
 def loop_form(joint: Joint) -> LoopForm:
     """
-    Write a joint as terms of a vector loop.
+    Write a joint as terms of a vector loop: its variables, terms, m and rad, and linear equations.
 
-    Parameters
-    ----------
-    joint
-        The joint.
-
-    Returns
-    -------
-    LoopForm
-        Its variables, terms, m and rad, and linear equations.
-
-    Notes
-    -----
     The ties of a wheel state that both bodies have one velocity at the point of contact. On a
     circle of radius R, a wheel of radius r with its hub in the direction φ has
     (R + r) φ' = R θ_one' + r θ_other'. Those of a belt state the length that its wheels unwind:
     s' = r_one (φ' - θ_one') - r_other (φ' - θ_other').
-
     """
     match joint:
         case Slot(name, one, _, along, other, _, turned):

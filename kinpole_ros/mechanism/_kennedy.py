@@ -173,22 +173,7 @@ def explain(mechanism: Mechanism, steps: Sequence[Step]) -> list[str]:
 
 
 def center_name(count: int, i: int, j: int) -> str:
-    """
-    The name of the center of two bodies: I13, from ten bodies on I1,3.
-
-    Parameters
-    ----------
-    count
-        How many bodies there are.
-    i, j
-        Their numbers from 0, i < j.
-
-    Returns
-    -------
-    str
-        With numbers from 1.
-
-    """
+    """The name of the center of bodies i and j of `count`: I13, from ten bodies on I1,3."""
     return f'I{i + 1}{"," if count > 9 else ""}{j + 1}'
 
 

@@ -129,22 +129,7 @@ def reduce(loops: Loops) -> Linkage:
 
 
 def with_laws(linkage: Linkage, inputs: Real) -> Real:
-    """
-    Inputs followed by the values of cams and Geneva drives, which their laws give.
-
-    Parameters
-    ----------
-    linkage
-        The linkage.
-    inputs
-        Values and derivatives of the drivers (orders, d, T).
-
-    Returns
-    -------
-    ndarray
-        The same, and after the d drivers the laws.
-
-    """
+    """Values and derivatives (orders, d, T) of the drivers, followed by those that laws give."""
     for law in linkage.loops.laws:
         argument = law.of @ linkage.driven[:, : inputs.shape[1]] @ inputs
         argument[0] += law.of @ linkage.fixed

@@ -172,22 +172,7 @@ _Loader.add_implicit_resolver(
 
 
 def rewritten(text: str, changes: Mapping[Dimension, float]) -> str:
-    """
-    The text of a scene's file with some dimensions at other values.
-
-    Parameters
-    ----------
-    text
-        As in the file; its comments stay.
-    changes
-        New values, m or rad, by dimension.
-
-    Returns
-    -------
-    str
-        The new text.
-
-    """
+    """The text of a scene's file with some dimensions at new values, m or rad; comments stay."""
     by_path: dict[tuple[str | int, ...], list[tuple[Dimension, float]]] = {}
     for dimension, value in changes.items():
         by_path.setdefault(dimension.path, []).append((dimension, value))
@@ -202,26 +187,10 @@ def rewritten(text: str, changes: Mapping[Dimension, float]) -> str:
 
 def value_spans(text: str, paths: Sequence[Sequence[str | int]]) -> list[tuple[int, int]]:
     """
-    The positions of values in the text of a scene's file.
+    The positions of values in the text of a scene's file: first letter, and that after the last.
 
-    Parameters
-    ----------
-    text
-        As in the file.
-    paths
-        The keys that lead to each value, and positions in lists.
-
-    Returns
-    -------
-    list of tuple
-        The first letter of each, and that after the last; for a missing 'start' the end of the
-        text.
-
-    Raises
-    ------
-    SceneError
-        For another value that is missing.
-
+    `paths` are the keys that lead to each value, and positions in lists. A missing 'start' is at
+    the end of the text; for any other missing value SceneError is raised.
     """
     root = yaml.compose(text, yaml.SafeLoader)
     spans = []

@@ -282,20 +282,7 @@ def loose_teeth(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
 
 
 def why_no_reactions(mechanism: Mechanism) -> str:
-    """
-    The reason for which a linkage has no reactions in its joints.
-
-    Parameters
-    ----------
-    mechanism
-        The linkage.
-
-    Returns
-    -------
-    str
-        The reason, empty if it has them.
-
-    """
+    """The reason for which a linkage has no reactions in its joints, empty if it has them."""
     if not mechanism.assembly.joints:
         return 'vectors have no joints: for what these bear write bodies and joints'
     if mechanism.assembly.loops.laws:

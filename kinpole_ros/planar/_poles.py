@@ -21,34 +21,14 @@ from kinpole_ros.planar._uncertainty import Linear
 
 def rotation_coefficient(order: int, angle: Real) -> Complex:
     """
-    Rotation coefficient a_n: the n-th derivative of a point per m from the pole of that order.
+    Rotation coefficient a_n (...), 1/s^n, at an angle with its derivatives (K, ...), rad; n 1 to 4.
 
-    Parameters
-    ----------
-    order
-        1 to 4.
-    angle
-        Angle with its derivatives (K, ...), rad; K > order.
-
-    Returns
-    -------
-    ndarray
-        Of shape (...), complex, 1/s^order.
-
-    Raises
-    ------
-    ValueError
-        For another order.
-
-    Notes
-    -----
     Seed 000, pages 1 and 2, with R = i and angular velocity w, acceleration a, jerk j and snap s:
 
     - a_1 = i w
     - a_2 = -w^2 + i a (matrix B)
     - a_3 = -3 w a + i (j - w^3) (matrix H)
     - a_4 = w^4 - 4 w j - 3 a^2 + i (s - 6 w^2 a) (matrix G)
-
     """
     w = np.asarray(angle[1])
     if order == 1:
@@ -67,26 +47,9 @@ def rotation_coefficient(order: int, angle: Real) -> Complex:
 
 def rotation(order: int, angle: Real) -> tuple[Complex, Complex]:
     """
-    Rotation coefficient a_n with its partial derivatives by those of the angle.
+    Rotation coefficient a_n (...) and its partial derivatives (n, ...) by those of the angle.
 
-    Parameters
-    ----------
-    order
-        1 to 4.
-    angle
-        Angle with its derivatives (K, ...), rad; K > order.
-
-    Returns
-    -------
-    value : ndarray
-        `rotation_coefficient`, of shape (...), complex, 1/s^order.
-    partials : ndarray
-        By the 1st to n-th derivative of the angle, of shape (order, ...), complex.
-
-    Notes
-    -----
-    The partial derivative by the k-th derivative of the angle is i binom(n, k) a_(n-k), a_0 = 1.
-
+    That by the k-th derivative of the angle is i binom(n, k) a_(n-k), a_0 = 1.
     """
     a = rotation_coefficient(order, angle)
     by_angle = np.empty((order, *a.shape), complex)
@@ -143,27 +106,10 @@ def pole(
 
 def point_motion(order: int, arm: Complex, position: Complex, angle: Real) -> Linear:
     """
-    Position of a point fixed to a body, or its n-th derivative, with partial derivatives.
+    The n-th derivative z(n) + a_n exp(i angle) arm of a point of a body, with partial derivatives.
 
-    Parameters
-    ----------
-    order
-        0 for the position, 1 to 4 for its derivatives.
-    arm
-        From the reference point to the point (...), complex, m, in the body's frame.
-    position, angle
-        Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives;
-        K > order.
-
-    Returns
-    -------
-    Linear
-        Of shape (...), complex, m/s^order, in the frame of `position`.
-
-    Notes
-    -----
-    z(n) + a_n exp(i angle) arm.
-
+    `arm` (...), complex, m, leads from the reference point to it in the body's frame; order 0 is
+    its position.
     """
     turned = arm * np.exp(1j * angle[0])
     orders = slice(order, order + 1), slice(0, order + 1)
@@ -329,24 +275,10 @@ def kennedy_residual(centers: Complex, covariance: Real) -> tuple[Real, Real]:
 
 def center_offset(center: Complex, joint: Complex, covariance: Real) -> tuple[Real, Real]:
     """
-    Distance of a measured relative center from the joint where it should be.
+    Distance (...), m, of a measured relative center from the joint where it should be.
 
-    Parameters
-    ----------
-    center
-        Measured relative center (...), complex, m.
-    joint
-        Position of the pin that is predicted by a linkage, or known on a body (...), complex, m.
-    covariance
-        The sum of the covariances of both (..., 2, 2), m^2.
-
-    Returns
-    -------
-    distance : ndarray
-        Of shape (...), m.
-    deviations : ndarray
-        Mahalanobis distance (...). Its mean square is 2 where the joint is right.
-
+    `covariance` (..., 2, 2), m^2, is that of both. The second result is the Mahalanobis distance,
+    whose mean square is 2 where the joint is right.
     """
     off = np.asarray(center, complex) - joint
     matrix = np.asarray(covariance, float)

@@ -117,22 +117,7 @@ def fit_pose(points: Complex, shape: Complex, weights: Real) -> Fit:
 
 
 def procrustes_factors(shape: Complex, weights: Real) -> ProcrustesFactors:
-    """
-    Compute what `fit_pose` needs of the shape and the weights alone.
-
-    Parameters
-    ----------
-    shape
-        Markers in the body's frame (..., n), complex, m.
-    weights
-        As in `fit_pose` (..., n).
-
-    Returns
-    -------
-    ProcrustesFactors
-        For `fit_pose_with_factors`.
-
-    """
+    """What `fit_pose` needs of the shape (..., n), complex, m, and the weights (..., n) alone."""
     seen = weights > 0
     total = weights.sum(axis=-1)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
@@ -158,22 +143,7 @@ def procrustes_factors(shape: Complex, weights: Real) -> ProcrustesFactors:
 
 
 def fit_pose_with_factors(points: Complex, factors: ProcrustesFactors) -> Fit:
-    """
-    Fit poses as `fit_pose` does, for many points of one shape.
-
-    Parameters
-    ----------
-    points
-        Markers in the ground's frame (..., n), complex, m.
-    factors
-        From `procrustes_factors`. Its axes before n may have length 1.
-
-    Returns
-    -------
-    Fit
-        Poses (...).
-
-    """
+    """Fit poses as `fit_pose` does, for many points (..., n), complex, m, of one shape."""
     points = np.where(factors.seen, points, 0)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
         points_mean = np.add.reduce(factors.mean_factor * points, -1)

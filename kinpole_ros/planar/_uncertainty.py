@@ -98,20 +98,9 @@ def variance(linear: Linear, position_covariance: Real, angle_covariance: Real) 
 
 def mean_square(factors: Complex, matrix: Real) -> Real:
     """
-    Mean square of one coordinate of sum(factors * e), for errors e of the plane.
+    Mean square (...) of one coordinate of sum(factors * e), for isotropic errors e of the plane.
 
-    Parameters
-    ----------
-    factors
-        Of shape (n, ...), complex.
-    matrix
-        Covariance (n, n, ...) of either coordinate of the errors, which are independent.
-
-    Returns
-    -------
-    ndarray
-        Of shape (...). It is the same for both coordinates.
-
+    `matrix` (n, n, ...) is the covariance of either coordinate of the errors.
     """
     by = _components(factors)
     return np.asarray(np.einsum('km...,xk...,xm...->...', matrix, by, by))

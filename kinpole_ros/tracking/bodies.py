@@ -5,9 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.planar import Fit, fit_pose_with_factors, procrustes_factors
+from kinpole_ros.planar import Fit
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
-from kinpole_ros.planar._procrustes import ProcrustesFactors
+from kinpole_ros.planar._procrustes import (
+    ProcrustesFactors,
+    fit_pose_with_factors,
+    procrustes_factors,
+)
 from kinpole_ros.tracking.rejection import marker_limits
 from kinpole_ros.tracking.thresholds import MIN_SAMPLES, N_SIGMA, NEGLIGIBLE, ROUNDED
 

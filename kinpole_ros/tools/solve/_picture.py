@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.mechanism import center_name, poles, polygon
+from kinpole_ros.mechanism import poles, polygon
+from kinpole_ros.mechanism._kennedy import center_name
 from kinpole_ros.tools.solve._shapes import wheel_lines
 from kinpole_ros.tools.solve._solution import (
     Solution,

@@ -17,8 +17,8 @@ from kinpole_ros.mechanism import (
     advantage,
     holding,
     undetermined,
-    why_no_reactions,
 )
+from kinpole_ros.mechanism._statics import why_no_reactions
 from kinpole_ros.tools.solve._solution import (
     ActingLoads,
     Solution,

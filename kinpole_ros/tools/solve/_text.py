@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinpole_ros.mechanism import Scene, center_name, explain, poles, transmission_angles
+from kinpole_ros.mechanism import Scene, explain, poles, transmission_angles
+from kinpole_ros.mechanism._kennedy import center_name
 from kinpole_ros.tools.solve._solution import (
     Solution,
     advantages,
