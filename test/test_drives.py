@@ -62,6 +62,12 @@ def test_a_belt_turns_wheels_by_the_ratio_of_their_radii(radii: Any, ratio: floa
     )
 
 
+@pytest.mark.parametrize('radii', ['5 cm @ 30 deg', '5 cm', ['3 cm'], ['3 cm', '9 cm', '1 cm']])
+def test_radii_of_a_belt_are_two_lengths(radii: Any) -> None:
+    with pytest.raises(SceneError, match=r'radii is .*: give both radii as \[3 cm, 9 cm\]'):
+        load_scene(two_wheels(radii=radii))
+
+
 @pytest.mark.parametrize('turn', [0.0, 200.0, -700.0])
 @pytest.mark.parametrize('radii', [(0.04, 0.02), (0.04, -0.02)])
 def test_a_belt_on_an_arm_is_a_planetary_gear(radii: tuple[float, float], turn: float) -> None:
@@ -192,7 +198,7 @@ def test_the_center_of_two_wheels_is_where_the_strand_meets_the_line_of_hubs(
     [
         ({}, "'radii' is missing"),
         ({'radii': [0.5, -0.5]}, 'no strand of radii 0.5 and -0.5 m fits'),
-        ({'radii': 0.1}, r'give \[x, y\]'),
+        ({'radii': 0.1}, r'give both radii as'),
         ({'radii': [0.1, 0.1], 'teeth': 3}, "unknown key 'teeth'"),
         ({'belt': ['motor.H'], 'radii': [0.1, 0.1]}, 'give its two ends'),
     ],

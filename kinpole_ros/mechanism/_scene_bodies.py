@@ -183,8 +183,10 @@ def _joint(where: str, entry: Any, points: Points) -> Joint:
 
 def _belt(where: str, entry: dict[str, Any], ends: Strut, names: list[str], points: Points) -> Belt:
     need(where, entry, ('radii',), _EXAMPLES['belt'])
-    radii = vector(f'{where}: radii', entry['radii'])
-    first, last = radii.real, radii.imag
+    radii = entry['radii']
+    if not isinstance(radii, list | tuple) or len(radii) != 2:
+        raise SceneError(f'{where}: radii is {radii!r}: give both radii as [3 cm, 9 cm]')
+    first, last = (quantity(f'{where}: radii', radius, 'length') for radius in radii)
     belt = Belt(*ends, (first, last), 0.0, 0.0)
     if carrier := _carrier(names, points):
         body, hubs = carrier
