@@ -14,7 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import Assembly, assemble, body_motion
-from kinpole_ros.mechanism._joints import GROUND, Belt, Revolute, Rolling, Slot, Strut
+from kinpole_ros.mechanism._equilibrium import (
+    Statics,
+    separating_loads,
+    why_no_reactions,
+)
+from kinpole_ros.mechanism._joint_kinds import GROUND, Belt, Revolute, Rolling, Slot, Strut
 from kinpole_ros.mechanism._loads import Force, Load
 from kinpole_ros.mechanism._loops import (
     Linkage,
@@ -26,11 +31,6 @@ from kinpole_ros.mechanism._loops import (
     with_laws,
 )
 from kinpole_ros.mechanism._mechanism import Mechanism
-from kinpole_ros.mechanism._statics import (
-    Statics,
-    separating_loads,
-    why_no_reactions,
-)
 from kinpole_ros.mechanism._virtual_motions import has_teeth
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 

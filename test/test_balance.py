@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinpole_ros.mechanism._assembly import assemble
-from kinpole_ros.mechanism._joints import GROUND, Revolute
+from kinpole_ros.mechanism._equilibrium import Statics
+from kinpole_ros.mechanism._joint_kinds import GROUND, Revolute
 from kinpole_ros.mechanism._loads import Force, Torque
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
-from kinpole_ros.mechanism._statics import Statics
 from kinpole_ros.planar._balance import Port, balancing_effort, measured_balance, port_power
 from kinpole_ros.planar._uncertainty import Linear
 

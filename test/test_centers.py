@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from kinpole_ros.mechanism import _kennedy
 from kinpole_ros.mechanism._assembly import assemble
 from kinpole_ros.mechanism._centers import Centers, centers_by_rates, instant_centers
-from kinpole_ros.mechanism._joints import Joint, Revolute, Rolling, Slot, Strut
+from kinpole_ros.mechanism._joint_kinds import Joint, Revolute, Rolling, Slot, Strut
 from kinpole_ros.mechanism._kennedy import deduce, explain, kennedy_centers
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism

@@ -10,7 +10,7 @@ from test_centers import FOUR_BAR, four_bar, linkage, pin
 
 from kinpole_ros.mechanism._centers import instant_centers
 from kinpole_ros.mechanism._centrodes import centrodes
-from kinpole_ros.mechanism._joints import Rolling, Slot
+from kinpole_ros.mechanism._joint_kinds import Rolling, Slot
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._pitch import write_pitch_curves

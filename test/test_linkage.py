@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from kinpole_ros.mechanism import _mechanism, rotation_derivatives
 from kinpole_ros.mechanism._assembly import assemble
 from kinpole_ros.mechanism._dead_points import unit_input
-from kinpole_ros.mechanism._joints import Joint, Revolute, Rolling, Slot, Strut
+from kinpole_ros.mechanism._joint_kinds import Joint, Revolute, Rolling, Slot, Strut
 from kinpole_ros.mechanism._laws import constant_rate, sine, smooth_step, table
+from kinpole_ros.mechanism._loop_closure import solve
 from kinpole_ros.mechanism._loops import LinkageError, loop_jacobian
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
-from kinpole_ros.mechanism._solution import solve
 from kinpole_ros.mechanism._start import mobility
 
 G = 'ground'

@@ -9,11 +9,11 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from kinpole_ros.mechanism._assembly import assemble
-from kinpole_ros.mechanism._joints import GROUND, Joint, Revolute, Rolling, Slot, Strut
+from kinpole_ros.mechanism._equilibrium import Statics, undetermined
+from kinpole_ros.mechanism._joint_kinds import GROUND, Joint, Revolute, Rolling, Slot, Strut
 from kinpole_ros.mechanism._loads import Force, Holder, Load, Torque
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
-from kinpole_ros.mechanism._statics import Statics, undetermined
 from kinpole_ros.mechanism._transmission import advantage, holding
 
 G = 9.80665

@@ -2,13 +2,20 @@
 
 from kinpole_ros.mechanism._centers import Centers, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, Poles, centrodes, poles
+from kinpole_ros.mechanism._dimension_errors import (
+    Tolerance,
+    ToleranceSpread,
+    propagate_tolerances,
+    tolerances_of,
+)
 from kinpole_ros.mechanism._equations import (
     Dimension,
     Equation,
     Equations,
     Part,
 )
-from kinpole_ros.mechanism._joints import (
+from kinpole_ros.mechanism._equilibrium import Release, Statics, undetermined
+from kinpole_ros.mechanism._joint_kinds import (
     GROUND,
     Belt,
     Pose,
@@ -43,13 +50,6 @@ from kinpole_ros.mechanism._scene_file import (
 )
 from kinpole_ros.mechanism._scene_values import SceneError, quantity
 from kinpole_ros.mechanism._start import mobility
-from kinpole_ros.mechanism._statics import Release, Statics, undetermined
-from kinpole_ros.mechanism._tolerance import (
-    Tolerance,
-    ToleranceSpread,
-    propagate_tolerances,
-    tolerances_of,
-)
 from kinpole_ros.mechanism._transmission import (
     Port,
     advantage,

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import joint_extent, poses_of
-from kinpole_ros.mechanism._joints import GROUND, Revolute
+from kinpole_ros.mechanism._joint_kinds import GROUND, Revolute
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import rotation_derivatives

@@ -7,13 +7,13 @@ from math import pi
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly
-from kinpole_ros.mechanism._joints import Rolling
+from kinpole_ros.mechanism._equilibrium import loose_teeth
+from kinpole_ros.mechanism._joint_kinds import Rolling
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._scene_inputs import Driven
 from kinpole_ros.mechanism._scene_values import SceneError
 from kinpole_ros.mechanism._start import close_near, mobility
-from kinpole_ros.mechanism._statics import loose_teeth
 from kinpole_ros.planar._plane import Real
 
 # Errors of a stated start, rad: it gives roughly the branch of loops, but exactly the phase of

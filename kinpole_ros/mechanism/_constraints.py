@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._joints import (
+from kinpole_ros.mechanism._joint_kinds import (
     Belt,
     Joint,
     Pose,

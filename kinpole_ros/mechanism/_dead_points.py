@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.mechanism._loop_closure import SINGULAR, Solution, solve
 from kinpole_ros.mechanism._loops import Linkage, reduce
-from kinpole_ros.mechanism._solution import SINGULAR, Solution, solve
 from kinpole_ros.planar._plane import Real
 
 # Values and derivatives (5, d, T) of the drivers over a parameter (T,).

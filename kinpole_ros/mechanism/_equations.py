@@ -1,8 +1,8 @@
 """
 The joints of a scene as equations between poses, with the dimensions of the scene as unknowns.
 
-`_joints` has the equations; here each of their numbers is a dimension with a name and with its path
-in the scene's file, so that a fit can change it and a message can name it.
+`_constraints` has the equations; here each of their numbers is a dimension with a name and with its
+path in the scene's file, so that a fit can change it and a message can name it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._constraints import SIZES
-from kinpole_ros.mechanism._joints import (
+from kinpole_ros.mechanism._joint_kinds import (
     GROUND,
     Belt,
     Joint,

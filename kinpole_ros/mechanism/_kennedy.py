@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import joint_extent, poses_of
-from kinpole_ros.mechanism._joints import (
+from kinpole_ros.mechanism._joint_kinds import (
     GROUND,
     Belt,
     Joint,

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import poses_of
-from kinpole_ros.mechanism._joints import GROUND
+from kinpole_ros.mechanism._joint_kinds import GROUND
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.planar import body_point_derivative

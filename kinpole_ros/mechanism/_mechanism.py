@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import Assembly, body_motion
 from kinpole_ros.mechanism._dead_points import loop_names, most_singular, unit_input
+from kinpole_ros.mechanism._loop_closure import Solution, solve, sound_orders
 from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce
 from kinpole_ros.mechanism._motions import ORDERS
 from kinpole_ros.mechanism._path import Path, Table, initial_guess, tabulate, trace
-from kinpole_ros.mechanism._solution import Solution, solve, sound_orders
 from kinpole_ros.planar._plane import Complex, Real
 
 # Positions at a time: fewer cost more calls, more leave the cache (1e5 of a four-bar to its

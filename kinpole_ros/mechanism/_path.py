@@ -22,8 +22,8 @@ from kinpole_ros.mechanism._dead_points import (
     taylor,
     unit_input,
 )
+from kinpole_ros.mechanism._loop_closure import Solution, solve
 from kinpole_ros.mechanism._loops import Linkage, LinkageError
-from kinpole_ros.mechanism._solution import Solution, solve
 from kinpole_ros.mechanism._start import closing_starts
 from kinpole_ros.planar._plane import Real
 

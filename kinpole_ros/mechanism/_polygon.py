@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly, poses_of
-from kinpole_ros.mechanism._joints import GROUND, Rolling, Slot, Strut, contact
+from kinpole_ros.mechanism._joint_kinds import GROUND, Rolling, Slot, Strut, contact
 from kinpole_ros.mechanism._mechanism import Motion
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.mechanism._scene import Scene

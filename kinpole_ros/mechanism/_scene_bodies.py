@@ -11,7 +11,7 @@ import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly, assemble
 from kinpole_ros.mechanism._equations import Equations, equations_of_joints
-from kinpole_ros.mechanism._joints import (
+from kinpole_ros.mechanism._joint_kinds import (
     GROUND,
     Belt,
     Joint,

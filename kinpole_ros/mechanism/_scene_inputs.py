@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly
-from kinpole_ros.mechanism._joints import GROUND, Belt, Strut
+from kinpole_ros.mechanism._joint_kinds import GROUND, Belt, Strut
 from kinpole_ros.mechanism._laws import Function, constant_rate, sine, smooth_step, table
 from kinpole_ros.mechanism._loads import Force, Holder, Load, Mass, Spring, Torque, Torsion
 from kinpole_ros.mechanism._mechanism import Driver

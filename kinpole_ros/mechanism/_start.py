@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly, poses_of
-from kinpole_ros.mechanism._joints import GROUND, Belt, Slot, Strut, strand
+from kinpole_ros.mechanism._joint_kinds import GROUND, Belt, Slot, Strut, strand
 from kinpole_ros.mechanism._loops import Loops, loop_jacobian
 from kinpole_ros.planar._plane import Real
 

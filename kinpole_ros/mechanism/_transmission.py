@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import largest_length
-from kinpole_ros.mechanism._joints import Belt
+from kinpole_ros.mechanism._equilibrium import Statics, UnitMotion
+from kinpole_ros.mechanism._joint_kinds import Belt
 from kinpole_ros.mechanism._loads import Force, Holder, Load, Torque
+from kinpole_ros.mechanism._loop_closure import SINGULAR
 from kinpole_ros.mechanism._loops import Block, LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
-from kinpole_ros.mechanism._solution import SINGULAR
-from kinpole_ros.mechanism._statics import Statics, UnitMotion
 from kinpole_ros.planar._plane import ROUNDING, Real
 
 # A port for power, in or out: along a force, with a torque, or with a variable by its name.

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.mechanism import GROUND, Belt, Rolling, Strut
-from kinpole_ros.mechanism._joints import loop_form
+from kinpole_ros.mechanism._joint_kinds import loop_form
 from kinpole_ros.mechanism._loops import with_laws
 from kinpole_ros.mechanism._scene_file import value_spans
 from kinpole_ros.tools.solve._solution import Solution

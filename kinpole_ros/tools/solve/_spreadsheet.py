@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from kinpole_ros.mechanism import SceneError, Statics, holding, poles, transmission_angles
-from kinpole_ros.mechanism._statics import why_no_reactions
+from kinpole_ros.mechanism._equilibrium import why_no_reactions
 from kinpole_ros.tools.solve._solution import (
     Solution,
     acting_loads,

@@ -18,7 +18,7 @@ from kinpole_ros.mechanism import (
     holding,
     undetermined,
 )
-from kinpole_ros.mechanism._statics import why_no_reactions
+from kinpole_ros.mechanism._equilibrium import why_no_reactions
 from kinpole_ros.tools.solve._solution import (
     ActingLoads,
     Solution,

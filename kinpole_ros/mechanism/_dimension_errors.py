@@ -14,13 +14,13 @@ import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly, assemble, body_motion
 from kinpole_ros.mechanism._equations import Path
-from kinpole_ros.mechanism._joints import Joint, Revolute, Rolling, Slot
+from kinpole_ros.mechanism._joint_kinds import Joint, Revolute, Rolling, Slot
+from kinpole_ros.mechanism._loop_closure import solve
 from kinpole_ros.mechanism._loops import LinkageError, reduce
 from kinpole_ros.mechanism._scene import Scene
 from kinpole_ros.mechanism._scene_bodies import read_bodies
 from kinpole_ros.mechanism._scene_file import parse_scene
 from kinpole_ros.mechanism._scene_values import Points, SceneError, vector
-from kinpole_ros.mechanism._solution import solve
 from kinpole_ros.mechanism._vectors import read_vectors
 from kinpole_ros.planar._plane import Real
 
