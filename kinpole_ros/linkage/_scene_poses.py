@@ -161,7 +161,7 @@ def residuals(
         value.append(rows.value)
         by_pose.append(by)
         by_dimension.append(rows.slope[:, :, 6:] @ sizes)
-        numbers += [number] * len(rows.direction)
+        numbers += [number] * rows.value.shape[1]
     return Residuals(
         np.concatenate(value, axis=1),
         np.concatenate(by_pose, axis=1),

@@ -20,7 +20,6 @@ from kinpole_ros.mechanism._joint_kinds import (
     Rolling,
     Strut,
     Term,
-    loop_form,
 )
 from kinpole_ros.mechanism._laws import Follower, Law
 from kinpole_ros.mechanism._loops import LinkageError, Loops, term_lengths, weigh
@@ -114,7 +113,7 @@ class _Terms:
     def sides(self, joint: Joint) -> tuple[Chain, Chain]:
         """The vectors from the origin of `one` and from that of `other` to where they meet."""
         first, second = self.point(joint.one, joint.a), self.point(joint.other, joint.b)
-        return first | {self.add(term): 1.0 for term in loop_form(joint).terms}, second
+        return first | {self.add(term): 1.0 for term in joint.loop_form().terms}, second
 
 
 def assemble(
@@ -125,7 +124,7 @@ def assemble(
 
     Raises LinkageError for a body that no joint connects with the ground.
     """
-    own = [name for joint in joints for name in loop_form(joint).variables]
+    own = [name for joint in joints for name in joint.loop_form().variables]
     variables, terms = [*bodies, *own], _Terms()
     sides = [terms.sides(joint) for joint in joints]
     origins, routes, used = _spanning_tree(joints, sides)
@@ -141,7 +140,7 @@ def assemble(
             first = _sum(origins[joint.one], sides[k][0], {})
             chains.append(_sum(first, {}, _sum(origins[joint.other], sides[k][1], {})))
     count = len(terms.numbers)
-    ties = [tie for joint in joints for tie in loop_form(joint).ties]
+    ties = [tie for joint in joints for tie in joint.loop_form().ties]
     loops = Loops(
         variables=tuple(variables),
         lengths=_columns([term.slide for term in terms.numbers], variables),

@@ -24,9 +24,7 @@ from kinpole_ros.planar._plane import Complex, Real
 SIZES = ('a.x', 'a.y', 'b.x', 'b.y', 'along', 'turned', 'radius', 'circle', 'start')
 X, Y, ANGLE, OTHER_X, OTHER_Y, OTHER_ANGLE = range(6)
 A_X, A_Y, B_X, B_Y, ALONG, TURNED, RADIUS, CIRCLE, START = range(6, 15)
-POSE_COLUMNS, COLUMNS = 6, 15
-# Directions of a constraint: along the axis of the joint, across it (to the left), and a turn.
-ALONG_AXIS, ACROSS_AXIS, TURN = range(3)
+COLUMNS = 15
 
 
 class Rows(NamedTuple):
@@ -34,13 +32,11 @@ class Rows(NamedTuple):
     The k equations of a joint at T instants: `value` (T, k), m or rad, zero where they hold.
 
     `slope` (T, k, 15) is the derivative by x, y and angle of both bodies and by the sizes of the
-    joint: x and y of `a` and of `b`, along, turned, radius, circle and start. `direction` (k,)
-    tells for each row whether it acts along the axis, across it, or is a turn.
+    joint: x and y of `a` and of `b`, along, turned, radius, circle and start.
     """
 
     value: Real
     slope: Real
-    direction: tuple[int, ...]
 
 
 # The slide of a wheel's hub, or its direction from the center, and the angles of both bodies.
@@ -58,24 +54,22 @@ def constraint_rows(joint: Joint, one: Pose, other: Pose, anchor: Anchor | None 
     between, slope = _between(joint, one, other)
     match joint:
         case Revolute():
-            return _rows(
-                (between.real, slope.real, ALONG_AXIS), (between.imag, slope.imag, ACROSS_AXIS)
-            )
+            return _rows((between.real, slope.real), (between.imag, slope.imag))
         case Slot():
             local, slope = _in_axes_of_line(joint, one, between, slope)
-            across = local.imag, slope.imag, ACROSS_AXIS
+            across = local.imag, slope.imag
             if joint.turned is None:
                 return _rows(across)
             turned = other.angle - one.angle - joint.turned
             turned = (turned + np.pi) % (2 * np.pi) - np.pi
             by = np.zeros(slope.shape)
             by[:, [OTHER_ANGLE, ANGLE, TURNED]] = 1.0, -1.0, -1.0
-            return _rows(across, (turned, by, TURN))
+            return _rows(across, (turned, by))
         case Rolling():
             return _wheel_rows(joint, one, other, between, slope, anchor)
         case Belt():
             return _rows(_unwound(joint, one, other, between, slope))
-    return Rows(np.empty((len(between), 0)), np.empty((len(between), 0, COLUMNS)), ())
+    return Rows(np.empty((len(between), 0)), np.empty((len(between), 0, COLUMNS)))
 
 
 def wheel_state(joint: Rolling, one: Pose, other: Pose) -> Anchor:
@@ -106,8 +100,7 @@ def _in_axes_of_line(
     turn = one.turn.conj() * np.exp(-1j * joint.along)
     local, slope = turn * between, turn[:, None] * slope
     slope[:, ANGLE] -= 1j * local
-    if slope.shape[1] == COLUMNS:
-        slope[:, ALONG] -= 1j * local
+    slope[:, ALONG] -= 1j * local
     return local, slope
 
 
@@ -143,12 +136,12 @@ def _wheel_rows(
     by_gap[:, RADIUS] -= 1.0
     circumference = 2 * np.pi * radius
     slip = (slip + circumference / 2) % circumference - circumference / 2
-    return _rows((gap, by_gap, ACROSS_AXIS), (slip, by_slip, ALONG_AXIS))
+    return _rows((gap, by_gap), (slip, by_slip))
 
 
 def _unwound(
     joint: Belt, one: Pose, other: Pose, between: Complex, slope: Complex
-) -> tuple[Real, Real, int]:
+) -> tuple[Real, Real]:
     """The row of a belt: by how much its free length differs from what its wheels unwound."""
     first, last = joint.radii
     length, axis = strand(joint, between)
@@ -157,9 +150,9 @@ def _unwound(
     by = (axis.conj()[:, None] * slope).real
     by[:, ANGLE] += first
     by[:, OTHER_ANGLE] -= last
-    return gap, by, ALONG_AXIS
+    return gap, by
 
 
-def _rows(*rows: tuple[Real, Real, int]) -> Rows:
-    value, slope, direction = zip(*rows, strict=True)
-    return Rows(np.stack(value, axis=1), np.stack(slope, axis=1), direction)
+def _rows(*rows: tuple[Real, Real]) -> Rows:
+    value, slope = zip(*rows, strict=True)
+    return Rows(np.stack(value, axis=1), np.stack(slope, axis=1))

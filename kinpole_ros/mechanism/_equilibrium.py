@@ -14,14 +14,11 @@ import numpy as np
 
 from kinpole_ros.mechanism._assembly import poses_of
 from kinpole_ros.mechanism._dead_points import loose_variables
-from kinpole_ros.mechanism._joint_kinds import GROUND, Pose, Rolling
+from kinpole_ros.mechanism._joint_kinds import ACROSS, ALONG, GROUND, TURN, Pose, Rolling
 from kinpole_ros.mechanism._loads import Force, Load, check_loads
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._virtual_motions import (
-    ACROSS,
-    ALONG,
-    TURN,
     UNSTRESSED,
     VirtualMotions,
     has_teeth,

@@ -1,10 +1,10 @@
 """
 The kinds of joints, and what each says of its two bodies.
 
-A joint relates the point `a` of the body `one` to the point `b` of the body `other`. `loop_form`
-writes it as vectors from `a` to `b`, of which `_assembly` makes the vector loops that are solved.
-`contact` gives its point and axis, and `_constraints` its equations between the poses of the two
-bodies.
+A joint relates the point `a` of the body `one` to the point `b` of the body `other`. Its
+`loop_form` is a chain of vectors from `a` to `b`, with linear ties: `_assembly` makes the vector
+loops of it, `_virtual_motions` the efforts and reactions. `contact` gives its point and axis, and
+`_constraints` its equations between the poses of the two bodies.
 """
 
 from dataclasses import dataclass
@@ -16,6 +16,63 @@ import numpy as np
 from kinpole_ros.planar._plane import Complex, Real
 
 GROUND = 'ground'
+# Directions of a reaction: along the axis of the joint, across it (to the left), and a moment.
+ALONG, ACROSS, TURN = range(3)
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Position, complex, m, of a body's origin, and its angle, rad: (T,) each."""
+
+    position: Complex
+    angle: Real
+
+    @cached_property
+    def turn(self) -> Complex:
+        """The direction e^{iθ} of the body's x axis."""
+        return np.exp(1j * self.angle)
+
+    def point(self, point: complex) -> Complex:
+        """The position in the plane of a point of the body's frame."""
+        return np.asarray(self.position + point * self.turn)
+
+
+# Point at which the two bodies act on each other, and the joint's axis, complex of length 1.
+Contact = tuple[Complex, Complex]
+
+
+class Term(NamedTuple):
+    """
+    The vector length · e^{i(θ + offset)}, where θ is the angle of `turn`, a body or a variable.
+
+    With the name of a variable in `slide` its length is `length` times that variable.
+    """
+
+    length: float
+    offset: float
+    turn: str
+    slide: str = ''
+
+
+class Tie(NamedTuple):
+    """The linear equation Σ weight · variable = value. Angles of bodies are variables."""
+
+    weights: dict[str, float]
+    value: float
+
+
+class LoopForm(NamedTuple):
+    """
+    The variables of a joint, the vectors that lead from `a` to `b`, and its linear equations.
+
+    `bears` are the reactions of the chain along the joint's axis and across it, and of the last
+    equation, None where there is none.
+    """
+
+    variables: tuple[str, ...] = ()
+    terms: tuple[Term, ...] = ()
+    ties: tuple[Tie, ...] = ()
+    bears: tuple[int | None, int | None, int | None] = (None, None, None)
 
 
 class Revolute(NamedTuple):
@@ -26,6 +83,15 @@ class Revolute(NamedTuple):
     a: complex
     other: str
     b: complex
+
+    def loop_form(self) -> LoopForm:
+        """No vectors: `a` and `b` coincide."""
+        return LoopForm(bears=(ALONG, ACROSS, None))
+
+    def contact(self, one: Pose, other: Pose) -> Contact:
+        """The pin, and the x axis of the ground."""
+        at = other.point(self.b)
+        return at, np.ones_like(at)
 
 
 class Slot(NamedTuple):
@@ -43,6 +109,18 @@ class Slot(NamedTuple):
     other: str
     b: complex
     turned: float | None = None
+
+    def loop_form(self) -> LoopForm:
+        """The slide; a guide ties both angles."""
+        guide: tuple[Tie, ...] = ()
+        if self.turned is not None:
+            guide = (Tie({self.other: 1.0, self.one: -1.0}, self.turned),)
+        slide = Term(1.0, self.along, self.one, self.name)
+        return LoopForm((self.name,), (slide,), guide, (None, ACROSS, TURN))
+
+    def contact(self, one: Pose, other: Pose) -> Contact:
+        """The point that slides, and the direction of the line."""
+        return other.point(self.b), one.turn * np.exp(1j * self.along)
 
 
 class Rolling(NamedTuple):
@@ -73,6 +151,31 @@ class Rolling(NamedTuple):
         """Signed distance of the hub from the center of the circle, m."""
         return self.circle + self.radius
 
+    def loop_form(self) -> LoopForm:
+        """
+        To the hub; the tie states that both bodies have one velocity at the point of contact.
+
+        On a circle of radius R, a wheel of radius r with its hub in the direction φ has
+        (R + r) φ' = R θ_one' + r θ_other'.
+        """
+        name, radius, bears = self.name, self.radius, (None, ACROSS, ALONG)
+        if self.circle:
+            weights = {name: -self.arm, self.one: self.circle, self.other: radius}
+            arm, tie = Term(self.arm, 0.0, name), Tie(weights, -self.arm * self.start)
+            return LoopForm((name,), (arm,), (tie,), bears)
+        slide = Term(1.0, self.along, self.one, name)
+        up = Term(radius, self.along + np.pi / 2, self.one)
+        tie = Tie({name: 1.0, self.other: radius, self.one: -radius}, self.start)
+        return LoopForm((name,), (slide, up), (tie,), bears)
+
+    def contact(self, one: Pose, other: Pose) -> Contact:
+        """The point of contact, and the tangent, which has the wheel to its left."""
+        hub, axis = other.point(self.b), one.turn * np.exp(1j * self.along)
+        if self.circle:
+            between = hub - one.point(self.a)
+            axis = -1j * np.sign(self.arm) * between / np.abs(between)
+        return hub - 1j * self.radius * axis, axis
+
 
 class Strut(NamedTuple):
     """
@@ -87,6 +190,18 @@ class Strut(NamedTuple):
     a: complex
     other: str
     b: complex
+
+    def loop_form(self) -> LoopForm:
+        """One vector, whose length and direction are variables."""
+        angle = f'{self.name}.angle'
+        return LoopForm((self.name, angle), (Term(1.0, 0.0, angle, self.name),))
+
+    def contact(self, one: Pose, other: Pose) -> Contact:
+        """The end on `other`, and the direction of the strut."""
+        end = other.point(self.b)
+        between = end - one.point(self.a)
+        with np.errstate(invalid='ignore'):
+            return end, between / np.abs(between)
 
 
 class Belt(NamedTuple):
@@ -110,117 +225,33 @@ class Belt(NamedTuple):
     direction: float
     carrier: str | None = None
 
+    def loop_form(self) -> LoopForm:
+        """
+        The straight part, and the step between the radii; the last tie is what its wheels unwind.
+
+        That is s' = r_one (φ' - θ_one') - r_other (φ' - θ_other').
+        """
+        (first, last), angle = self.radii, f'{self.name}.angle'
+        straight, step = Term(1.0, 0.0, angle, self.name), Term(first - last, np.pi / 2, angle)
+        weights = {self.name: 1.0, angle: last - first, self.one: first, self.other: -last}
+        ties = [Tie(weights, self.length + (last - first) * self.direction)]
+        if self.carrier is not None:
+            held = Tie({angle: 1.0, self.carrier: -1.0}, self.direction)
+            ties[:0] = Tie({self.name: 1.0}, self.length), held
+        terms = (straight,) if first == last else (straight, step)
+        return LoopForm((self.name, angle), terms, tuple(ties), (None, None, ALONG))
+
+    def contact(self, one: Pose, other: Pose) -> Contact:
+        """Where the strand leaves the wheel of `other`, and its direction."""
+        hub = other.point(self.b)
+        axis = strand(self, hub - one.point(self.a))[1]
+        return hub + 1j * self.radii[1] * axis, axis
+
 
 Joint = Revolute | Slot | Rolling | Strut | Belt
 
 
-class Term(NamedTuple):
-    """
-    The vector length · e^{i(θ + offset)}, where θ is the angle of `turn`, a body or a variable.
-
-    With the name of a variable in `slide` its length is `length` times that variable.
-    """
-
-    length: float
-    offset: float
-    turn: str
-    slide: str = ''
-
-
-class Tie(NamedTuple):
-    """The linear equation Σ weight · variable = value. Angles of bodies are variables."""
-
-    weights: dict[str, float]
-    value: float
-
-
-class LoopForm(NamedTuple):
-    """The variables of a joint, the vectors that lead from `a` to `b`, and its linear equations."""
-
-    variables: tuple[str, ...] = ()
-    terms: tuple[Term, ...] = ()
-    ties: tuple[Tie, ...] = ()
-
-
-def loop_form(joint: Joint) -> LoopForm:
-    """
-    Write a joint as terms of a vector loop: its variables, terms, m and rad, and linear equations.
-
-    The ties of a wheel state that both bodies have one velocity at the point of contact. On a
-    circle of radius R, a wheel of radius r with its hub in the direction φ has
-    (R + r) φ' = R θ_one' + r θ_other'. Those of a belt state the length that its wheels unwind:
-    s' = r_one (φ' - θ_one') - r_other (φ' - θ_other').
-    """
-    match joint:
-        case Slot(name, one, _, along, other, _, turned):
-            guide = () if turned is None else (Tie({other: 1.0, one: -1.0}, turned),)
-            return LoopForm((name,), (Term(1.0, along, one, name),), guide)
-        case Rolling(name, one, _, other, _, radius, along, circle, start):
-            if circle:
-                tie = Tie({name: -joint.arm, one: circle, other: radius}, -joint.arm * start)
-                return LoopForm((name,), (Term(joint.arm, 0.0, name),), (tie,))
-            slide, up = Term(1.0, along, one, name), Term(radius, along + np.pi / 2, one)
-            return LoopForm(
-                (name,), (slide, up), (Tie({name: 1.0, other: radius, one: -radius}, start),)
-            )
-        case Strut(name):
-            angle = f'{name}.angle'
-            return LoopForm((name, angle), (Term(1.0, 0.0, angle, name),))
-        case Belt(name, one, _, other, _, (first, last), length, direction, carrier):
-            angle = f'{name}.angle'
-            straight, step = Term(1.0, 0.0, angle, name), Term(first - last, np.pi / 2, angle)
-            weights = {name: 1.0, angle: last - first, one: first, other: -last}
-            ties = [Tie(weights, length + (last - first) * direction)]
-            if carrier is not None:
-                ties[:0] = Tie({name: 1.0}, length), Tie({angle: 1.0, carrier: -1.0}, direction)
-            terms = (straight,) if first == last else (straight, step)
-            return LoopForm((name, angle), terms, tuple(ties))
-    return LoopForm()
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """Position, complex, m, of a body's origin, and its angle, rad: (T,) each."""
-
-    position: Complex
-    angle: Real
-
-    @cached_property
-    def turn(self) -> Complex:
-        """The direction e^{iθ} of the body's x axis."""
-        return np.exp(1j * self.angle)
-
-    def point(self, point: complex) -> Complex:
-        """The position in the plane of a point of the body's frame."""
-        return np.asarray(self.position + point * self.turn)
-
-
-def contact(joint: Joint, one: Pose, other: Pose) -> tuple[Complex, Complex]:
-    """
-    Point at which the two bodies act on each other, and the joint's axis, complex of length 1.
-
-    The axis is that of the slot, the strut, the strand or the tangent of the wheel, which lies to
-    its left. A pin has the x axis of the ground.
-    """
-    hub = other.point(joint.b)
-    if isinstance(joint, Revolute):
-        return hub, np.ones_like(hub)
-    if isinstance(joint, Slot):
-        return hub, one.turn * np.exp(1j * joint.along)
-    between = hub - one.point(joint.a)
-    if isinstance(joint, Rolling):
-        axis = one.turn * np.exp(1j * joint.along)
-        if joint.circle:
-            axis = -1j * np.sign(joint.arm) * between / np.abs(between)
-        return hub - 1j * joint.radius * axis, axis
-    if isinstance(joint, Belt):
-        axis = strand(joint, between)[1]
-        return hub + 1j * joint.radii[1] * axis, axis
-    with np.errstate(invalid='ignore'):
-        return hub, between / np.abs(between)
-
-
-def strand(joint: Belt, hubs: Complex) -> tuple[Real, Complex]:
+def strand(joint: 'Belt', hubs: Complex) -> tuple[Real, Complex]:
     """Length and direction, complex of length 1, of a belt's strand, from hub to hub (complex)."""
     step = joint.radii[0] - joint.radii[1]
     length = np.sqrt(np.maximum(np.abs(hubs) ** 2 - step**2, 0.0))

@@ -22,7 +22,6 @@ from kinpole_ros.mechanism._joint_kinds import (
     Rolling,
     Slot,
     Strut,
-    contact,
 )
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
@@ -190,7 +189,7 @@ class _CenterMap:
         self.joints = mechanism.assembly.joints
         poses = poses_of(mechanism.assembly, values)
         self.middle, self.size = joint_extent(mechanism.assembly, poses)
-        self._contacts = [contact(j, poses[j.one], poses[j.other]) for j in self.joints]
+        self._contacts = [j.contact(poses[j.one], poses[j.other]) for j in self.joints]
         self.centers: dict[Pair, tuple[Real, Real]] = {}
         self._slots: dict[Pair, list[int]] = {}
         for m, joint in enumerate(self.joints):

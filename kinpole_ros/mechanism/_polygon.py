@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly, poses_of
-from kinpole_ros.mechanism._joint_kinds import GROUND, Rolling, Slot, Strut, contact
+from kinpole_ros.mechanism._joint_kinds import GROUND, Rolling, Slot, Strut
 from kinpole_ros.mechanism._mechanism import Motion
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.mechanism._scene import Scene
@@ -136,7 +136,7 @@ def _body_points(scene: Scene, values: Real) -> BodyPoints:
     points: BodyPoints = {body: {} for body in poses}
     rolling = [joint for joint in assembly.joints if isinstance(joint, Rolling)]
     for joint in rolling:
-        at, _ = contact(joint, poses[joint.one], poses[joint.other])
+        at, _ = joint.contact(poses[joint.one], poses[joint.other])
         for body in (joint.one, joint.other):
             pose = poses[body]
             name = 'contact' if len(rolling) == 1 else f'contact {joint.name}'

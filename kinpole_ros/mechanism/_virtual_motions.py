@@ -15,35 +15,22 @@ import numpy as np
 
 from kinpole_ros.mechanism._assembly import largest_length
 from kinpole_ros.mechanism._joint_kinds import (
+    ACROSS,
+    ALONG,
     GROUND,
-    Belt,
     Joint,
     Pose,
-    Revolute,
     Rolling,
-    Slot,
     Strut,
-    contact,
-    loop_form,
 )
 from kinpole_ros.mechanism._loops import loop_jacobian
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
-# Directions of a reaction: along the axis of the joint, across it (to the left), and a moment.
-ALONG, ACROSS, TURN = range(3)
 # The joint whose row it is, and the direction in which it bears a reaction.
 Label = tuple[int | None, int | None]
 # The label of a row that is a driver's.
 DRIVER: Label = (-1, None)
-# Which reaction is that of a chain along the joint's axis, of it across the axis, and of the tie.
-_BEARS: dict[type, tuple[int | None, int | None, int | None]] = {
-    Revolute: (ALONG, ACROSS, None),
-    Slot: (None, ACROSS, TURN),
-    Rolling: (None, ACROSS, ALONG),
-    Strut: (None, None, None),
-    Belt: (None, None, ALONG),
-}
 # Next to a dead point positions, and so singular values, have errors of rounding over the least
 # singular value: below the root of rounding that value counts as zero.
 _SINGULAR_VALUE = np.sqrt(ROUNDING)
@@ -87,7 +74,7 @@ class VirtualMotions(NamedTuple):
 def virtual_motions(mechanism: Mechanism, values: Real, poses: dict[str, Pose]) -> VirtualMotions:
     """The motions at variables (n, T), by singular values."""
     assembly, joints = mechanism.assembly, mechanism.assembly.joints
-    meeting = [contact(joint, poses[joint.one], poses[joint.other]) for joint in joints]
+    meeting = [joint.contact(poses[joint.one], poses[joint.other]) for joint in joints]
     shape = 2, len(joints), values.shape[1]
     at, axis = np.reshape([[p for p, _ in meeting], [a for _, a in meeting]], shape) + 0j
     labels, matrix = _matrix(mechanism, values, poses, axis)
@@ -115,7 +102,8 @@ def virtual_motions(mechanism: Mechanism, values: Real, poses: dict[str, Pose]) 
         balanced = np.moveaxis(np.where(beyond[:, None, :], u, 0.0), 0, -1)
         stress = np.sqrt((balanced**2).sum(axis=1))
         for row, (k, direction) in enumerate(labels):
-            if k is not None and direction == ALONG and isinstance(joints[k], Revolute):
+            if direction == ALONG and labels[row + 1 : row + 2] == [(k, ACROSS)]:
+                assert k is not None
                 _turn_pin(k, slice(row, row + 2), balanced / size[:, None], axis, motions, stress)
     # The one limit for a dead point is that of the rates.
     determined = (rank == len(column)) & mechanism.rates(values).regular
@@ -159,14 +147,15 @@ def _matrix(
         return np.concatenate((still, np.broadcast_to(row.reshape(len(row), -1), values.shape)))
 
     for k, joint in enumerate(joints):
-        along, across, tied = _BEARS[type(joint)]
+        form = joint.loop_form()
+        along, across, tied = form.bears
         chain = _chain(mechanism, joint, values, poses) * axis[k].conj()
         add((k, along), chain.real)
         # Other joints hold the distance of teeth with a pressure angle.
         if not has_teeth(joint):
             add((k, across), chain.imag)
         # Before the last tie of a belt are those that hubs on a carrier meet in any case.
-        for tie in loop_form(joint).ties[-1:]:
+        for tie in form.ties[-1:]:
             row = np.array([tie.weights.get(name, 0.0) for name in loops.variables])
             add((k, tied), linear(row))
     if not joints:
@@ -193,7 +182,7 @@ def _chain(mechanism: Mechanism, joint: Joint, values: Real, poses: dict[str, Po
             chain[b] += sign
             chain[count + b] += 1j * sign
             chain[2 * count + names.index(body)] += sign * 1j * point * poses[body].turn
-    for term in loop_form(joint).terms:
+    for term in joint.loop_form().terms:
         angle = 0.0 if term.turn == GROUND else values[names.index(term.turn)]
         vector = term.length * np.exp(1j * (angle + term.offset))
         if term.slide:

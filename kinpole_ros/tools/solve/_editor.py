@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.mechanism import GROUND, Belt, Rolling, Strut
-from kinpole_ros.mechanism._joint_kinds import loop_form
 from kinpole_ros.mechanism._loops import with_laws
 from kinpole_ros.mechanism._scene_file import value_spans
 from kinpole_ros.tools.solve._solution import Solution
@@ -53,7 +52,7 @@ def editor_data(solution: Solution, text: str, order: np.ndarray) -> dict[str, A
                         'turn': names.index(term.turn),
                         'slide': names.index(term.slide) if term.slide else -1,
                     }
-                    for term in loop_form(joint).terms
+                    for term in joint.loop_form().terms
                 ],
                 'loose': isinstance(joint, Strut | Belt),
                 'held': isinstance(joint, Belt) and joint.carrier is not None,
