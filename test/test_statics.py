@@ -8,6 +8,7 @@ from hand_statics import Freed, balance, freed_reactions
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
+from kinpole_ros.mechanism import load_scene
 from kinpole_ros.mechanism._assembly import assemble
 from kinpole_ros.mechanism._equilibrium import Statics, undetermined
 from kinpole_ros.mechanism._joint_kinds import GROUND, Joint, Revolute, Rolling, Slot, Strut
@@ -483,6 +484,18 @@ def test_next_to_a_dead_point_the_answer_is_right() -> None:
     push = -np.cos(beta) / (0.1 * np.sin(crank + beta))
     np.testing.assert_allclose(found.effort[0], push, rtol=1e-9)
     np.testing.assert_allclose(found.force[3].imag, -push * np.tan(beta), rtol=1e-9)
+
+
+@pytest.mark.parametrize('name', ['loader_loop', 'loader_cylinder', 'slider_crank'])
+def test_efforts_and_rates_have_one_limit_for_a_dead_point(name: str) -> None:
+    """Over the whole range, to its limits, efforts are known where the rates are."""
+    mechanism = load_scene(name).mechanism
+    path = mechanism.path(-np.pi, np.pi)
+    values = mechanism.sweep(np.linspace(path.inputs[0], path.inputs[-1], 361)).values[0]
+    found = Statics(mechanism, values, [Torque(mechanism.bodies[-1], 1.0)])
+    known = mechanism.rates(values).regular
+    np.testing.assert_array_equal(np.isfinite(found.effort[0]), known)
+    np.testing.assert_array_equal(found.determined, known)
 
 
 def test_change_point_of_a_parallelogram_is_named() -> None:

@@ -46,8 +46,9 @@ class VirtualMotions(NamedTuple):
     `contact` and `axis` (J, T) are the points and directions of the joints. `rates` (2B + n, rows,
     T) are the velocities x and y of all bodies, then of all variables, at unit rate of one row, all
     others held; NaN where no load can tell the force of that row. `stress` (rows, T) is the share
-    of each row in the reactions that are possible without
-    any load. `driven_struts` are (joint, direction, row) of struts that hold a driver.
+    of each row in the reactions that are possible without any load. `rank` (T,) is that of the
+    matrix, `determined` (T,) where it and the drivers determine all poses. `driven_struts` are
+    (joint, direction, row) of struts whose force is the effort of a driver.
     """
 
     labels: list[Label]
@@ -93,6 +94,7 @@ def virtual_motions(mechanism: Mechanism, values: Real, poses: dict[str, Pose]) 
         inverse_values = np.where(is_zero, 0.0, 1 / s)[:, None]
     most = s.shape[1]
     inverse = vt[:, :most].swapaxes(1, 2) * inverse_values @ u[:, :, :most].swapaxes(1, 2)
+    # Rates that are rounding, so that what stands still has no power.
     inverse[np.abs(inverse) <= ROUNDING * np.abs(inverse).max(axis=1, keepdims=True)] = 0.0
     motions = np.moveaxis(inverse, 0, -1) / column[:, None, None] / size
     stress = np.zeros(size.shape)
