@@ -20,9 +20,9 @@ from bench._rigs import Recording, record
 from bench._spoil import Sent, ideal
 from kinpole_ros.messages import DiagnosticsMaker, Output, result_outputs
 from kinpole_ros.planar import to_complex
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.tracker import Tracker
 from kinpole_ros.tracking.values import RATE_NAMES
 

@@ -15,9 +15,9 @@ from bench._polynomial import derivative_weights
 from bench._record import START
 from kinpole_ros import planar
 from kinpole_ros.planar._poles import rotation_coefficient
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.tracker import Tracker
 
 TABLE = Path(__file__).parents[2] / 'shared' / 'data' / 'double_pendulum' / 'run16.csv'

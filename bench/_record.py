@@ -16,8 +16,8 @@ from kinpole_ros import planar
 from kinpole_ros.mechanism import BodyMotion, marker_positions
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.planar import fit_pose
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.tracker import Tracker
 
 RATE = 200

@@ -23,8 +23,8 @@ from bench._motions import motions
 from bench._record import RATE, START, STEP, frames_of, observe, stamps_of
 from kinpole_ros.bags import BagWriter, read_messages, replay
 from kinpole_ros.messages import MARKER_TYPES, MarkerReader, to_message
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.frame import part_of
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.tracker import Tracker
 
 Rows = list[dict[str, Any]]

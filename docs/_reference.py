@@ -9,11 +9,11 @@ import re
 from pathlib import Path
 from typing import Any
 
+from kinpole_ros import settings as parameters
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import live_outputs, result_outputs, type_name
 from kinpole_ros.tools.usage import make_parser
-from kinpole_ros.tracking import parameters
 
 _ROW = re.compile(r'^\| (`.*?) \| .* \| (.*) \|$', re.MULTILINE)
 _NAME = re.compile(r'`([^`]+)`')

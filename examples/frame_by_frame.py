@@ -8,8 +8,8 @@ at 0.945 s: 3.890 rad/s
 
 import numpy as np
 
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.tracker import Tracker
 
 settings = settings_from(

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 
 from kinpole_ros.packages import install_command
 from kinpole_ros.planar import to_plane
+from kinpole_ros.settings import Settings, load_settings, settings_from
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import Settings, load_settings, settings_from
 from kinpole_ros.tracking.tracker import Tracker
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors, measured_pairs
 

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from kinpole_ros.bags import message_class, read_messages, simulate
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import deserialize_message
-from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.settings import Settings
 
 # Nodes of the tests meet nobody else's, nor those of another run on this machine. From domain 102
 # on, the ports are among those that the kernel gives to anybody, and nodes may miss each other.

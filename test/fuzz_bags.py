@@ -43,7 +43,7 @@ from kinpole_ros.bags import (
     type_name,
 )
 from kinpole_ros.messages import to_message
-from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.settings import Settings
 
 _HEAD = struct.Struct('<BQ')
 

@@ -9,9 +9,9 @@ from stretches import instants, one_frame, stretches
 
 from kinpole_ros import planar
 from kinpole_ros.mechanism import BodyMotion, load_scene, marker_positions
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.reasons import PINNED as PINNED_REASON
 from kinpole_ros.tracking.reasons import SLOW_ICR
 from kinpole_ros.tracking.tracker import Tracker

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.tracker import Tracker
 
 

@@ -14,7 +14,7 @@ import kinpole_ros
 from kinpole_ros import UnknownNameError, replay, track
 from kinpole_ros.bags import read_frames
 from kinpole_ros.bags import replay as replay_bag
-from kinpole_ros.tracking.parameters import ParameterError, Settings
+from kinpole_ros.settings import ParameterError, Settings
 
 
 @pytest.fixture(scope='module')

@@ -30,8 +30,8 @@ from kinpole_ros.bags._stretch import equal_stretches
 from kinpole_ros.bags.batch import _folder, _results, _workers, batch
 from kinpole_ros.bags.batch._results import Job, finished, replay_bag
 from kinpole_ros.files import _writing
+from kinpole_ros.settings import Settings
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tracking.parameters import Settings
 
 Simulated = Callable[..., Path]
 SETTINGS = Settings(window=0.2, lag=0.05, derivative_order=2)

@@ -29,7 +29,7 @@ from bench._page_limits import live_part, speed_part
 from bench._rig import LAG, NODE, RELAY, Rig, wheels
 from bench._rows import write_rows
 from kinpole_ros.messages import MarkerReader, ns_to_stamp
-from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.tracker import Tracker
 
 BEGIN = 10**12

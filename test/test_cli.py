@@ -24,9 +24,9 @@ from kinpole_ros.bags import RECORDER, BagWriter, Truncated, read_messages
 from kinpole_ros.mechanism import scene_names, scenes_folder
 from kinpole_ros.messages import to_message
 from kinpole_ros.packages import EXTRAS
+from kinpole_ros.settings import Settings
 from kinpole_ros.tools import cli
 from kinpole_ros.tools.commands import COMMANDS as COMMAND_MODULES
-from kinpole_ros.tracking.parameters import Settings
 
 Bag = Callable[..., Path]
 ROOT = Path(__file__).parents[1]

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from kinpole_ros.mechanism import marker_positions
 from kinpole_ros.mechanism._motions import ORDERS, BodyMotion
 from kinpole_ros.messages import DiagnosticsMaker
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.clock import MAX_PENDING, Clock, estimate_clock
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.frame_counter import FrameCounter, motion_costs
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.timeline import Timeline
 from kinpole_ros.tracking.tracker import Tracker
 

@@ -26,10 +26,10 @@ from kinpole_ros.linkage._rigid import Groups, quantiles
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import to_message
+from kinpole_ros.settings import ParameterError, settings_from
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.discover import DiscoverOptions, discover_rig
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import ParameterError, settings_from
 from kinpole_ros.tracking.statistics import medians
 
 START = 10**18

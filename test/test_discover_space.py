@@ -11,9 +11,9 @@ from test_discover import START, rotation, shuffled
 
 from kinpole_ros.bags import import_points, read_frames
 from kinpole_ros.linkage import Checked, Linkage, UndiscoveredError, discover, draft, table
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tools.discover import DiscoverOptions, discover_rig
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.space import Space
 
 DATA = Path(__file__).parents[2] / 'shared' / 'data'

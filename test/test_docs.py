@@ -29,15 +29,15 @@ from test_node import ask_to_set
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import result_outputs
 from kinpole_ros.ros.node import KinpoleNode
-from kinpole_ros.tools.cli import main
-from kinpole_ros.tools.usage import make_parser
-from kinpole_ros.tracking.parameters import (
+from kinpole_ros.settings import (
     DEPRECATED,
     NODE_PARAMETERS,
     PARAMETERS,
     load_settings,
     settings_from,
 )
+from kinpole_ros.tools.cli import main
+from kinpole_ros.tools.usage import make_parser
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / 'docs'

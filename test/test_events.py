@@ -17,10 +17,10 @@ from kinpole_ros.bags import BagWriter, replay
 from kinpole_ros.derivatives import Event, Poses, Samples, Windows, derive_poses, find_events
 from kinpole_ros.messages import read_event, serialize_message, to_message
 from kinpole_ros.planar._plane import Real
+from kinpole_ros.settings import Settings
 from kinpole_ros.tools.demo import live_run
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.tracker import Tracker
 
 RATE, WINDOW = 200, 0.3

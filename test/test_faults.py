@@ -37,7 +37,7 @@ from visualization_msgs.msg import MarkerArray
 import kinpole_ros.ros.node as node_module
 from kinpole_ros.messages import MARKER_TYPES, TF, result_outputs, to_message
 from kinpole_ros.ros.source import MAX_MESSAGE_BYTES
-from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.settings import Settings
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE

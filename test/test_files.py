@@ -21,8 +21,8 @@ from kinpole_ros.bags import BagError, BagWriter, bag_files, import_csv
 from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limited, whole_file
 from kinpole_ros.files.bounded_yaml import load_yaml
 from kinpole_ros.mechanism import SceneError, load_scene
+from kinpole_ros.settings import ParameterError, assignments, load_settings
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tracking.parameters import ParameterError, assignments, load_settings
 
 MAGIC = b'\x89MCAP0\r\n'
 LAUGHS = 'a: &a [x, x, x, x, x, x, x, x]\n' + ''.join(

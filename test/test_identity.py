@@ -17,9 +17,9 @@ from kinpole_ros.messages import (
     read_markers,
     to_message,
 )
+from kinpole_ros.settings import ParameterError, settings_from
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.identity import Expected, Match, match
-from kinpole_ros.tracking.parameters import ParameterError, settings_from
 from kinpole_ros.tracking.tracker import Tracker
 
 SCENE = load_scene('four_bar')

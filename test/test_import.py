@@ -10,8 +10,8 @@ import pytest
 from kinpole_ros.bags import BagError, import_csv, import_points, read_messages, replay, topics
 from kinpole_ros.messages import deserialize_message
 from kinpole_ros.messages._types import MarkerArray
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tracking.parameters import settings_from
 
 DATA = Path(__file__).parents[2] / 'shared' / 'data' / 'double_pendulum' / 'run16.csv'
 

@@ -21,8 +21,8 @@ from test_formats import peak_memory
 from kinpole_ros.bags import BagError, import_points, read_messages, replay, topics
 from kinpole_ros.messages import PoseReader, deserialize_message
 from kinpole_ros.messages._types import MarkerArray
+from kinpole_ros.settings import load_settings
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tracking.parameters import load_settings
 
 ROOT = Path(__file__).parents[1]
 FIRST = 1_700_000_000_123_456_789  # ns

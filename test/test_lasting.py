@@ -10,10 +10,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import SMOOTHED, DiagnosticsMaker
 from kinpole_ros.planar import fit_pose
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.noise import correlated_noise, white_noise
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.thresholds import MEMORY_FRAMES
 from kinpole_ros.tracking.tracker import Tracker
 

@@ -10,8 +10,8 @@ import pytest
 from conftest import read_back, write_config
 
 from kinpole_ros.bags import read_messages, replay
+from kinpole_ros.settings import load_settings
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tracking.parameters import load_settings
 
 ROOT = Path(__file__).parents[1]
 

@@ -48,10 +48,10 @@ from kinpole_ros.messages import (
 )
 from kinpole_ros.ros.node import KinpoleNode
 from kinpole_ros.ros.player import headers, play
+from kinpole_ros.settings import NODE_PARAMETERS, PARAMETERS, Settings
 from kinpole_ros.tools.demo import live_run
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import NODE_PARAMETERS, PARAMETERS, Settings
 from kinpole_ros.tracking.tracker import Tracker
 
 Bag = Callable[..., Path]

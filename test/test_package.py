@@ -21,7 +21,7 @@ import kinpole_ros
 from kinpole_ros.bags import read_messages
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import DRAWING
-from kinpole_ros.tracking.parameters import load_settings
+from kinpole_ros.settings import load_settings
 
 ROOT = Path(__file__).parents[1]
 PACKAGE_XML = ET.parse(ROOT / 'package.xml').getroot()
@@ -134,24 +134,27 @@ BELOW = {
     'files': set(),
     'planar': set(),
     'core': set(),
-    'tracking': {'files', 'planar', 'core', 'derivatives'},
+    'settings': {'files'},
+    'tracking': {'settings', 'planar', 'core', 'derivatives'},
     'derivatives': {'planar', 'core'},
     'mechanism': {'files', 'planar'},
-    'linkage': {'planar', 'tracking', 'mechanism'},
-    'messages': {'core', 'tracking', 'derivatives', 'linkage'},
+    'linkage': {'planar', 'settings', 'tracking', 'mechanism'},
+    'messages': {'core', 'settings', 'tracking', 'derivatives', 'linkage'},
     'bags': {
         'files',
         'planar',
+        'settings',
         'tracking',
         'derivatives',
         'mechanism',
         'linkage',
         'messages',
     },
-    'ros': {'tracking', 'linkage', 'messages', 'bags'},
+    'ros': {'settings', 'tracking', 'linkage', 'messages', 'bags'},
     'tools': {
         'files',
         'planar',
+        'settings',
         'tracking',
         'mechanism',
         'linkage',

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinpole_ros.tracking.parameters import (
+from kinpole_ros.settings import (
     DEPRECATED,
     MARKERS,
     NODE_PARAMETERS,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from conftest import write_config
 
+from kinpole_ros.settings import Settings
 from kinpole_ros.tools import cli
-from kinpole_ros.tracking.parameters import Settings
 
 # The data stay where they are: see the README beside them for what they are and their license.
 TABLE = Path(__file__).parents[2] / 'shared' / 'data' / 'double_pendulum' / 'run16.csv'

@@ -10,10 +10,10 @@ from stretches import instants, joined, one_frame
 
 from bench._motions import motions, still_turning
 from kinpole_ros.mechanism import BodyMotion, marker_positions
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.center import Pins
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.reasons import PINNED as PINNED_REASON
 from kinpole_ros.tracking.tracker import Tracker
 

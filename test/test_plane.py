@@ -16,10 +16,10 @@ from kinpole_ros.bags import BagWriter, warnings_of
 from kinpole_ros.bags import replay as replay_bag
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import DiagnosticsMaker, result_outputs, unit_fault
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tools.plot import read_results
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.plane import AXES, Plane, plane_along, plane_of
 from kinpole_ros.tracking.tracker import Tracker
 

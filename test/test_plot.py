@@ -25,8 +25,8 @@ from kinpole_ros.bags import (
 )
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import ns_to_stamp, stamp_to_ns
+from kinpole_ros.settings import Settings
 from kinpole_ros.tools.plot import Centrodes, _plane, _style, centrodes, plot, read_results
-from kinpole_ros.tracking.parameters import Settings
 
 pytest.importorskip('matplotlib')
 

@@ -21,15 +21,15 @@ from kinpole_ros.messages import (
     serialize_message,
     stamp_to_ns,
 )
-from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.parameters import (
+from kinpole_ros.settings import (
     POSE_TYPES,
     ParameterError,
     Settings,
     check_poses,
     settings_from,
 )
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.tracker import Tracker
 
 START, RATE, COUNT = 10**9, 200, 900

@@ -7,9 +7,9 @@ import pytest
 from stretches import instants
 
 from bench import _hindsight, _record
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')

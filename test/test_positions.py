@@ -23,10 +23,10 @@ from kinpole_ros.mechanism import (
 )
 from kinpole_ros.mechanism._scene_file import rewritten
 from kinpole_ros.messages import DiagnosticsMaker
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tools import cli
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.tracker import Tracker
 
 NOISE = 2e-4

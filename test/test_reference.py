@@ -7,13 +7,13 @@ from stretches import instants
 from bench import _record
 from kinpole_ros.messages import result_outputs
 from kinpole_ros.planar._poles import rotation_coefficient
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking import center
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import find_hubs
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')

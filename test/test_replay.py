@@ -26,9 +26,9 @@ from kinpole_ros.bags import (
 )
 from kinpole_ros.bags import topics as topics_of
 from kinpole_ros.messages import MARKER_TYPES, TF, read_markers, result_outputs, to_message
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.plane import AXES
 from kinpole_ros.tracking.tracker import Tracker
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES

@@ -20,11 +20,11 @@ from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import RECEIVED, RESTARTS, DiagnosticArray
 from kinpole_ros.messages._types import DiagnosticStatus, KeyValue
+from kinpole_ros.settings import Settings, load_settings
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.report import _page, report, settings_for
 from kinpole_ros.tools.report._record import Collector, theory_rates
 from kinpole_ros.tools.report._result_bag import Diagnostics
-from kinpole_ros.tracking.parameters import Settings, load_settings
 from kinpole_ros.tracking.reasons import SLOW_ICR
 from kinpole_ros.tracking.values import RATE_NAMES
 

@@ -24,9 +24,9 @@ from kinpole_ros.messages import (
     result_outputs,
     type_name,
 )
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.plane import plane_along
 from kinpole_ros.tracking.tracker import Tracker
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES

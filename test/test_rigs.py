@@ -16,8 +16,8 @@ from bench._rigs import NOISE, Recording, record, rigs
 from bench._rows import write_rows
 from bench._spoil import Sent, ideal
 from kinpole_ros.planar import to_complex
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tools import cli
-from kinpole_ros.tracking.parameters import settings_from
 
 RIG = next(iter(rigs()))
 

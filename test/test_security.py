@@ -10,7 +10,7 @@ import pytest
 from test_node import Peer, node_words, process
 
 from kinpole_ros.ros.security import main, permitted, policy
-from kinpole_ros.tracking.parameters import ParameterError, load_settings, settings_from
+from kinpole_ros.settings import ParameterError, load_settings, settings_from
 
 ROOT = Path(__file__).parents[1]
 FOUR_BAR = ROOT / 'config' / 'four_bar.yaml'

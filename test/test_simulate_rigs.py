@@ -10,14 +10,14 @@ from rclpy.serialization import deserialize_message
 
 from kinpole_ros.bags import message_class, read_messages, replay
 from kinpole_ros.messages import read_markers, stamp_to_ns
-from kinpole_ros.tools import cli
-from kinpole_ros.tracking.parameters import (
+from kinpole_ros.settings import (
     ParameterError,
     Settings,
     assignments,
     load_settings,
     settings_from,
 )
+from kinpole_ros.tools import cli
 
 Simulated = Callable[..., Path]
 PLAIN: dict[str, Any] = {'rate': 100, 'duration': 1.0, 'noise': 1e-3}

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from kinpole_ros import planar
 from kinpole_ros.messages import DiagnosticsMaker
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.deformation import TISSUE, ResultWindow, deformation_covariance
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.tracker import Tracker
 
 # Measured walks stay where they are: see the README beside them for what they are.

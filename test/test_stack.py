@@ -12,8 +12,8 @@ from conftest import bodies_of, decoded, read_back, stamp_of
 from kinpole_ros.bags import read_messages, replay, topics
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import STATE, TF, VIEW, outputs_of
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.parameters import Settings
 
 Bag = Callable[..., Path]
 ROOT = Path(__file__).parents[1]

@@ -21,7 +21,7 @@ from visualization_msgs.msg import MarkerArray
 
 from kinpole_ros.bags import replay
 from kinpole_ros.messages import WITH_TF, message_class
-from kinpole_ros.tracking.parameters import NODE_PARAMETERS, PARAMETERS, Settings
+from kinpole_ros.settings import NODE_PARAMETERS, PARAMETERS, Settings
 
 Bag = Callable[..., Path]
 # Of all nodes.

@@ -12,7 +12,7 @@ from test_results import FRAME, PLANES, estimate, placed, stacked
 
 from kinpole_ros.bags import read_messages, replay
 from kinpole_ros.messages import STATE, Output, read_state, result_outputs, state_fields
-from kinpole_ros.tracking.parameters import load_settings
+from kinpole_ros.settings import load_settings
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors
 
 ROOT = Path(__file__).parents[1]

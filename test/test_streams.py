@@ -19,10 +19,10 @@ from recordings import (
 )
 from stretches import instants, one_frame
 
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.assignment import MarkerPlaces
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')

@@ -13,8 +13,8 @@ from conftest import bodies_of
 
 from kinpole_ros.bags import BagError, replay
 from kinpole_ros.bags._tables import CsvTable, ParquetTable, column_names, table_rows
+from kinpole_ros.settings import Settings
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.values import Numbers, Vectors
 
 Simulated = Callable[..., Path]

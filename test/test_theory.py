@@ -26,10 +26,10 @@ from kinpole_ros.mechanism import (
     scenes_folder,
 )
 from kinpole_ros.messages import stamp_to_ns
+from kinpole_ros.settings import ParameterError, Settings, load_settings, settings_from
 from kinpole_ros.tools import cli
 from kinpole_ros.tracking import update
 from kinpole_ros.tracking.bodies import Bodies
-from kinpole_ros.tracking.parameters import ParameterError, Settings, load_settings, settings_from
 
 LOADS = """
 loads:

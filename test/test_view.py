@@ -34,13 +34,13 @@ from kinpole_ros.messages import (
 )
 from kinpole_ros.ros.listener import Arrived
 from kinpole_ros.ros.player import own_context, play
+from kinpole_ros.settings import load_settings
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.report import page as page_of
 from kinpole_ros.tools.view._frames import frame_of_view
 from kinpole_ros.tools.view._live import Live, RigState
 from kinpole_ros.tools.view._server import Feed, serving
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.parameters import load_settings
 from kinpole_ros.tracking.plane import XY
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Vectors
 

@@ -6,8 +6,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from recordings import KITE
 
 from kinpole_ros.messages import DiagnosticsMaker
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.tracker import Tracker
 
 START, STEP, RATE = 10**18, 5_000_000, 200

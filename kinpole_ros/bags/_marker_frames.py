@@ -16,8 +16,8 @@ from kinpole_ros.messages import (
     PoseReader,
     kind_of,
 )
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.parameters import Settings
 
 NODE_NAME = 'kinpole'
 _SECOND = 1_000_000_000  # ns

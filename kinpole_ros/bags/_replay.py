@@ -29,9 +29,9 @@ from kinpole_ros.messages import (
     serialize_message,
     theory_of,
 )
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.tracker import Tracker
 
 _SECOND = 1_000_000_000  # ns

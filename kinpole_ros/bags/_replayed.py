@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from kinpole_ros.bags._files import Truncated
 from kinpole_ros.messages import identity_lines
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.assignment import MarkerPlaces
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.outages import Outage
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.space import SpaceReport, updated
 from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.tracker import Tracker

@@ -25,8 +25,8 @@ from kinpole_ros.messages import (
     to_message,
 )
 from kinpole_ros.planar import fit_pose
+from kinpole_ros.settings import POSE_TYPES
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.parameters import POSE_TYPES
 
 if TYPE_CHECKING:
     from kinpole_ros.mechanism import Scene

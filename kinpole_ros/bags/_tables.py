@@ -12,8 +12,8 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError, unwritable
 from kinpole_ros.packages import install_command
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors, measured_pairs
 
 _GROUP_ROWS = 8192  # of a Parquet file, which are in memory at once

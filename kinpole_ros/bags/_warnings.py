@@ -16,7 +16,7 @@ from kinpole_ros.messages import (
     unit_fault,
     wrong_pose_fault,
 )
-from kinpole_ros.tracking.parameters import DEPRECATED, Settings, deprecation_warnings
+from kinpole_ros.settings import DEPRECATED, Settings, deprecation_warnings
 from kinpole_ros.tracking.rejection import OFF_PATH
 
 # By the reasons that the tracker gives.

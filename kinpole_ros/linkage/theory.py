@@ -30,8 +30,8 @@ from kinpole_ros.mechanism._equations import part_sum
 from kinpole_ros.planar import Port, covariance, measured_balance
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.planar._poles import center_offset, point_motion
+from kinpole_ros.settings import POSE_TYPES, ParameterError, Settings, of_poses
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.parameters import POSE_TYPES, ParameterError, Settings, of_poses
 from kinpole_ros.tracking.reasons import SIGNIFICANT
 from kinpole_ros.tracking.values import Numbers, Vectors
 

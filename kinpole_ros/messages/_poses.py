@@ -23,8 +23,8 @@ from kinpole_ros.messages._types import (
     SECOND,
     MessageError,
 )
+from kinpole_ros.settings import POSE_TYPES, Settings, check_poses
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import POSE_TYPES, Settings, check_poses
 
 AUTO_TYPES = (*MARKER_TYPES, 'pose_stamped')
 """The input types that are recognized by the type of the messages alone."""

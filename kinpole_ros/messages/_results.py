@@ -42,8 +42,8 @@ from kinpole_ros.messages._types import (
     WrenchStamped,
 )
 from kinpole_ros.messages._view import VIEW, VIEW_INTERVAL, view_builder
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.plane import XY, Plane, PlaneSetting, plane_of
 from kinpole_ros.tracking.quantities import CURVATURE, VELOCITY
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, measured_pairs

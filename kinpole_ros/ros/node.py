@@ -36,9 +36,9 @@ from kinpole_ros.ros.parameters import ParameterNode, qos_overrides_without_effe
 from kinpole_ros.ros.private import RCLError, wrap_service
 from kinpole_ros.ros.publishers import NO_EVENTS, ResultPublishers
 from kinpole_ros.ros.source import MarkerSource, publishers_of
+from kinpole_ros.settings import ParameterError, Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.parameters import ParameterError, Settings
 from kinpole_ros.tracking.tracker import Tracker
 
 _DIAGNOSTICS_INTERVAL = 1.0  # s

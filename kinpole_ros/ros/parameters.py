@@ -19,7 +19,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from kinpole_ros.messages import WITH_TF, theory_of
 from kinpole_ros.ros.private import wrap_service
-from kinpole_ros.tracking.parameters import (
+from kinpole_ros.settings import (
     NODE_PARAMETERS,
     PARAMETERS,
     Parameter,

@@ -9,7 +9,7 @@ from dataclasses import replace
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from kinpole_ros.messages import TF, live_outputs, theory_of
-from kinpole_ros.tracking.parameters import ParameterError, Settings, load_settings
+from kinpole_ros.settings import ParameterError, Settings, load_settings
 
 # Services of every managed node of rclpy, and `relearn`.
 _SERVICES = (

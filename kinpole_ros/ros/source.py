@@ -21,8 +21,8 @@ from kinpole_ros.messages import (
 )
 from kinpole_ros.ros.executor import SubscriptionGroup
 from kinpole_ros.ros.private import has_known_node, sequence_number, take
+from kinpole_ros.settings import ParameterError, Settings
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import ParameterError, Settings
 
 # Messages that wait while others are read: a stall of 50 ms at 1 kHz. The middleware keeps the
 # memory of the largest ones, so the depth bounds it.

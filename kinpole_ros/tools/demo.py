@@ -24,8 +24,8 @@ from kinpole_ros.bags import BagError, read_messages
 from kinpole_ros.mechanism import share_folder
 from kinpole_ros.messages import stamp_to_ns
 from kinpole_ros.ros.player import own_context, play
+from kinpole_ros.settings import Settings, load_settings
 from kinpole_ros.tools.plot import decode, plot, row_of
-from kinpole_ros.tracking.parameters import Settings, load_settings
 from kinpole_ros.tracking.values import POLE_NAMES
 
 _START_TIMEOUT, _STOP_TIMEOUT = 20.0, 10.0  # s

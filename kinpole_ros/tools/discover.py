@@ -18,8 +18,9 @@ from kinpole_ros.linkage import (
     parameter_file,
     table,
 )
+from kinpole_ros.settings import canonical_name
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.plane import NORMALS, canonical_name
+from kinpole_ros.tracking.plane import NORMALS
 
 # Seconds of data that are used by default.
 _SECONDS_OF_BAG, _SECONDS_LIVE = 60.0, 20.0

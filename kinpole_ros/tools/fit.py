@@ -9,9 +9,9 @@ from kinpole_ros.linkage.fit import fit_scene, fitted_lines, free_dimensions
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import Scene, SceneError, load_scene, scene_text
 from kinpole_ros.mechanism._scene_file import rewritten
+from kinpole_ros.settings import ParameterError, Settings, load_settings, settings_from
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.parameters import ParameterError, Settings, load_settings, settings_from
 from kinpole_ros.tracking.tracker import Tracker
 
 # Frames between two reports of the progress.

@@ -14,8 +14,8 @@ import numpy as np
 
 from kinpole_ros.bags import NODE_NAME, BagError, in_place_of, read_messages, topics
 from kinpole_ros.messages import COLORS, DRAWING, outputs_of, theory_of, type_name
+from kinpole_ros.settings import Settings, load_settings
 from kinpole_ros.tools.plot import bodies_of, decode, plane_of_motion, row_of
-from kinpole_ros.tracking.parameters import Settings, load_settings
 from kinpole_ros.tracking.plane import XY, plane_of
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, measured_pairs
 

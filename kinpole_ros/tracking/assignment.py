@@ -13,8 +13,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from kinpole_ros.core.bindings import Slots, library, pass_new_array
+from kinpole_ros.settings import POSE_POINTS, Settings
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import POSE_POINTS, Settings
 from kinpole_ros.tracking.plane import Plane
 
 # Markers that a body of all markers takes at most: a driver that numbers its markers anew in every

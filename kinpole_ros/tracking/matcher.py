@@ -12,6 +12,7 @@ import numpy as np
 
 from kinpole_ros.planar import Fit
 from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.assignment import MarkerAssignment, PlacedFrames
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.grouping import group
@@ -24,7 +25,6 @@ from kinpole_ros.tracking.identity import (
     merge_names,
     predict_poses,
 )
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.thresholds import (
     CONFIRMING_FRAMES,
     MEMORY_FRAMES,

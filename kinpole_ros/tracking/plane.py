@@ -6,16 +6,13 @@ of space. This is the one place that turns the one into the other.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
-# A normal, or the name of a plane of the axes; 'fit' for one that is found from the motion.
-PlaneSetting: TypeAlias = str | tuple[float, float, float]
-# Columns of a marker that span the plane, and the one along its normal.
-AXES = {'xy': (0, 1, 2), 'yz': (1, 2, 0), 'zx': (2, 0, 1)}
+from kinpole_ros.settings import AXES, FIT, PlaneSetting
+
 NORMALS = {'xy': (0.0, 0.0, 1.0), 'yz': (1.0, 0.0, 0.0), 'zx': (0.0, 1.0, 0.0)}
-FIT = 'fit'
 # A component of a fitted normal below this may be noise, and does not decide about its sign.
 _LEVEL = 0.1
 # A normal is turned from the z axis down to this component, from another axis below it.
@@ -80,11 +77,6 @@ class Plane(NamedTuple):
         """xy, yz or zx, else its normal as the parameter `plane` takes it."""
         names = {axes: name for name, axes in AXES.items()}
         return names[self.axes] if self.axes in names else as_parameter(self.normal)
-
-
-def canonical_name(name: str) -> str:
-    """The name of a plane of the axes whichever of its two axes is named first."""
-    return name if name in AXES else next((k for k in AXES if k[::-1] == name), name)
 
 
 def plane_of(setting: PlaneSetting) -> Plane | None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from kinpole_ros.settings import Settings, of_poses
 from kinpole_ros.tracking.assignment import MarkerAssignment, PlacedFrames
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins
@@ -14,7 +15,6 @@ from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.matcher import Matcher
 from kinpole_ros.tracking.outages import no_outages
-from kinpole_ros.tracking.parameters import Settings, of_poses
 from kinpole_ros.tracking.space import Space
 from kinpole_ros.tracking.step import Step
 from kinpole_ros.tracking.timeline import Timeline

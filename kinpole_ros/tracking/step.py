@@ -13,11 +13,11 @@ from kinpole_ros.core.bindings import (
     pass_new_array,
 )
 from kinpole_ros.derivatives import go_on, new_call, pass_tables
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins
 from kinpole_ros.tracking.estimate import Results, new_results
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.rejection import FAR, GAP, NEAR, NEWEST_FACTOR, reasons_of
 from kinpole_ros.tracking.thresholds import N_SIGMA
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.planar._plane import Real
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.clock import (
     DECISIVE_NATS,
     HALF_LIFE,
@@ -25,7 +26,6 @@ from kinpole_ros.tracking.clock import (
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.frame_counter import FrameCounter
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.rejection import LastFrame, judge_arrivals
 from kinpole_ros.tracking.thresholds import MIN_SAMPLES
 from kinpole_ros.tracking.tick_evidence import FEWEST_WEIGHED, SIDE, TickEvidence, add_evidence

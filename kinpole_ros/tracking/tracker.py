@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.assignment import PlacedFrames
 from kinpole_ros.tracking.before_plane import keep_frame, take_again
 from kinpole_ros.tracking.correction import correct_next
@@ -17,7 +18,6 @@ from kinpole_ros.tracking.estimate import Estimate, Results, estimate_of
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import note_gap
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.result_layout import COUNT, DEFORMED
 from kinpole_ros.tracking.state import new_totals, start, widen
 from kinpole_ros.tracking.summary import TrackerSummary

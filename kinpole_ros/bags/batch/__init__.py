@@ -40,7 +40,7 @@ from kinpole_ros.bags.batch._workers import (
     local_workers,
 )
 from kinpole_ros.files import read_limited
-from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.settings import Settings
 
 __all__ = ['KINDS', 'TlsFiles', 'batch', 'is_open_to_all', 'listed_bags']
 

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 from kinpole_ros.bags._files import unwritable
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._results import Job, Row, finished, result_name, write_text
-from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.settings import Settings
 
 # Results of more bags lie in 256 subfolders.
 _MOST_IN_FOLDER = 10_000

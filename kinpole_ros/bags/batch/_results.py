@@ -27,7 +27,7 @@ from kinpole_ros.bags.batch import _store
 from kinpole_ros.files import lock, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML
 from kinpole_ros.mechanism import LinkageError, SceneError
-from kinpole_ros.tracking.parameters import ParameterError, Settings
+from kinpole_ros.settings import ParameterError, Settings
 
 KINDS = ('mcap', 'csv', 'parquet')
 EXPECTED = (BagError, LinkageError, ParameterError, SceneError, OSError)

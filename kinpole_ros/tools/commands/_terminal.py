@@ -42,7 +42,7 @@ def is_user_error(error: Exception) -> bool:
     if isinstance(error, OSError | MemoryError) or package_missing(error):
         return True
     from kinpole_ros.mechanism import LinkageError, SceneError
-    from kinpole_ros.tracking.parameters import ParameterError
+    from kinpole_ros.settings import ParameterError
 
     types: tuple[type[Exception], ...] = (LinkageError, ParameterError, SceneError, UsageError)
     with suppress(ImportError):  # without mcap, nothing can have raised BagError

@@ -20,12 +20,12 @@ from kinpole_ros.tools.commands._terminal import (
 
 if TYPE_CHECKING:
     from kinpole_ros.linkage.positions import PositionReport
-    from kinpole_ros.tracking.parameters import Settings
+    from kinpole_ros.settings import Settings
 
 
 def settings_of(options: argparse.Namespace) -> 'Settings':
     """Return the settings of --config, or the defaults, with the changes of --set."""
-    from kinpole_ros.tracking.parameters import assignments, load_settings, settings_from
+    from kinpole_ros.settings import assignments, load_settings, settings_from
 
     changes = assignments(options.set)
     if options.config:

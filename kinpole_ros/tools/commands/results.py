@@ -59,9 +59,9 @@ def report(options: argparse.Namespace) -> int:
       kinpole report walk.trc
       kinpole report result.mcap --output report.html
     """
+    from kinpole_ros.settings import assignments
     from kinpole_ros.tools.report import Points, prepared, settings_for
     from kinpole_ros.tools.report import report as write_report
-    from kinpole_ros.tracking.parameters import assignments
 
     settings = settings_for(settings_of(options), options.scene)
     output = options.output or f'{Path(options.bag).stem}.html'

@@ -12,11 +12,11 @@ from kinpole_ros.files import printable
 from kinpole_ros.linkage.theory import DeviationSummary
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import theory_of
+from kinpole_ros.settings import Settings
 from kinpole_ros.tools.report._page import pack, page
 from kinpole_ros.tools.report._prepare import Points, prepared
 from kinpole_ros.tools.report._record import Collector, Columns, Record, joints_of
 from kinpole_ros.tools.report._result_bag import has_results, parse_status, read_record
-from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.plane import XY, plane_of
 
 __all__ = [

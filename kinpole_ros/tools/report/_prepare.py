@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kinpole_ros.bags import BagError, Imported, import_points, topics
+from kinpole_ros.settings import Settings, load_settings
 from kinpole_ros.tools.report._result_bag import has_results
-from kinpole_ros.tracking.parameters import Settings, load_settings
 
 # Files with these endings are bags, even if they cannot be read.
 _BAG_ENDINGS = ('.mcap', '.db3', '.bag')
