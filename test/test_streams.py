@@ -20,9 +20,9 @@ from recordings import (
 from stretches import instants, one_frame
 
 from kinpole_ros.settings import settings_from
-from kinpole_ros.tracking.assignment import MarkerPlaces
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.marker_rows import find_rows
 from kinpole_ros.tracking.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')
@@ -749,15 +749,15 @@ def test_a_name_stands_for_identity_then_namespace_then_id() -> None:
         'plain': 6,
     }
     for marker, place in places.items():
-        assert MarkerPlaces(identities).find(marker) == place
+        assert find_rows(identities, [marker]) == [place]
     # Two of that namespace, two of that id, none at all, none in an empty message.
     for marker in ('tip', '2', 'nobody', 'base/2', '', '/'):
-        assert MarkerPlaces(identities).find(marker) == len(identities)
-    assert MarkerPlaces(()).find('tip') == 0
+        assert find_rows(identities, [marker]) == [len(identities)]
+    assert find_rows((), ['tip']) == [0]
     # The full identity goes before the namespace, and that before the id.
-    assert MarkerPlaces(('3/9', '1/3', '3')).find('3') == 2
-    assert MarkerPlaces(('1/3', '3/9')).find('3') == 1
-    assert MarkerPlaces(('a/b/1',)).find('a/b') == 0
+    assert find_rows(('3/9', '1/3', '3'), ['3']) == [2]
+    assert find_rows(('1/3', '3/9'), ['3']) == [1]
+    assert find_rows(('a/b/1',), ['a/b']) == [0]
 
 
 def test_comparisons_of_names_grow_with_the_number_of_markers() -> None:

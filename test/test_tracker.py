@@ -14,9 +14,9 @@ from stretches import instants, one_frame
 
 from kinpole_ros import planar
 from kinpole_ros.settings import settings_from
-from kinpole_ros.tracking.assignment import MOST_MARKERS
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.rejection import MOST_MARKERS
 from kinpole_ros.tracking.tracker import Tracker
 from kinpole_ros.tracking.values import POLE_NAMES
 

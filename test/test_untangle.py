@@ -12,7 +12,8 @@ from stretches import follow, instants, one_frame
 import kinpole_ros
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.settings import settings_from
-from kinpole_ros.tracking.corrections import consensus_shape, correct_markers
+from kinpole_ros.tracking.consensus import consensus_shape
+from kinpole_ros.tracking.correction import correct_markers
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.tracker import Tracker

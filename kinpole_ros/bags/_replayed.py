@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from kinpole_ros.bags._files import Truncated
 from kinpole_ros.messages import identity_lines
 from kinpole_ros.settings import Settings
-from kinpole_ros.tracking.assignment import MarkerPlaces
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.marker_rows import find_rows
 from kinpole_ros.tracking.outages import Outage
 from kinpole_ros.tracking.space import SpaceReport, updated
 from kinpole_ros.tracking.timeline import StampState
@@ -138,9 +138,12 @@ class ReplayTotals:
         self._last = max(self._last, int(frames.stamps.max()))
         if frames.identities != self._identities:
             self._identities = frames.identities
-            none, columns = len(frames.identities), MarkerPlaces(frames.identities)
             absent = {
-                body: [name for name in names if columns.find(name) == none]
+                body: [
+                    name
+                    for name, row in zip(names, find_rows(frames.identities, names), strict=True)
+                    if row == len(frames.identities)
+                ]
                 for body, names in self._absent.items()
             }
             self._absent = {body: names for body, names in absent.items() if names}

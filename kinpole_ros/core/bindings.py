@@ -241,7 +241,7 @@ _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     'derive': (ctypes.c_int, [_pointer(Call)]),
     'try_frame': (ctypes.c_int, [_pointer(Frames), _ARRAY]),
     'follow': (ctypes.c_int, [_pointer(Frames), _pointer(Call), _ARRAY]),
-    'assign': (None, [_pointer(Slots), _ARRAY, _NUMBER, *3 * [_ARRAY]]),
+    'assign': (_NUMBER, [_pointer(Slots), _ARRAY, _NUMBER, *3 * [_ARRAY]]),
     'quantities': (None, [ctypes.c_int, _pointer(Motion), *3 * [_ARRAY]]),
     'relative_centers': (None, [_pointer(Motion), _NUMBER, _ARRAY, _NUMBER, *3 * [_ARRAY]]),
     'count_matches': (_NUMBER, [_pointer(MessageLayout), _DATA, _NUMBER, _NUMBER]),

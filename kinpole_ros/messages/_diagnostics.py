@@ -41,6 +41,7 @@ _COUNT_KEYS = {
     'restarts': f'{RESTARTS} with another publisher of the markers',
     'markers_not_seen': 'markers not seen, summed over frames',
     'markers_unknown': 'markers in the last new layout that no body names',
+    'markers_too_far': 'markers farther than 1e15 m, taken as not seen',
     'markers_exchanged': 'markers exchanged with one another, put back',
     'markers_left_out': 'markers left out, since they did not fit their body',
     'markers_mirrored': 'markers left out, since their body was seen mirrored',

@@ -11,7 +11,8 @@ import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.messages._types import DiagnosticStatus
-from kinpole_ros.tracking.matcher import BY_SHAPE, OTHERS, RENAMED, UNCERTAIN
+from kinpole_ros.tracking.names import BY_SHAPE, UNCERTAIN
+from kinpole_ros.tracking.placing import OTHERS, RENAMED
 from kinpole_ros.tracking.plane import FIT, Plane, PlaneSetting, as_parameter
 from kinpole_ros.tracking.space import SpaceReport
 from kinpole_ros.tracking.timeline import StampState
@@ -82,7 +83,7 @@ def identity_lines(tracker: Tracker, counts: Mapping[str, int]) -> Iterator[str]
             f'{_short(repr(marker))} is listed for {named} but moves with {own}, and is taken for '
             f'one of its markers; fix: correct {named}.markers and {own}.markers'
         )
-    for body, how in matcher.wrong_shapes().items():
+    for body, how in matcher.wrong_shapes(tracker.state.placed).items():
         yield _SHAPE_FAULTS[how].format(body)
     examples = '; '.join(_short(text) for text in list(matcher.notes)[-_LISTED_NOTES:])
     examples = f' ({examples})' if examples else ''

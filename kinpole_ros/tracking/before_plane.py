@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from kinpole_ros.tracking.assignment import PlacedFrames
 from kinpole_ros.tracking.correction import correct_next
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.state import State, start_bodies
+from kinpole_ros.tracking.placing import PlacedFrames
+from kinpole_ros.tracking.state import State, count_taken, start_bodies
 from kinpole_ros.tracking.update import update_if_due
 
 
@@ -43,7 +43,6 @@ def take_again(
         placed = place(frame, times)
         state.step.correct_next(correct_next(state, placed, 0))
         state.step.follow(1, state.step.reserve_results(0, None))
-        state.frame_count += 1
-        state.new_frames += 1
+        count_taken(state, 1)
     state.step.fields.due = max(due, 0)
     state.step.seen_last[:] = seen_last

@@ -69,10 +69,6 @@ class Bodies:
         Places of the markers in the frame of the body, m.
     frames : (B, n) int
         Number of frames that each place is learned from, at most SETTLED_FRAMES.
-    order : (B, n) int
-        The marker of the message in each slot, where some were exchanged.
-    exchanged : bool
-        Whether any are; `exchanged_for` (B,) counts the frames since the order changed.
     relative : (B, n) float
         Variance of each marker over that of the others of its body, mostly 1.
     deviation : (B, n) float
@@ -118,7 +114,6 @@ class Bodies:
         slots = self.count, self.width
         self.shape = np.zeros(slots, complex)
         self.frames = np.zeros(slots, int)
-        self.order = np.tile(np.arange(self.width), (self.count, 1))
         self.relative = np.ones(slots)
         self.deviation = np.zeros(slots)
         self.fits = np.zeros(self.count, int)
@@ -126,9 +121,7 @@ class Bodies:
         self.noise = np.full(self.count, np.nan)
         self.lasting = np.zeros(self.count, bool)
         self.jump_scale = np.full((2, self.count), np.inf)
-        self.exchanged = False
         self.begun = np.zeros(self.count, bool)
-        self.exchanged_for = np.zeros(self.count, int)
         self.least_noise = np.zeros(self.count)
         self.angle_noise = np.full(self.count, np.nan)
         self.scale = np.ones((2, self.count))
@@ -161,12 +154,6 @@ class Bodies:
             *(learned_count, unseen, ~is_learned, incomplete, spread, size, weights, factors),
             *(factors.mean, mature, *limits),
         )
-
-    def reorder(self, b: int, order: np.ndarray) -> None:
-        """Put the markers of a body into these slots (n,) from now on."""
-        self.order[b] = self.order[b, order]
-        self.exchanged_for[b] = 0
-        self.exchanged = bool((self.order != np.arange(self.width)).any())
 
     @property
     def error(self) -> Real:
@@ -214,8 +201,6 @@ class Bodies:
         """Forget some bodies (B,), which start again when they are seen next."""
         for part in (self.shape, self.frames, self.fits, self.misfit, self.deviation, self.freedom):
             part[which] = 0
-        self.order[which] = np.arange(self.width)
-        self.exchanged = bool((self.order != np.arange(self.width)).any())
         self.relative[which] = 1.0
         self.noise[which] = self.white[which] = self.last_angle[which] = np.nan
         self.jump_scale[:, which] = np.inf
@@ -229,8 +214,6 @@ class Bodies:
             np.pad(part, added_slots) for part in (self.shape, self.frames, self.deviation)
         )
         self.relative = np.pad(self.relative, added_slots, constant_values=1.0)
-        added = np.tile(np.arange(self.width, width), (self.count, 1))
-        self.order = np.hstack((self.order, added))
         self.width = width
         self.update()
 

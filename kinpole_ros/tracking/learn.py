@@ -7,7 +7,7 @@ import numpy as np
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.planar._procrustes import procrustes_factors
 from kinpole_ros.tracking.bodies import SETTLED_FRAMES, Bodies
-from kinpole_ros.tracking.corrections import consensus_shape
+from kinpole_ros.tracking.consensus import consensus_shape
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.noise import (
     MAX_MARKERS,

@@ -2,7 +2,7 @@
 What is not used of the frames, and why: every verdict and its threshold.
 
 C applies the rules that run for every frame (core/src/rejection.c), with the limits given here. A
-rule that needs a search for a correction is in `corrections` or `identity`, and takes its limits
+rule that needs a search for a correction is in `correction` or `identity`, and takes its limits
 here.
 
 | what | verdict | rule | applied in |
@@ -10,13 +10,15 @@ here.
 | a frame | LATE | older than the newest, or by more than the clock's lateness | `judge_arrivals` |
 | a frame | REPEATED | the stamp, with a clock also the points, of the last one | `judge_arrivals` |
 | a frame | RESET | a step by more than a window, or two late frames in a row | `judge_arrivals` |
+| a marker | TOO_FAR | a coordinate not below `FARTHEST_MARKER` | `write_point` in C |
+| a marker | unknown | of a body of all markers that has `MOST_MARKERS` | `MarkerAssignment` |
 | a marker | ODD | off its place by `OUTLIER_SIGMAS` | `verdict_on_marker` in C |
 | a body | ODD | turned by more than a quarter since the frame before | `fit` in C |
 | a marker | NAME_DOUBTFUL | ODD, off by `YOUNG_OUTLIER` of the size | `verdict_on_marker` in C |
 | a marker | NEW_MARKER | no place on its body yet | `fit` in C |
 | a marker | LEFT_OUT, EXCHANGED | ODD, and the best correction says so | `correct_frame` |
 | a body | MIRRORED, DROPPED | ODD, fits mirrored, or with no correction | `correct_frame` |
-| a body | (not counted) | corrected, but its misfit is above `MAX_SQUARE_RATIO` | `correct_frame` |
+| a body | DROPPED | corrected, but its misfit is above `MAX_SQUARE_RATIO` | `correct_frame` |
 | a pose | NOT_SEEN | less than two markers, or all at one place | `fit` in C |
 | a pose | NOT_SEEN | its markers are too close: `MAX_ANGLE_NOISE` | `is_unsteady` in C |
 | a pose | OFF_PATH | off the cubic through its neighbors by `FAR` | `wrong_before_last` in C |
@@ -35,6 +37,16 @@ from kinpole_ros.core.bindings import codes_of
 from kinpole_ros.planar._plane import Real
 from kinpole_ros.tracking.thresholds import ROUNDED
 
+# What is counted of markers that are not used as they came, by verdict.
+EXCHANGED, LEFT_OUT = 'markers_exchanged', 'markers_left_out'
+MIRRORED, DROPPED = 'markers_mirrored', 'markers_of_misfits'
+TOO_FAR = 'markers_too_far'
+
+# m. Squares of smaller coordinates do not overflow; no marker is farther.
+FARTHEST_MARKER = 1e15
+# Markers that a body of all markers takes at most: a driver that numbers its markers anew in every
+# frame must not fill the memory.
+MOST_MARKERS = 1024
 # A marker farther off than this is an outlier, in standard deviations of residuals.
 OUTLIER_SIGMAS = 6.0
 # The same as a share of the body size, while the residuals are not known.
@@ -44,9 +56,18 @@ MAX_ANGLE_NOISE = 0.15
 # Mean square residual of a corrected body over that of the body; 0.1% of chi-squares of three
 # degrees exceed it.
 MAX_SQUARE_RATIO = 5.4
+# rad. An exchange of markers that turns the body farther from its prediction comes last: any two
+# markers of an equilateral triangle may be exchanged, and it fits.
+NEAR_ANGLE = 0.25 * np.pi
+# Markers may be exchanged if a body is this far, rad, from its predicted angle, while it turns by
+# less than the second angle, rad per frame.
+REVERSED, SLOW_STEP = 0.75 * np.pi, 0.25 * np.pi
+# Most frames between two searches for the names of markers after searches without a result.
+MAX_SEARCH_INTERVAL = 16
 # An outlier of so many limits spoils a learned shape for longer than a new start takes.
 SPOILING_LIMITS = 3.0
-# A marker has moved if it was seen in half of so many frames and fitted in none.
+# A marker has moved if it was seen in half of so many frames and fitted in none. Markers that stay
+# exchanged for as long had wrong names before.
 MOVED_FRAMES = 100
 # A pose is wrong if it is off the cubic through its neighbors by so many standard deviations. The
 # newest has no later neighbors: it is wrong if it is off every polynomial through those before, by

@@ -7,14 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kinpole_ros.settings import Settings, of_poses
-from kinpole_ros.tracking.assignment import MarkerAssignment, PlacedFrames
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins
 from kinpole_ros.tracking.events import EventSearch
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.matcher import Matcher
+from kinpole_ros.tracking.names import Matcher
 from kinpole_ros.tracking.outages import no_outages
+from kinpole_ros.tracking.placing import MarkerAssignment, PlacedFrames
+from kinpole_ros.tracking.rejection import EXCHANGED
 from kinpole_ros.tracking.space import Space
 from kinpole_ros.tracking.step import Step
 from kinpole_ros.tracking.timeline import Timeline
@@ -133,6 +134,7 @@ def start(settings: Settings, posed: bool, totals: Totals, before: Timeline | No
 
 def start_bodies(state: State) -> None:
     """Start with bodies of which nothing is known, on the same clock, names and plane."""
+    state.assignment.restart()
     parts = _new_bodies(state.settings, state.posed, state.totals, state.assignment)
     state.bodies, state.history, state.pins, state.matcher, state.step = parts
     state.frame_count = state.new_frames = state.counted_frames = 0
@@ -148,7 +150,7 @@ def _new_bodies(
     slots = len(settings.bodies), assignment.width
     bodies, history = Bodies(*slots), History(*slots)
     pins = Pins(bodies)
-    matcher = Matcher(settings, assignment, bodies, history, totals.counts)
+    matcher = Matcher(settings, assignment, bodies, history)
     step = Step(settings, bodies, pins, history, posed, totals.outages, totals.wrong)
     return bodies, history, pins, matcher, step
 
@@ -165,8 +167,10 @@ def widen(state: State) -> None:
 def restart_bodies(state: State, which: np.ndarray) -> None:
     """Forget everything learned of some bodies (B,)."""
     state.bodies.restart(which)
-    if state.matcher.has_shape.any():
-        state.bodies.give(np.where(which[:, None], state.matcher.given, np.nan))
+    state.assignment.restore_order(which)
+    given = state.matcher.given
+    if given.has_shape.any():
+        state.bodies.give(np.where(which[:, None], given.shapes, np.nan))
     history = state.history
     history['information'][:, :, which] = 0.0
     history['used'][:, which] = False
@@ -174,3 +178,12 @@ def restart_bodies(state: State, which: np.ndarray) -> None:
     history['angle'][:, which] = np.nan
     state.pins.forget(which)
     state.step.bind(state.bodies, history)
+
+
+def count_taken(state: State, frames: int) -> None:
+    """Count so many frames that were appended to the history."""
+    state.frame_count += frames
+    state.new_frames += frames
+    exchanged = state.assignment.count_exchanged(frames)
+    if exchanged:
+        state.totals.counts[EXCHANGED] += exchanged

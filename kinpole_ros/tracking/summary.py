@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 
 from kinpole_ros.tracking.deformation import TISSUE
-from kinpole_ros.tracking.matcher import Matcher
+from kinpole_ros.tracking.names import Matcher
 from kinpole_ros.tracking.outages import Outage, named_outages
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.space import SpaceReport

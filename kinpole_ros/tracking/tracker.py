@@ -10,7 +10,6 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from kinpole_ros.settings import Settings
-from kinpole_ros.tracking.assignment import PlacedFrames
 from kinpole_ros.tracking.before_plane import keep_frame, take_again
 from kinpole_ros.tracking.correction import correct_next
 from kinpole_ros.tracking.deformed_results import add_deformation
@@ -18,8 +17,9 @@ from kinpole_ros.tracking.estimate import Estimate, Results, estimate_of
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import note_gap
+from kinpole_ros.tracking.placing import PlacedFrames
 from kinpole_ros.tracking.result_layout import COUNT, DEFORMED
-from kinpole_ros.tracking.state import new_totals, start, widen
+from kinpole_ros.tracking.state import count_taken, new_totals, start, widen
 from kinpole_ros.tracking.summary import TrackerSummary
 from kinpole_ros.tracking.timeline import TimedFrames, Timeline
 from kinpole_ros.tracking.update import learn_if_due, update_clock, update_if_due
@@ -145,8 +145,8 @@ class Tracker(TrackerSummary):
             self._search_events(numbers[:first])
             learns = state.frame_count >= state.next_update or state.names_changed
             if learns and update_if_due(state):
-                state.matcher.assign_again(placed, first)
-                state.step.fields.hidden_is_unusual = state.matcher.has_unassigned(placed)
+                state.assignment.assign_again(placed, first)
+                state.step.fields.hidden_is_unusual = len(placed.layout.unassigned) > 0
             if state.assignment.plane is not state.space.plane:
                 self._keep_results(results, numbers)
                 estimates += self._flush_results()
@@ -165,16 +165,13 @@ class Tracker(TrackerSummary):
     def _place(self, frames: MarkerFrames, times: Sequence[np.ndarray]) -> PlacedFrames:
         """Place the markers of frames in the slots of the bodies, and pass them to C."""
         state = self.state
-        state.placed = placed = state.assignment.assign(frames)
+        state.placed = placed = state.assignment.assign(frames, state.totals.counts)
         if state.assignment.width > state.bodies.width:
             widen(state)
-        state.matcher.begin(placed)
-        tilts = None
-        if placed.in_space is not None and state.assignment.plane is not None:
-            tilts = state.assignment.tilts(placed.in_space)
+        tilts = state.assignment.tilts(placed)
         new_frames = frames.stamps, *times, placed.points, placed.heights, tilts
-        unassigned = state.matcher.has_unassigned(placed)
-        state.step.pass_frames(len(frames.stamps), new_frames, unassigned)
+        hidden_is_unusual = len(placed.layout.unassigned) > 0
+        state.step.pass_frames(len(frames.stamps), new_frames, hidden_is_unusual)
         return placed
 
     def _follow(self, placed: PlacedFrames, times: Sequence[np.ndarray], results: Results) -> None:
@@ -183,7 +180,7 @@ class Tracker(TrackerSummary):
         before, is_unusual = state.step.fields.frame, True
         if state.assignment.plane is None:
             keep_frame(state, placed, times)
-        elif state.matcher.is_in_order(placed) and not state.bodies.exchanged:
+        elif state.assignment.is_in_order(placed):
             is_unusual = state.step.follow(state.next_update - state.frame_count, results)
             self._count_taken(before)
         if is_unusual:
@@ -197,9 +194,7 @@ class Tracker(TrackerSummary):
 
     def _count_taken(self, before: int) -> None:
         """Count the frames from `before` on that the step took."""
-        taken = self.state.step.fields.frame - before
-        self.state.frame_count += taken
-        self.state.new_frames += taken
+        count_taken(self.state, self.state.step.fields.frame - before)
 
     def _search_events(self, numbers: np.ndarray) -> None:
         """Search for events in the history, to which frames with these numbers were appended."""

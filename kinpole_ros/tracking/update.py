@@ -64,7 +64,7 @@ def _update(state: State) -> bool:
         _find_deformed(state)
     changed = False
     if state.matcher.regrouping_is_due():
-        regrouped = state.matcher.regroup(bodies.rigidity_residual() > 0)
+        regrouped = state.matcher.regroup(bodies.rigidity_residual() > 0, state.totals.counts)
         changed = bool(regrouped.any() or state.matcher.withheld.any())
         if regrouped.any():
             restart_bodies(state, regrouped)

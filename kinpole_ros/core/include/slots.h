@@ -5,7 +5,7 @@
 
 /* Slot k of `count` takes row `rows[k]` of the `points` of a frame; none from row `points` on. Points
    are scaled, and those not nearer than `farthest`, m, are NaN. The plane is that of plane.py: without
-   `axes` its basis counts. See assignment.py. */
+   `axes` its basis counts. See placing.py. */
 #define SLOTS_FIELDS(VALUE, BLOCK, ARRAY) \
     VALUE(long long, count)               \
     VALUE(long long, points)              \
@@ -18,7 +18,7 @@
 
 typedef STRUCT(SLOTS_FIELDS) Slots;
 
-API void kinpole_assign(const Slots *slots, const double *points, long long frames, double *flat,
-                        double *heights, double *in_space);
+API long long kinpole_assign(const Slots *slots, const double *points, long long frames, double *flat,
+                             double *heights, double *in_space);
 
 #endif

@@ -7,30 +7,33 @@
 
 #include "../include/slots.h"
 
-/* Writes a point, m; NaN for none. */
-static void
+/* Writes a point, m, NaN for none; whether it is one that is too far. */
+static int
 write_point(const Slots *slots, const double *points, long long row, double *point)
 {
-    int is_near = row < slots->points;
-    for (int i = 0; i < 3 && is_near; i++) {
+    int is_finite = row < slots->points, is_near = is_finite;
+    for (int i = 0; i < 3 && is_finite; i++) {
+        is_finite = isfinite(points[3 * row + i]);
         point[i] = points[3 * row + i] * slots->scale;
-        is_near = fabs(point[i]) < slots->farthest;
+        is_near &= fabs(point[i]) < slots->farthest;
     }
-    if (!is_near)
+    if (!(is_finite && is_near))
         point[0] = point[1] = point[2] = NAN;
+    return is_finite && !is_near;
 }
 
 /* Writes the points (T, slots, 3) of frames, m, into `in_space`. If that is NULL, writes them as complex
-   numbers of the plane (T, slots), and their heights over it. */
-void
+   numbers of the plane (T, slots), and their heights over it. Returns how many are too far. */
+long long
 kinpole_assign(const Slots *slots, const double *points, long long frames, double *flat,
                double *heights, double *in_space)
 {
     const long long *axes = slots->axes;
+    long long too_far = 0;
     for (long long at = 0; at < frames * slots->count; at++) {
         double p[3], turned[3];
         const double *frame = points + at / slots->count * slots->points * 3;
-        write_point(slots, frame, slots->rows[at % slots->count], p);
+        too_far += write_point(slots, frame, slots->rows[at % slots->count], p);
         if (in_space) {
             memcpy(in_space + 3 * at, p, sizeof p);
             continue;
@@ -41,4 +44,5 @@ kinpole_assign(const Slots *slots, const double *points, long long frames, doubl
         }
         flat[2 * at] = turned[0], flat[2 * at + 1] = turned[1], heights[at] = turned[2];
     }
+    return too_far;
 }

@@ -7,13 +7,13 @@ all later messages with the same names in the same order, until its markers do n
 """
 
 from collections import Counter, deque
+from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.planar import Fit
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.settings import Settings
-from kinpole_ros.tracking.assignment import MarkerAssignment, PlacedFrames
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.grouping import group
 from kinpole_ros.tracking.history import History
@@ -25,6 +25,7 @@ from kinpole_ros.tracking.identity import (
     merge_names,
     predict_poses,
 )
+from kinpole_ros.tracking.placing import MarkerAssignment, PlacedFrames, count_misnamed
 from kinpole_ros.tracking.thresholds import (
     CONFIRMING_FRAMES,
     MEMORY_FRAMES,
@@ -35,13 +36,41 @@ from kinpole_ros.tracking.thresholds import (
 )
 
 # What is counted in `Tracker.counts`.
-OTHERS, RENAMED, REGROUPED = 'markers_of_others', 'markers_renamed', 'markers_regrouped'
-BY_SHAPE, UNCERTAIN = 'frames_by_shape', 'bodies_ambiguous'
+REGROUPED, BY_SHAPE, UNCERTAIN = 'markers_regrouped', 'frames_by_shape', 'bodies_ambiguous'
 # If the parameters name points 0 to n - 1, a cloud of exactly n points counts as so many clouds of
 # another size, while the usual size is learned.
 _EXACT_SIZE_WEIGHT = 4
 # Corrections that are listed by name at most.
 _MOST_NOTES = 12
+
+
+class GivenShapes(NamedTuple):
+    """
+    What the parameters say of B bodies of n markers.
+
+    `shapes` (B, n), complex, m, are the places of the markers, NaN for none, and `has_shape` (B,)
+    says for which bodies there are any. `pins` (B, 2) are those of `Expected`, None for none.
+    `by_shape` is whether names mean nothing.
+    """
+
+    names: tuple[str, ...]
+    shapes: Complex
+    has_shape: np.ndarray
+    pins: Complex | None
+    by_shape: bool
+
+
+def given_shapes(settings: Settings, width: int) -> GivenShapes:
+    """Return what the parameters say of the bodies, which have so many slots."""
+    names = tuple(settings.bodies)
+    shapes = np.full((len(names), width), complex(np.nan, np.nan))
+    for b, name in enumerate(names):
+        shape = settings.shapes.get(name, ())
+        shapes[b, : len(shape)] = shape
+    pins = [settings.pins.get(name, (np.nan, np.nan)) for name in names]
+    has_shape = ~np.isnan(shapes).all(axis=1)
+    on_ground = np.array(pins, complex) if settings.pins else None
+    return GivenShapes(names, shapes, has_shape, on_ground, settings.marker_identity == 'shape')
 
 
 class Matcher:
@@ -50,86 +79,46 @@ class Matcher:
 
     Attributes
     ----------
-    given : (B, n) complex
-        Shapes that the parameters give, m, NaN for none; `has_shape` (B,) says for which bodies.
+    given : GivenShapes
+        What the parameters say.
     notes : Counter of str
         Corrected names, and how often each correction began.
     regrouped : list of (str, str, str)
         Mistakes of the parameters: a marker, the body it is listed for, the body it moves with.
-    withheld : (B,) bool
-        Bodies of which nothing is published, since their markers are not known.
-    disordered : bool
-        Whether points came in random order before the shapes were known.
     full_count : int
         Number of points of a complete cloud without names, 0 while not known.
 
     """
 
     def __init__(
-        self,
-        settings: Settings,
-        assignment: MarkerAssignment,
-        bodies: Bodies,
-        history: History,
-        counts: Counter[str],
+        self, settings: Settings, assignment: MarkerAssignment, bodies: Bodies, history: History
     ) -> None:
-        count, width = bodies.shape.shape
-        self._history = history
+        self._assignment, self._bodies, self._history = assignment, bodies, history
+        self.given = given_shapes(settings, bodies.width)
         self.notes: Counter[str] = Counter()
         self.regrouped: list[tuple[str, str, str]] = []
-        self.withheld = np.zeros(count, bool)
-        self._withholds = False
-        self.disordered = False
-        self._names = tuple(settings.bodies)
-        self._assignment, self._bodies, self._counts = assignment, bodies, counts
-        self._by_shape = settings.marker_identity == 'shape'
-        # A body of all markers takes any point for a marker.
-        self._may_be_nameless = (
-            settings.marker_identity in ('auto', 'index', 'shape') and not assignment.takes_all
-        )
-        self.given = np.full((count, width), complex(np.nan, np.nan))
-        for b, name in enumerate(self._names):
-            shape = settings.shapes.get(name, ())
-            self.given[b, : len(shape)] = shape
-        pins = [settings.pins.get(name, (np.nan, np.nan)) for name in self._names]
-        self._pins = np.array(pins, complex) if settings.pins else None
-        self.has_shape = ~np.isnan(self.given).all(axis=1)
-        if self.has_shape.any():
-            bodies.give(self.given)
+        if self.given.has_shape.any():
+            bodies.give(self.given.shapes)
         self.full_count = 0
         # How many of the first clouds without names had which number of points.
         self._cloud_sizes: Counter[int] = Counter()
         self._disordered_frames = 0
         # Frames without names so far, up to MIN_SAMPLES, and in how many each body was found.
         self._arranged = 0
-        self._times_found = np.zeros(count, int)
+        self._times_found = np.zeros(bodies.count, int)
         self._next_regrouping, self._regroupings = MIN_SAMPLES, 0
         # Residual variances, m^2, of the recent best fits by `match`, right or wrong.
         self._variances: deque[float] = deque(maxlen=MEMORY_FRAMES)
-        # The frames in hand, for `wrong_shapes`.
-        self._last: PlacedFrames | None = None
 
-    def is_in_order(self, placed: PlacedFrames) -> bool:
-        """Whether each marker of the frames is taken to be where its name says."""
-        is_full = len(placed.identities) == self.full_count
-        return not placed.is_nameless or (
-            is_full and not self._by_shape and self._arranged >= MIN_SAMPLES
-        )
+    @property
+    def withheld(self) -> np.ndarray:
+        """Bodies (B,) of which nothing is published, since their markers are not known."""
+        return self._assignment.withheld
 
-    def has_unassigned(self, placed: PlacedFrames) -> bool:
-        """Whether the frames have points in no slot of a body."""
-        return len(placed.layout.unassigned) > 0 and not self._by_shape
-
-    def begin(self, placed: PlacedFrames) -> None:
-        """Begin with frames whose markers are placed by name; hides bodies that are withheld."""
-        self._last = placed
-        if not placed.layout.is_numbered and not self._by_shape:
-            # A driver that names markers once does so always.
-            self._may_be_nameless = False
-        placed.is_nameless = self._may_be_nameless and placed.layout.is_numbered
-        self._count_corrected(placed, 0, 1)
-        if self._withholds:
-            placed.points[:, self.withheld] = np.nan
+    @property
+    def disordered(self) -> bool:
+        """Whether points came in random order before the shapes were known."""
+        return self._disordered_frames >= CONFIRMING_FRAMES
 
     def is_incomplete_cloud(self, placed: PlacedFrames) -> bool:
         """
@@ -143,7 +132,7 @@ class Matcher:
         self._update_full_count(placed)
         return len(placed.identities) != self.full_count
 
-    def arrange(self, placed: PlacedFrames, k: int) -> bool:
+    def arrange(self, placed: PlacedFrames, k: int, counts: Counter[str]) -> bool:
         """
         Match frame `k` by shape if names mean nothing.
 
@@ -154,23 +143,19 @@ class Matcher:
         restarts = False
         if self._arranged < MIN_SAMPLES:
             has_changed = self._update_full_count(placed)
-            restarts = has_changed and not self.has_shape.all()
+            restarts = has_changed and not self.given.has_shape.all()
             self._arranged += 1
+            if self._arranged == MIN_SAMPLES and not self.given.by_shape:
+                self._assignment.ordered_size = self.full_count
         is_full = len(placed.identities) == self.full_count
-        if is_full and not self._by_shape:
+        if is_full and not self.given.by_shape:
             return restarts
         was_in_order = not self.disordered
-        self._arrange_by_shape(placed, k, is_full, restarts)
-        self._counts[BY_SHAPE] += 1
+        ambiguous = self._arrange_by_shape(placed, k, is_full, restarts)
+        counts.update({BY_SHAPE: 1, UNCERTAIN: ambiguous})
         placed.arranged = k
         # Frames before the disorder was noticed did not show the bodies they were taken for.
         return restarts or (was_in_order and self.disordered)
-
-    def assign_again(self, placed: PlacedFrames, first: int) -> None:
-        """Place the frames from `first` on again, since the names of markers were corrected."""
-        self._assignment.assign_again(placed, first)
-        if self.withheld.any():
-            placed.points[first:, self.withheld] = np.nan
 
     def is_doubtful(self, placed: PlacedFrames, k: int, fit: Fit, hidden: np.ndarray) -> bool:
         """
@@ -187,7 +172,7 @@ class Matcher:
 
         """
         unassigned = placed.layout.unassigned
-        if not len(unassigned) or self._by_shape or placed.arranged == k:
+        if not len(unassigned) or placed.arranged == k:
             return False
         points, _ = self._assignment.project_rows(placed.frames.points[k], unassigned)
         points = points[~np.isnan(points)]
@@ -202,12 +187,12 @@ class Matcher:
         lost = np.isnan(fit.angle) & (self._bodies.fitting.learned_count >= 2) & ~self.withheld
         return bool((lost & (len(points) + (~hidden).sum(axis=1) >= 2)).any())
 
-    def correct_names(self, placed: PlacedFrames, k: int) -> bool:
+    def correct_names(self, placed: PlacedFrames, k: int, counts: Counter[str]) -> bool:
         """Correct the names from frame `k` on; return whether any was wrong."""
         # One body that has all points, and poses, cannot be confused.
-        layout = placed.layout
-        is_alone = len(self._names) == 1 and not len(layout.unassigned)
-        if self._by_shape or placed.arranged == k or is_alone or self._assignment.posed:
+        layout, frames = placed.layout, len(placed.frames.stamps) - k
+        is_alone = len(self.given.names) == 1 and not len(layout.unassigned)
+        if self.given.by_shape or placed.arranged == k or is_alone or self._assignment.posed:
             return False
         points, _ = self._project(placed, k)
         assigned = np.where(layout.rows < len(points), layout.rows, -1)
@@ -218,13 +203,13 @@ class Matcher:
         rows = merge_names(self._match(placed, k, points, named, fits), named)
         if rows is None:
             return False
-        self._count_corrected(placed, k, -1)
+        count_misnamed(counts, layout, -frames)
         # A hidden marker that found no other point keeps its name.
         rows = np.where(hidden & (rows < 0), assigned, rows)
         self._assignment.correct_names(placed, rows, not placed.is_nameless)
-        self._count_corrected(placed, k, 1)
+        count_misnamed(counts, placed.layout, frames)
         self._note_corrections(placed)
-        self.assign_again(placed, k)
+        self._assignment.assign_again(placed, k)
         return True
 
     @property
@@ -236,7 +221,7 @@ class Matcher:
         """Return whether it is time to check which markers move as one body."""
         return self._frames >= self._next_regrouping
 
-    def regroup(self, loose: np.ndarray) -> np.ndarray:
+    def regroup(self, loose: np.ndarray, counts: Counter[str]) -> np.ndarray:
         """
         Exchange markers of bodies permanently where that makes them rigid.
 
@@ -244,6 +229,8 @@ class Matcher:
         ----------
         loose : (B,) bool
             Bodies that are not rigid.
+        counts : Counter
+            The number of exchanged markers, updated.
 
         Returns
         -------
@@ -252,13 +239,13 @@ class Matcher:
 
         """
         self._next_regrouping = self._frames + min(self._frames // 2, MEMORY_FRAMES)
-        loose = loose & ~self.has_shape & ~self.withheld
+        loose = loose & ~self.given.has_shape & ~self.withheld
         tried_enough = self._regroupings > 2 * len(loose)
-        if loose.sum() < 2 or tried_enough or self._by_shape or not len(self._history):
+        if loose.sum() < 2 or tried_enough or self.given.by_shape or not len(self._history):
             return np.zeros(len(loose), bool)
         order, confused = group(self._history['markers'][-MEMORY_FRAMES:], loose)
-        self.withheld[confused] = True
-        self._withholds = bool(self.withheld.any())
+        if confused:
+            self._assignment.withhold(np.isin(np.arange(len(loose)), confused))
         if order is None:
             return np.zeros(len(loose), bool)
         self._regroupings += 1
@@ -266,16 +253,20 @@ class Matcher:
         for b, slot in zip(*np.nonzero(moved), strict=True):
             c, k = divmod(int(order[b, slot]), order.shape[1])
             marker = self._assignment.markers[c][k]
-            self.regrouped.append((marker, self._names[c], self._names[b]))
-            self._counts[REGROUPED] += 1
+            self.regrouped.append((marker, self.given.names[c], self.given.names[b]))
+            counts[REGROUPED] += 1
         self._assignment.permute(order)
         return np.asarray(moved.any(axis=1))
 
-    def wrong_shapes(self) -> dict[str, str]:
-        """Return bodies whose given shape was not seen: 'mirrored', 'other' or 'nowhere'."""
+    def wrong_shapes(self, placed: PlacedFrames | None = None) -> dict[str, str]:
+        """
+        Return bodies whose given shape was not seen: 'mirrored', 'other' or 'nowhere'.
+
+        `placed` are the last frames.
+        """
         found = {}
-        for b in np.flatnonzero(self.has_shape & ~self.withheld).tolist():
-            given, learned, name = self.given[b], self._bodies.shape[b], self._names[b]
+        for b in np.flatnonzero(self.given.has_shape & ~self.withheld).tolist():
+            given, learned, name = self.given.shapes[b], self._bodies.shape[b], self.given.names[b]
             markers = given[~np.isnan(given)]
             size = np.abs(markers - markers.mean()).max()
             limit = max(
@@ -285,22 +276,14 @@ class Matcher:
             if not fit_points(learned, np.nan_to_num(given), indices)[2] <= limit:
                 mirrored = fit_points(learned, np.nan_to_num(given.conj()), indices)[2] <= limit
                 found[name] = 'mirrored' if mirrored else 'other'
-            elif self._by_shape and self._frames >= MIN_SAMPLES and not self._times_found[b]:
-                found[name] = 'mirrored' if self._fits_mirrored(b) else 'nowhere'
+            elif self.given.by_shape and self._frames >= MIN_SAMPLES and not self._times_found[b]:
+                found[name] = 'mirrored' if self._fits_mirrored(placed, b) else 'nowhere'
         return found
 
     def _project(self, placed: PlacedFrames, k: int) -> tuple[Complex, Real]:
         """Return all points (m,) of a frame in the plane, and their heights, m."""
         points = placed.frames.points[k]
         return self._assignment.project_rows(points, np.arange(len(points)))
-
-    def _count_corrected(self, placed: PlacedFrames, first: int, sign: int) -> None:
-        """Count corrected names in the frames from `first` on, or take the count back."""
-        frames, layout = sign * (len(placed.frames.stamps) - first), placed.layout
-        if layout.foreign_names:
-            self._counts[OTHERS] += frames * layout.foreign_names
-        if layout.unknown_names:
-            self._counts[RENAMED] += frames * layout.unknown_names
 
     def _note_corrections(self, placed: PlacedFrames) -> None:
         """Remember which markers were corrected."""
@@ -309,7 +292,7 @@ class Matcher:
             return
         corrected = (layout.rows != layout.named_rows) & (layout.rows < len(names))
         for b, k in zip(*np.nonzero(corrected), strict=True):
-            marker = f'{self._assignment.markers[b][k]!r} of {self._names[b]}'
+            marker = f'{self._assignment.markers[b][k]!r} of {self.given.names[b]}'
             note = f'{names[layout.rows[b, k]]!r} is {marker}'
             if note in self.notes or len(self.notes) < _MOST_NOTES:
                 self.notes[note] += 1
@@ -329,19 +312,21 @@ class Matcher:
         before, self.full_count = self.full_count, max(score, key=lambda n: score[n], default=0)
         return before not in (0, self.full_count)
 
-    def _arrange_by_shape(
-        self, placed: PlacedFrames, k: int, is_full: bool, restarts: bool
-    ) -> None:
-        """Assign the points of a frame by shape; to bodies without one by name, if it is full."""
+    def _arrange_by_shape(self, placed: PlacedFrames, k: int, is_full: bool, restarts: bool) -> int:
+        """
+        Assign the points of a frame by shape; to bodies without one by name, if it is full.
+
+        Returns how many bodies fit in several ways.
+        """
         points, heights = self._project(placed, k)
         # Learned shapes are void after a restart.
-        shapes = self.given if restarts else self._bodies.markers()
+        shapes = self.given.shapes if restarts else self._bodies.markers()
         has_shape = (~np.isnan(shapes)).sum(axis=1) >= 2
         rows = placed.layout.rows
         named = np.where(rows < len(points), rows, -1)
         # While it is not known whether the order is stable, the names are tried first.
         learns_order = is_full and self._arranged < MIN_SAMPLES and not self.disordered
-        names = np.where(self.has_shape[:, None] | (not learns_order), -1, named)
+        names = np.where(self.given.has_shape[:, None] | (not learns_order), -1, named)
         fits = np.zeros(len(has_shape), bool)
         if learns_order:
             fits = self._fits_by_name(points, names, shapes)
@@ -350,12 +335,12 @@ class Matcher:
         if is_full:
             as_named = ((rows == named) | np.isnan(shapes)).all(axis=1)
             rows = np.where(as_named[:, None], named, rows)
-            self._check_order(as_named | self.has_shape | ~has_shape)
+            self._check_order(as_named | self.given.has_shape | ~has_shape)
         rows[self.withheld] = -1
         placed.points[k] = np.where(rows >= 0, np.append(points, np.nan)[rows], np.nan)
         placed.heights[k] = np.where(rows >= 0, np.append(heights, np.nan)[rows], np.nan)
         self._times_found += np.isfinite(found.turn)
-        self._counts[UNCERTAIN] += int((found.uncertain & ~self.withheld).sum())
+        return int((found.uncertain & ~self.withheld).sum())
 
     def _fits_by_name(self, points: Complex, named: np.ndarray, shapes: Complex) -> np.ndarray:
         """Which bodies (B,) fit their shapes with all markers where they are `named`."""
@@ -366,12 +351,10 @@ class Matcher:
 
     def _check_order(self, in_order: np.ndarray) -> None:
         """Withhold bodies if points come in random order; `in_order` (B,) is of one frame."""
-        if self._by_shape and self._arranged < MIN_SAMPLES and not in_order.all():
+        if self.given.by_shape and self._arranged < MIN_SAMPLES and not in_order.all():
             self._disordered_frames += 1
-            if self._disordered_frames >= CONFIRMING_FRAMES:
-                self.disordered = True
-                self.withheld |= ~self.has_shape
-                self._withholds = True
+            if self.disordered:
+                self._assignment.withhold(~self.given.has_shape)
 
     def _match(
         self,
@@ -391,7 +374,7 @@ class Matcher:
         if len(self._variances) >= MIN_SAMPLES:
             variance = float(np.median(self._variances))
         expected = Expected(
-            *self._predict(placed.frames.stamps[k]), named, fits, variance, self._pins
+            *self._predict(placed.frames.stamps[k]), named, fits, variance, self.given.pins
         )
         found = match(points, shapes, self._bodies.fitting.limit, expected)
         self._variances.extend(found.variance[np.isfinite(found.variance)].tolist())
@@ -404,11 +387,11 @@ class Matcher:
         )
         return predict_poses(stamps, position, angle, int(stamp))
 
-    def _fits_mirrored(self, b: int) -> bool:
+    def _fits_mirrored(self, placed: PlacedFrames | None, b: int) -> bool:
         """Whether the points of the last frame have a body's given shape mirrored."""
-        assert self._last is not None
-        points, _ = self._project(self._last, -1)
-        shapes = self.given[b : b + 1].conj()
+        assert placed is not None
+        points, _ = self._project(placed, -1)
+        shapes = self.given.shapes[b : b + 1].conj()
         nowhere = np.full(1, complex(np.nan, np.nan))
         expected = Expected(nowhere, nowhere, np.full(shapes.shape, -1), np.zeros(1, bool))
         found = match(points, shapes, self._bodies.fitting.limit[b : b + 1], expected)
