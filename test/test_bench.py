@@ -264,7 +264,7 @@ class Turning(Tracker):
         self.state.bodies.shape *= np.exp(1e-7j * len(frames.stamps))
         self.state.bodies.shape += 1e-9 * len(frames.stamps)
         self.state.bodies.update()
-        self.state.step.bind(self.state.bodies, self.state.history)
+        self.state.step.bind(self.state.bodies, self.state.pins, self.state.history)
         return found
 
 

@@ -58,7 +58,7 @@ def correct_next(state: State, placed: PlacedFrames, k: int) -> Complex:
     markers, heights = placed.points[k], placed.heights[k]
     if len(bodies.fitting.unseen):
         bodies.begin(markers)
-        state.step.bind(bodies, state.history)
+        state.step.bind(bodies, state.pins, state.history)
     if bodies.fitting.incomplete and (bodies.fitting.unknown_slots & ~np.isnan(markers)).any():
         # New markers are learned as soon as they are seen.
         state.next_update = min(state.next_update, state.frame_count + 1)
@@ -68,7 +68,7 @@ def correct_next(state: State, placed: PlacedFrames, k: int) -> Complex:
         unusual = state.step.try_next(markers)
     if not unusual & ODD:
         return markers
-    odd = (state.step.unusual & ODD) > 0
+    odd = (state.step.tracks['unusual'] & ODD) > 0
     angles = state.history['angle'][-2 * MIN_SAMPLES :]
     fitted, order, corrected = correct_frame(bodies, angles, markers, odd)
     counts.update(corrected)

@@ -414,7 +414,7 @@ def _at(instant: int, arrays: _Arrays) -> _Arrays:
 
 
 def estimate_of(
-    results: Sequence[Results],
+    parts: Sequence[tuple[Results, np.ndarray]],
     frame_id: str,
     bodies: tuple[str, ...],
     run: int,
@@ -422,7 +422,15 @@ def estimate_of(
     posed: bool,
     events: tuple[BodyEvent, ...] = (),
 ) -> Estimate:
-    """Return results, of one instant after the other, as one estimate."""
+    """
+    Return results, of one instant after the other, as one estimate.
+
+    Each of the `parts` is with the numbers of the frames of which `due` counts.
+    """
+    results = [part for part, _ in parts]
+    for part, numbers in parts:
+        due = part.column('due')
+        due[:] = numbers[due]
 
     def stored(name: str) -> np.ndarray:
         axis = INSTANT_AXIS.get(name, 0)

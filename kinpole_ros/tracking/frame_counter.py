@@ -10,8 +10,9 @@ from collections import deque
 
 import numpy as np
 
-from kinpole_ros.planar._plane import Real
+from kinpole_ros.planar._plane import ROUNDING, Real
 from kinpole_ros.tracking.clock import LOSS_NATS, MAX_PENDING, TOLERANCE, UNSETTLED, Clock
+from kinpole_ros.tracking.rejection import FARTHEST_MARKER
 
 # Most hypotheses that are followed, and the most that their costs differ, nats.
 MAX_HYPOTHESES, MAX_COST_DIFFERENCE = 32, 20.0
@@ -215,8 +216,10 @@ class FrameCounter:
         new = self.count + np.arange(1, pending + 1) + self._losses
         counts = np.concatenate((before, new), axis=1)[:, -len(self._values) :]
         counts = counts[:, same_layout] - counts[0, -1]
-        seen = ~np.isnan(values)
-        deviation = self.noise if self.noise > 0 else np.finfo(float).tiny ** 0.5
+        seen = np.abs(values) < FARTHEST_MARKER
+        # No noise is below rounding, so that all costs are finite.
+        rounding = ROUNDING * np.max(np.abs(values), initial=0.0, where=seen)
+        deviation = np.fmax(np.fmax(self.noise, rounding), np.finfo(float).tiny)
         costs = np.zeros(len(counts))
         for rows in np.unique(seen, axis=1).T:
             same = (seen == rows[:, None]).all(axis=0)

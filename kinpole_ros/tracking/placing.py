@@ -73,6 +73,8 @@ class PlacedFrames:
         their heights along its normal, m. C reads both; `correct_next` corrects rows before that.
     in_space : (T, B, n, 3) float or None
         Markers in the frame of the message, m, of poses or while the plane is not known.
+    tilts : (T, B) complex or None
+        Tilts of poses, see `tilts_of`; None for markers, and while the plane is not known.
     is_nameless : bool
         Whether the names are indices, which may change at any time.
     arranged : int
@@ -85,7 +87,8 @@ class PlacedFrames:
     points: np.ndarray
     heights: np.ndarray
     in_space: np.ndarray | None
-    is_nameless: bool = False
+    tilts: np.ndarray | None
+    is_nameless: bool
     arranged: int = -1
 
     @property
@@ -116,6 +119,8 @@ class MarkerAssignment:
         The marker of the message in each slot, where some were exchanged.
     takes_all : bool
         Whether the only body takes all markers.
+    uncounted : (B,) int or None
+        Frames in which exchanged markers are still to be counted; None for none.
     names_come : bool
         Whether names mean something, also where they are 0, 1, 2...: a driver that names markers
         once does so always.
@@ -147,8 +152,7 @@ class MarkerAssignment:
         self._aliases: dict[str, tuple[int, int]] = {}
         self._regrouped: np.ndarray | None = None
         self.order = np.tile(np.arange(self.width), (len(self.markers), 1))
-        # Frames (B,) in which exchanged markers are still to be counted; None for none.
-        self._uncounted: np.ndarray | None = None
+        self.uncounted: np.ndarray | None = None
         self.withheld = np.zeros(len(self.markers), bool)
         # Of poses: see `project_poses`.
         self._upside_down = np.full(len(self.markers), -1)
@@ -192,17 +196,16 @@ class MarkerAssignment:
         if layout.foreign_names or layout.unknown_names:
             count_misnamed(counts, layout, len(points))
         is_nameless = layout.is_numbered and not self.names_come
-        return PlacedFrames(frames, layout, flat, heights, in_space, is_nameless)
+        tilts = None
+        if in_space is not None and self.plane is not None:
+            tilts = tilts_of(in_space, self.plane, self._upside_down)
+        return PlacedFrames(frames, layout, flat, heights, in_space, tilts, is_nameless)
 
     def assign_again(self, placed: PlacedFrames, first: int) -> None:
         """Place the frames from `first` on again, by what is known of names now."""
         placed.layout = self._layout_of(placed.identities)
         points, heights, *_ = self._place(placed.frames, placed.layout, first)
         placed.points[first:], placed.heights[first:] = points, heights
-
-    def is_in_order(self, placed: PlacedFrames) -> bool:
-        """Whether each marker of the frames is taken to be where its name says."""
-        return not placed.is_nameless or len(placed.frames.identities) == self.ordered_size
 
     def _place(
         self, frames: MarkerFrames, layout: Layout, first: int
@@ -238,12 +241,6 @@ class MarkerAssignment:
         into = pass_new_array(flat), pass_new_array(heights), None
         too_far = library.kinpole_assign(byref(slots), pass_new_array(points), len(points), *into)
         return flat, heights, too_far
-
-    def tilts(self, placed: PlacedFrames) -> np.ndarray | None:
-        """Return the tilts (T, B) of poses, see `tilts_of`; None for markers."""
-        if placed.in_space is None or self.plane is None:
-            return None
-        return tilts_of(placed.in_space, self.plane, self._upside_down)
 
     def project_rows(self, points: np.ndarray, rows: np.ndarray) -> InPlane:
         """Return rows (m,) of the points (n, 3) of a frame in the plane, and their heights, m."""
@@ -296,10 +293,10 @@ class MarkerAssignment:
 
         """
         self.order = np.take_along_axis(self.order, order, axis=1)
-        left = 0 if self._uncounted is None else self._uncounted
+        left = 0 if self.uncounted is None else self.uncounted
         has_changed = (order != np.arange(self.width)).any(axis=1)
         # Markers that stay exchanged had wrong names before.
-        self._uncounted = np.where(has_changed, MOVED_FRAMES, left)
+        self.uncounted = np.where(has_changed, MOVED_FRAMES, left)
         self._clear_slots()
         self.assign_again(placed, k + 1)
 
@@ -312,10 +309,10 @@ class MarkerAssignment:
 
     def count_exchanged(self, frames: int) -> int:
         """Return how many markers were exchanged in so many frames, but those long exchanged."""
-        if self._uncounted is None:
+        if self.uncounted is None:
             return 0
-        counted = np.minimum(self._uncounted, frames)
-        self._uncounted = self._uncounted - counted if (counted < self._uncounted).any() else None
+        counted = np.minimum(self.uncounted, frames)
+        self.uncounted = self.uncounted - counted if (counted < self.uncounted).any() else None
         return int(counted @ (self.order != np.arange(self.width)).sum(axis=1))
 
     def withhold(self, which: np.ndarray) -> None:

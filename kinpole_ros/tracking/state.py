@@ -15,9 +15,8 @@ from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.names import Matcher
 from kinpole_ros.tracking.outages import no_outages
 from kinpole_ros.tracking.placing import MarkerAssignment, PlacedFrames
-from kinpole_ros.tracking.rejection import EXCHANGED
 from kinpole_ros.tracking.space import Space
-from kinpole_ros.tracking.step import Step
+from kinpole_ros.tracking.step import Step, new_tracks
 from kinpole_ros.tracking.timeline import Timeline
 
 # The history has at least this many frames.
@@ -76,8 +75,9 @@ class State:
         The frames of late, written by C.
     event_search : EventSearch
         Where the search for events goes on.
-    frame_count, new_frames, counted_frames : int
-        Frames since the start, since the last update, and those of the latter that were counted.
+    frame_count, learned_count, counted_count : int
+        Frames since the start, those up to the last update, and those whose hidden markers were
+        counted; the first is written by tracker.py, the others by update.py.
     next_update : int
         The frame at which to learn next.
     names_changed : bool
@@ -105,8 +105,8 @@ class State:
         default_factory=lambda: deque(maxlen=MIN_HISTORY_FRAMES)
     )
     frame_count: int = 0
-    new_frames: int = 0
-    counted_frames: int = 0
+    learned_count: int = 0
+    counted_count: int = 0
     next_update: int = 1
     names_changed: bool = False
     futile_searches: int = 0
@@ -137,7 +137,7 @@ def start_bodies(state: State) -> None:
     state.assignment.restart()
     parts = _new_bodies(state.settings, state.posed, state.totals, state.assignment)
     state.bodies, state.history, state.pins, state.matcher, state.step = parts
-    state.frame_count = state.new_frames = state.counted_frames = 0
+    state.frame_count = state.learned_count = state.counted_count = 0
     state.futile_searches = state.next_search = 0
     state.next_update, state.names_changed = 1, False
 
@@ -151,7 +151,8 @@ def _new_bodies(
     bodies, history = Bodies(*slots), History(*slots)
     pins = Pins(bodies)
     matcher = Matcher(settings, assignment, bodies, history)
-    step = Step(settings, bodies, pins, history, posed, totals.outages, totals.wrong)
+    step = Step(settings, posed, new_tracks(len(settings.bodies), totals.outages, totals.wrong))
+    step.bind(bodies, pins, history)
     return bodies, history, pins, matcher, step
 
 
@@ -160,7 +161,7 @@ def widen(state: State) -> None:
     width = state.assignment.width
     for part in (state.bodies, state.history, state.pins, state.space):
         part.widen(width)
-    state.step.bind(state.bodies, state.history)
+    state.step.bind(state.bodies, state.pins, state.history)
     state.before_plane.clear()
 
 
@@ -177,13 +178,4 @@ def restart_bodies(state: State, which: np.ndarray) -> None:
     history['markers'][:, which] = np.nan
     history['angle'][:, which] = np.nan
     state.pins.forget(which)
-    state.step.bind(state.bodies, history)
-
-
-def count_taken(state: State, frames: int) -> None:
-    """Count so many frames that were appended to the history."""
-    state.frame_count += frames
-    state.new_frames += frames
-    exchanged = state.assignment.count_exchanged(frames)
-    if exchanged:
-        state.totals.counts[EXCHANGED] += exchanged
+    state.step.bind(state.bodies, state.pins, history)

@@ -6,7 +6,6 @@ import numpy as np
 
 from kinpole_ros.core.bindings import (
     Frames,
-    address_of,
     codes_of,
     fields_of,
     library,
@@ -26,8 +25,43 @@ _ENDS = codes_of('CALL_ENDS') | codes_of('LOOP_ENDS')
 DONE, TABLE_LACKING, UNUSUAL = _ENDS['DONE'], _ENDS['LACKING'], _ENDS['UNUSUAL']
 
 # Fields of `Frames` by their owners: see frames.h.
-_LEARNED, _STATES = fields_of('BODY_ARRAYS'), fields_of('TRACKING_STATE')
+_LEARNED, _TRACKS = fields_of('BODY_ARRAYS'), fields_of('TRACKING_STATE')
 _NEW_FRAMES = {name: Frames.elements[name] for name in fields_of('NEW_FRAMES')}
+
+
+def new_tracks(bodies: int, outages: np.ndarray, wrong: np.ndarray) -> dict[str, np.ndarray]:
+    """
+    Return what only the library writes of each body, before the first frame.
+
+    Parameters
+    ----------
+    bodies : int
+        Their number B.
+    outages : (B + 1, 5) int64
+        Gaps without each body, and last without any frame: see frames.h.
+    wrong : (B,) int64
+        Number of poses that left the path of their body.
+
+    Returns
+    -------
+    dict of str to ndarray
+        `unusual` (B,): what is unusual of each body in the last frame. `newest` (B,): how many of
+        the newest poses may be wrong, and are not used yet. `seen_last` (B,): stamp of the last
+        frame with a pose, ns, -1 for none. `total_turn` (B,): turns of tilting bodies about the
+        normal, beyond those of their headings, up to the last pose that is certainly right, rad;
+        its angle is `sure_angle`, and its tilt `sure_tilt`.
+
+    """
+    return {
+        'unusual': np.zeros(bodies, np.uint8),
+        'wrong': wrong,
+        'newest': np.zeros(bodies, np.int64),
+        'seen_last': np.full(bodies, -1, np.int64),
+        'outages': outages,
+        'total_turn': np.zeros(bodies),
+        'sure_angle': np.full(bodies, np.nan),
+        'sure_tilt': np.full(bodies, complex(np.nan, np.nan)),
+    }
 
 
 class Step:
@@ -38,40 +72,12 @@ class Step:
     ----------
     fields : Frames
         The arrays that the library works on.
-    unusual : (B,) uint8
-        What is unusual of each body in the last frame.
-    wrong : (B,) int64
-        Number of poses that left the path of their body.
-    newest : (B,) int64
-        How many of the newest poses may be wrong, and are not used yet.
-    seen_last : (B,) int64
-        Stamp of the last frame with a pose of each body, ns, -1 for none.
-    outages : (B + 1, 5) int64
-        Gaps without each body, and last without any frame: see frames.h.
-    total_turn : (B,) float
-        Turns of tilting bodies about the normal, beyond those of their headings, up to the last
-        pose that is certainly right, rad; its angle is `sure_angle`, and its tilt `sure_tilt`.
+    tracks : dict of str to ndarray
+        What only the library writes: see `new_tracks`.
 
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        bodies: Bodies,
-        pins: Pins,
-        history: History,
-        posed: bool,
-        outages: np.ndarray,
-        wrong: np.ndarray,
-    ) -> None:
-        self.outages, self.wrong = outages, wrong
-        self._settings, self._pins, self._posed = settings, pins, posed
-        self.unusual = np.zeros(bodies.count, np.uint8)
-        self.newest = np.zeros(bodies.count, np.int64)
-        self.seen_last = np.full(bodies.count, -1, np.int64)
-        self.total_turn = np.zeros(bodies.count)
-        self.sure_angle = np.full(bodies.count, np.nan)
-        self.sure_tilt = np.full(bodies.count, complex(np.nan, np.nan))
+    def __init__(self, settings: Settings, posed: bool, tracks: dict[str, np.ndarray]) -> None:
         self.fields = Frames(
             window=round(settings.window * 1e9),
             lag=settings.lag * 1e9,
@@ -83,27 +89,28 @@ class Step:
             n_sigma=N_SIGMA,
         )
         self._frames = byref(self.fields)
-        for name in _STATES:
-            self.fields.bind(name, getattr(self, name))
+        self.tracks = tracks
+        for name in _TRACKS:
+            self.fields.bind(name, tracks[name])
         self._call = new_call(settings.window, 0)
+        # Keeps the tables alive while the library uses them.
+        self._tables = pass_tables(self._call)
         self._new_frames: list[np.ndarray | None] = []
-        self.bind(bodies, history)
 
-    def bind(self, bodies: Bodies, history: History) -> None:
+    def bind(self, bodies: Bodies, pins: Pins, history: History) -> None:
         """Use these arrays, after an update of the bodies or growth of the history."""
         fields, self._history = self.fields, history
         fields.bodies, fields.width = bodies.shape.shape
-        hub = bodies.hub
-        if self._posed:
+        hub, angle_noise = bodies.hub, None
+        if fields.posed:
             # The derivatives assume independent errors of position and angle: so at the middle.
-            hub = np.where(hub == 0, bodies.fitting.middle, hub)
-        angle_noise = bodies.angle_noise if self._posed else None
+            hub, angle_noise = np.where(hub == 0, bodies.fitting.middle, hub), bodies.angle_noise
         learned = {
             'hub': hub,
-            'pin': self._pins.center,
-            'pin_arm': self._pins.arm,
-            'pin_variance': self._pins.variance,
-            'pin_since': self._pins.since,
+            'pin': pins.center,
+            'pin_arm': pins.arm,
+            'pin_variance': pins.variance,
+            'pin_since': pins.since,
             'known_shape': bodies.markers(),
             'noise': np.where(bodies.noise > 0, bodies.noise, 1.0),
             'tilt_turn': bodies.extra_turn,
@@ -171,13 +178,11 @@ class Step:
             self.bind_history()
         fields.first, fields.end = history.first, history.end
         call.orders, call.instants = results.orders, 1
-        # Keeps the tables alive while the library uses them.
-        tables, result_fields = pass_tables(call), pass_new_array(results.fields)
+        result_fields = pass_new_array(results.fields)
         while (
             code := library.kinpole_follow(self._frames, call, result_fields)
         ) <= TABLE_LACKING and code != DONE:
-            tables = go_on(call, code)
-        del tables
+            self._tables = go_on(call, code)
         history.end = fields.end
         assert code in (DONE, UNUSUAL), code
         return bool(code == UNUSUAL)
@@ -185,10 +190,11 @@ class Step:
     def try_next(self, markers: np.ndarray) -> int:
         """Fit markers (B, n), complex, of the next frame; return what is unusual."""
         history = self._history
-        if history.reserve(1):
+        if history.end + 1 > history.capacity:
+            history.reserve(1)
             self.bind_history()
         self.fields.first, self.fields.end = history.first, history.end
-        return int(library.kinpole_try_frame(self._frames, address_of(markers)))
+        return int(library.kinpole_try_frame(self._frames, pass_new_array(markers)))
 
     def correct_next(self, markers: np.ndarray) -> None:
         """Fit the next frame to these markers (B, n), complex, whatever is unusual of it."""

@@ -18,8 +18,9 @@ from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import note_gap
 from kinpole_ros.tracking.placing import PlacedFrames
+from kinpole_ros.tracking.rejection import EXCHANGED
 from kinpole_ros.tracking.result_layout import COUNT, DEFORMED
-from kinpole_ros.tracking.state import count_taken, new_totals, start, widen
+from kinpole_ros.tracking.state import new_totals, start, widen
 from kinpole_ros.tracking.summary import TrackerSummary
 from kinpole_ros.tracking.timeline import TimedFrames, Timeline
 from kinpole_ros.tracking.update import learn_if_due, update_clock, update_if_due
@@ -31,7 +32,7 @@ class Tracker(TrackerSummary):
     def __init__(self, settings: Settings) -> None:
         self.settings, self.bodies = settings, tuple(settings.bodies)
         self._frame_id = ''
-        self._results: list[Results] = []
+        self._results: list[tuple[Results, np.ndarray]] = []
         self._events: list[BodyEvent] = []
         self._events_needed = False
         self.state = start(settings, False, new_totals(len(self.bodies)), None)
@@ -150,7 +151,7 @@ class Tracker(TrackerSummary):
             if state.assignment.plane is not state.space.plane:
                 self._keep_results(results, numbers)
                 estimates += self._flush_results()
-                take_again(state, self._place)
+                take_again(state, self._take_early)
                 placed = self._place(frames, times)
                 state.step.fields.frame = first
                 results = state.step.reserve_results(count - first, order)
@@ -168,8 +169,7 @@ class Tracker(TrackerSummary):
         state.placed = placed = state.assignment.assign(frames, state.totals.counts)
         if state.assignment.width > state.bodies.width:
             widen(state)
-        tilts = state.assignment.tilts(placed)
-        new_frames = frames.stamps, *times, placed.points, placed.heights, tilts
+        new_frames = frames.stamps, *times, placed.points, placed.heights, placed.tilts
         hidden_is_unusual = len(placed.layout.unassigned) > 0
         state.step.pass_frames(len(frames.stamps), new_frames, hidden_is_unusual)
         return placed
@@ -180,7 +180,7 @@ class Tracker(TrackerSummary):
         before, is_unusual = state.step.fields.frame, True
         if state.assignment.plane is None:
             keep_frame(state, placed, times)
-        elif state.assignment.is_in_order(placed):
+        elif not placed.is_nameless or len(placed.identities) == state.assignment.ordered_size:
             is_unusual = state.step.follow(state.next_update - state.frame_count, results)
             self._count_taken(before)
         if is_unusual:
@@ -192,9 +192,22 @@ class Tracker(TrackerSummary):
         if results.fields[DEFORMED]:
             add_deformation(results, computed, state.bodies, state.history)
 
+    def _take_early(self, frame: MarkerFrames, times: Sequence[np.ndarray]) -> None:
+        """Take a frame again that came before the plane was known."""
+        state = self.state
+        update_if_due(state)
+        placed = self._place(frame, times)
+        state.step.correct_next(correct_next(state, placed, 0))
+        state.step.follow(1, state.step.reserve_results(0, None))
+        self._count_taken(0)
+
     def _count_taken(self, before: int) -> None:
         """Count the frames from `before` on that the step took."""
-        count_taken(self.state, self.state.step.fields.frame - before)
+        state = self.state
+        taken = state.step.fields.frame - before
+        state.frame_count += taken
+        if state.assignment.uncounted is not None:
+            state.totals.counts[EXCHANGED] += state.assignment.count_exchanged(taken)
 
     def _search_events(self, numbers: np.ndarray) -> None:
         """Search for events in the history, to which frames with these numbers were appended."""
@@ -205,9 +218,7 @@ class Tracker(TrackerSummary):
     def _keep_results(self, results: Results, numbers: np.ndarray) -> None:
         """Keep results for the next estimate; `numbers` count the frames passed to the step."""
         if results.fields[COUNT]:
-            due = results.column('due')
-            due[:] = numbers[due]
-            self._results.append(results)
+            self._results.append((results, numbers))
 
     def _flush_results(self) -> list[Estimate]:
         """Return the results so far as one estimate, if there are any."""

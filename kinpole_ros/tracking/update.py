@@ -49,14 +49,15 @@ def _update(state: State) -> bool:
         _drop_old_frames(state)
         return False
     count_new_frames(state)
+    new = state.frame_count - state.learned_count
     if state.posed:
         learn_poses(bodies, history, state.settings.noise)
-        bodies.extra_turn = state.step.total_turn.copy()
+        bodies.extra_turn = state.step.tracks['total_turn'].copy()
     else:
         restarts = learn(bodies, history, window, state.settings.noise, state.totals.counts)
         state.pins.forget(restarts)
-    state.pins.update(bodies, history, min(state.new_frames, len(history)), state.posed)
-    state.new_frames = state.counted_frames = 0
+    state.pins.update(bodies, history, min(new, len(history)), state.posed)
+    state.learned_count = state.frame_count
     _drop_old_frames(state)
     bodies.hub = find_hubs(bodies, history, window, bodies.hub)
     bodies.jump_scale = path_scale(history)
@@ -68,7 +69,7 @@ def _update(state: State) -> bool:
         changed = bool(regrouped.any() or state.matcher.withheld.any())
         if regrouped.any():
             restart_bodies(state, regrouped)
-    state.step.bind(bodies, history)
+    state.step.bind(bodies, state.pins, history)
     return changed
 
 
@@ -88,8 +89,8 @@ def _find_deformed(state: State) -> None:
 
 def count_new_frames(state: State) -> None:
     """Count hidden markers since the last update, and measure how the motion lies in space."""
-    new = min(state.new_frames - state.counted_frames, len(state.history))
-    state.counted_frames = state.new_frames
+    new = min(state.frame_count - state.counted_count, len(state.history))
+    state.counted_count = state.frame_count
     if not new or state.assignment.plane is None:
         return
     markers, heights = (state.history[name][-new:] for name in ('markers', 'heights'))
