@@ -14,8 +14,8 @@ from kinpole_ros.tracking.quantities import (
     FREE,
     MOVES,
     VELOCITY,
-    Motion,
     compute_quantity,
+    motion_of,
     relative_centers,
 )
 
@@ -139,7 +139,7 @@ def test_compiled_as_numpy(quantity: str, noise: float) -> None:
                 m.angle[1:, :, 1] = 0.0
                 for array in m:
                     array[..., 2] = np.nan
-            value, spread, flags = compute_quantity(what, Motion(*m))
+            value, spread, flags = compute_quantity(what, motion_of(*m))
             expected = of_numpy(what, m)
             assert_equal(value, expected.value)
             if what == CURVATURE:
@@ -152,7 +152,7 @@ def test_compiled_as_numpy(quantity: str, noise: float) -> None:
 @pytest.mark.parametrize('quantity', QUANTITIES)
 def test_gates_let_some_pass_and_withhold_others(quantity: str) -> None:
     """Else the comparison above would compare nothing."""
-    flags = compute_quantity(QUANTITIES[quantity], Motion(*motion(4, (500, 3), 0.3)))[2]
+    flags = compute_quantity(QUANTITIES[quantity], motion_of(*motion(4, (500, 3), 0.3)))[2]
     assert 0.02 < np.mean(flags & DETERMINED) < 0.98
 
 
@@ -176,7 +176,7 @@ def test_compiled_relative_centers_as_numpy(noise: float) -> None:
         turns = np.abs(a_j[1] - a_i[1]) > 4 * deviation
         near = np.abs(by_j.value - (z_j[0] + z_i[0]) / 2) < 1e3 * np.maximum(s_j, s_i)
     finite = np.isfinite(spread).all(axis=(-2, -1)) & np.isfinite(by_j.value)
-    value, found, flags = relative_centers(Motion(*m), pairs)
+    value, found, flags = relative_centers(motion_of(*m), pairs)
     assert np.array_equal(flags, turns & near & finite)
     assert 0.1 < flags.mean() < 0.9
     assert_equal(value[finite], by_j.value[finite])
@@ -187,9 +187,9 @@ def test_each_instant_by_itself() -> None:
     """To the last digit: what is seen live is what a replay gives."""
     m = motion(4, (40, 3))
     for what in QUANTITIES.values():
-        whole = compute_quantity(what, Motion(*m))
+        whole = compute_quantity(what, motion_of(*m))
         for t in range(40):
-            one = compute_quantity(what, Motion(*(array[..., t, :] for array in m)))
+            one = compute_quantity(what, motion_of(*(array[..., t, :] for array in m)))
             for part, alone in zip(whole, one, strict=True):
                 assert np.array_equal(part[t], alone, equal_nan=True)
 
@@ -204,15 +204,15 @@ def test_arrays_that_do_not_fit() -> None:
         {'pin': m.pin[1:]},
     ):
         with pytest.raises(ValueError, match='expected arrays of one shape'):
-            Motion(*m._replace(**bad))
+            motion_of(*m._replace(**bad))
     for bad in (
         {'position_covariance': m.position_covariance[1:]},
         {'angle_covariance': m.angle_covariance[..., 1:]},
     ):
         with pytest.raises(ValueError, match='expected covariances of shape'):
-            Motion(*m._replace(**bad))
+            motion_of(*m._replace(**bad))
     for what in (0, 4, 7, FREE, FREE + 5):
         with pytest.raises(ValueError, match='expected derivatives up to order'):
-            compute_quantity(what, Motion(*m))
+            compute_quantity(what, motion_of(*m))
     with pytest.raises(ValueError, match='expected derivatives up to order'):
-        compute_quantity(CURVATURE, Motion(*motion(2, (5,))))
+        compute_quantity(CURVATURE, motion_of(*motion(2, (5,))))

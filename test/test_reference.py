@@ -221,7 +221,7 @@ def test_reference_points_are_the_same_however_frames_are_handed_over() -> None:
 
 def hubs_of(angle: np.ndarray, position: np.ndarray, of_angle: float = 1e-6) -> np.ndarray:
     """The hubs (B,) found from poses (N, B), with that standard deviation of the angles."""
-    bodies, history = Bodies(angle.shape[1], 2), History(angle.shape[1], 2)
+    bodies, history = Bodies(np.zeros((angle.shape[1], 2), complex)), History(angle.shape[1], 2)
     bodies.misfit[:] = of_angle**2
     for _ in range(len(angle)):
         history.reserve(1)

@@ -8,11 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.core.bindings import Joints, address_of, library
+from kinpole_ros.core.bindings import Joints, Motion, address_of, library
 from kinpole_ros.messages._rows import Build, Built
 from kinpole_ros.settings import GROUND
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.quantities import Motion
 
 _MAX_AHEAD = 0.25  # of its window: how far from an instant a state is extrapolated
 # Bytes of a message without joints; of the name, the states and the memory for them of each.

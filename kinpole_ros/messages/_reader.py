@@ -11,11 +11,13 @@ again.
 
 import struct
 from collections.abc import Callable, Iterable, Iterator
+from ctypes import byref
 from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from kinpole_ros.core.bindings import MessageLayout, library, pass_new_array
 from kinpole_ros.messages._cdr import LITTLE
 from kinpole_ros.messages._cloud import cloud_layout, id_column
 from kinpole_ros.messages._markers import (
@@ -26,7 +28,7 @@ from kinpole_ros.messages._markers import (
     transformed,
 )
 from kinpole_ros.messages._offsets import MarkerOffsets, MessageOffsets
-from kinpole_ros.messages._points import MessageLayout, PointLayout
+from kinpole_ros.messages._points import PointLayout, layout_of_messages
 from kinpole_ros.messages._types import (
     MARKER_TYPES,
     ROS_TYPE_NAMES,
@@ -102,7 +104,7 @@ class MarkerReader:
         size = len(data) // count
         for k, layout in enumerate(self._layouts):
             if layout.size == size:
-                matches = layout.fields.count_matches(data, first, count)
+                matches = layout.count_matches(data, first, count)
                 if matches:
                     if k:
                         self._layouts.insert(0, self._layouts.pop(k))
@@ -114,7 +116,7 @@ class MarkerReader:
         for layout in self._layouts:
             renamed = layout.renamed(data) if layout.size == len(data) else None
             # A stamp beyond the end of time is of no layout.
-            if renamed is not None and renamed.fields.count_matches(data, 0, 1):
+            if renamed is not None and renamed.count_matches(data, 0, 1):
                 same = [k for k, one in enumerate(self._layouts) if one.mask is layout.mask]
                 if len(same) >= _MAX_RENAMED_LAYOUTS:
                     del self._layouts[same[-1]]
@@ -181,12 +183,19 @@ class _Layout(NamedTuple):
         if identities is None:
             return None
         key = start & self.mask
-        fields = MessageLayout(self.points, self.size, self.fields.stamp, self.mask, key)
+        fields = layout_of_messages(self.points, self.size, self.fields.stamp, self.mask, key)
         return self._replace(fields=fields, key=key, identities=identities)
+
+    def count_matches(self, data: bytes, first: int, count: int) -> int:
+        """Return how many messages from `first` on are of the layout; `data` are `count`."""
+        matches: int = library.kinpole_count_matches(byref(self.fields), data, first, count)
+        return matches
 
     def read(self, data: bytes, first: int, count: int) -> MarkerFrames:
         """Read `count` messages from `first` on, which are all of this layout."""
-        stamps, points = self.fields.read(data, first, count)
+        stamps, points = np.empty(count, np.int64), np.empty((count, self.fields.count, 3))
+        into = pass_new_array(stamps), pass_new_array(points)
+        library.kinpole_read_messages(byref(self.fields), data, first, count, *into)
         if self.pose is not None:
             start, strides = first * self.size + self.pose, (self.size, 8)
             points = transformed(points, np.ndarray((count, 7), '<f8', data, start, strides))
@@ -272,7 +281,7 @@ def _make_layout(kind: str, identity: str, reading: _Reading, data: bytes) -> _L
     if names is None or names(data) != frames.identities:
         names, fixed = None, combined
     key = np.frombuffer(data, np.uint8, compared) & combined
-    fields = MessageLayout(points, offsets.size, stamp, combined, key)
+    fields = layout_of_messages(points, offsets.size, stamp, combined, key)
     about = names, pose, frames.frame_id, frames.identities
     return _Layout(offsets.size, fields, points, combined, key, fixed, *about)
 

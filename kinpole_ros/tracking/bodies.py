@@ -1,6 +1,6 @@
 """What is known of the bodies: shapes, weights and noise of their markers, pins, hubs."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,8 @@ class Fitting(NamedTuple):
 
     Attributes
     ----------
+    places : (B, n) complex
+        Places of the markers in the frame of the body, m, NaN for those not seen yet.
     learned_count : (B,) int
         Number of markers with a place; `unseen` are the bodies that have none.
     unknown_slots : (B, n) bool
@@ -42,6 +44,7 @@ class Fitting(NamedTuple):
 
     """
 
+    places: Complex
     learned_count: np.ndarray
     unseen: np.ndarray
     unknown_slots: np.ndarray
@@ -66,7 +69,7 @@ class Bodies:
     Attributes
     ----------
     shape : (B, n) complex
-        Places of the markers in the frame of the body, m.
+        Places of the markers in the frame of the body, m; 0 at first.
     frames : (B, n) int
         Number of frames that each place is learned from, at most SETTLED_FRAMES.
     relative : (B, n) float
@@ -106,16 +109,12 @@ class Bodies:
 
     """
 
-    count: int
-    width: int
-    shape: Complex = field(init=False)
+    shape: Complex
 
     def __post_init__(self) -> None:
-        slots = self.count, self.width
-        self.shape = np.zeros(slots, complex)
-        self.frames = np.zeros(slots, int)
-        self.relative = np.ones(slots)
-        self.deviation = np.zeros(slots)
+        self.frames = np.zeros(self.shape.shape, int)
+        self.relative = np.ones(self.shape.shape)
+        self.deviation = np.zeros(self.shape.shape)
         self.fits = np.zeros(self.count, int)
         self.misfit = np.zeros(self.count)
         self.noise = np.full(self.count, np.nan)
@@ -135,6 +134,16 @@ class Bodies:
         self.hub = np.zeros(self.count, complex)
         self.update()
 
+    @property
+    def count(self) -> int:
+        """Number of bodies."""
+        return len(self.shape)
+
+    @property
+    def width(self) -> int:
+        """Number of slots of each body."""
+        return self.shape.shape[1]
+
     def update(self) -> None:
         """Compute what every fit needs from shapes, weights and misfit."""
         is_learned = self.frames > 0
@@ -150,8 +159,19 @@ class Bodies:
         mature = self.fits >= MIN_SAMPLES
         limits = marker_limits(mature, self.misfit, self.error, spread, size, self.relative)
         unseen, incomplete = np.flatnonzero(learned_count == 0), bool((~is_learned).any())
+        places = np.where(is_learned, self.shape, complex(np.nan, np.nan))
         self.fitting = Fitting(
-            *(learned_count, unseen, ~is_learned, incomplete, spread, size, weights, factors),
+            *(
+                places,
+                learned_count,
+                unseen,
+                ~is_learned,
+                incomplete,
+                spread,
+                size,
+                weights,
+                factors,
+            ),
             *(factors.mean, mature, *limits),
         )
 
@@ -214,9 +234,4 @@ class Bodies:
             np.pad(part, added_slots) for part in (self.shape, self.frames, self.deviation)
         )
         self.relative = np.pad(self.relative, added_slots, constant_values=1.0)
-        self.width = width
         self.update()
-
-    def markers(self) -> Complex:
-        """Return the places (B, n) of the markers, m, NaN for those not seen yet."""
-        return np.where(self.frames > 0, self.shape, complex(np.nan, np.nan))

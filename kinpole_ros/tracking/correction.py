@@ -15,7 +15,7 @@ import numpy as np
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.bodies import Bodies
-from kinpole_ros.tracking.identity import find_candidates, fit_points
+from kinpole_ros.tracking.candidates import find_candidates, fit_points
 from kinpole_ros.tracking.placing import PlacedFrames
 from kinpole_ros.tracking.rejection import (
     DROPPED,
@@ -69,10 +69,12 @@ def correct_next(state: State, placed: PlacedFrames, k: int) -> Complex:
     if not unusual & ODD:
         return markers
     odd = (state.step.tracks['unusual'] & ODD) > 0
-    angles = state.history['angle'][-2 * MIN_SAMPLES :]
+    end = state.history.end
+    rows = slice(max(state.history.first, end - 2 * MIN_SAMPLES), end)
+    angles = state.history.columns['angle'][rows]
     fitted, order, corrected = correct_frame(bodies, angles, markers, odd)
     counts.update(corrected)
-    if (order != np.arange(bodies.width)).any():
+    if (order != np.arange(order.shape[1])).any():
         markers[...] = np.take_along_axis(markers, order, axis=1)
         heights[...] = np.take_along_axis(heights, order, axis=1)
         state.assignment.exchange(placed, k, order)
@@ -130,7 +132,7 @@ def correct_frame(
 
     """
     fitted, counts = markers.copy(), Counter[str]()
-    order = np.tile(np.arange(bodies.width), (bodies.count, 1))
+    order = np.tile(np.arange(markers.shape[1]), (len(markers), 1))
     for b in np.flatnonzero(odd).tolist():
         fitted[b], order[b], of_body = _correct_body(bodies, angles[:, b], markers[b], b)
         counts.update(of_body)
@@ -144,7 +146,7 @@ def _correct_body(bodies: Bodies, angles: Real, markers: Complex, b: int) -> Cor
     weights = np.where(np.isnan(markers), 0.0, fitting.weights[b])
     predicted, is_slow = predict_angle(angles)
     fit = fit_pose(markers, shape, weights)
-    order, counts = np.arange(bodies.width), Counter[str]()
+    order, counts = np.arange(len(markers)), Counter[str]()
     is_reversed = is_slow and np.cos(fit.angle - predicted) < np.cos(REVERSED)
     if is_reversed and limit**2 < fitting.spread[b]:
         turned = half_turn_order(shape, weights, limit)
@@ -314,12 +316,9 @@ def _complete_orders(
     slot.
     """
     orders = orders.copy()
-    for order in orders:
-        missing = np.setdiff1d(seen, order)
-        if not len(missing):
-            continue
-        position, turn, _ = fit_points(points, np.nan_to_num(shape), order)
-        for marker in missing:
+    positions, turns, _ = fit_points(points, np.nan_to_num(shape), orders)
+    for order, position, turn in zip(orders, positions, turns, strict=True):
+        for marker in np.setdiff1d(seen, order):
             distance = np.abs(position + turn * shape - points[marker])
             distance = np.where((order < 0) & (distance <= limits), distance, np.inf)
             if np.isfinite(distance).any():

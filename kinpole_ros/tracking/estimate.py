@@ -9,12 +9,12 @@ undetermined, for a reason that is named.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from ctypes import addressof
 from functools import cached_property, partial
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from kinpole_ros import planar
-from kinpole_ros.core.bindings import pass_new_array
+from kinpole_ros.core.bindings import Motion, pass_new_array
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.plane import Plane
@@ -24,8 +24,8 @@ from kinpole_ros.tracking.quantities import (
     FREE,
     MOVES,
     VELOCITY,
-    Motion,
     compute_quantity,
+    motion_of,
     relative_centers,
 )
 from kinpole_ros.tracking.reasons import stands_out, why_no_curvature, why_no_poles
@@ -96,7 +96,9 @@ class Results(NamedTuple):
         fields = np.empty(len(numbers) + len(self.of_motion), np.int64)
         fields[: len(numbers)] = numbers
         np.add(self.of_motion, self.address, out=fields[len(numbers) :])
-        return Motion.of_fields(fields, (count, self.bodies), self.buffer)
+        motion = Motion.from_buffer(fields)
+        motion.shape, motion.owners = (count, self.bodies), [self.buffer]
+        return motion
 
 
 def new_results(instants: int, orders: int, bodies: int, markers: int) -> Results:
@@ -111,15 +113,13 @@ def new_results(instants: int, orders: int, bodies: int, markers: int) -> Result
     return Results(fields, layout, buffer, address, of_motion, instants, orders, bodies)
 
 
-class _Column:
-    """An array of an estimate, fetched when it is first asked for."""
+def _column(name: str) -> Any:
+    """Return an array of an estimate, fetched when it is first asked for."""
 
-    def __set_name__(self, owner: type, name: str) -> None:
-        self._name = name
+    def fetch(estimate: 'Estimate') -> np.ndarray:
+        return estimate._column(name)
 
-    def __get__(self, estimate: 'Estimate', owner: type | None = None) -> np.ndarray:
-        array = estimate.__dict__[self._name] = estimate._column(self._name)
-        return array
+    return cached_property(fetch)
 
 
 class Estimate:
@@ -164,21 +164,21 @@ class Estimate:
 
     """
 
-    stamp = _Column()
-    angle = _Column()
-    position = _Column()
-    reference = _Column()
-    angle_covariance = _Column()
-    position_covariance = _Column()
-    size = _Column()
-    height = _Column()
-    span = _Column()
-    degree = _Column()
-    missing = _Column()
-    pin = _Column()
-    pin_variance = _Column()
-    shape = _Column()
-    due = _Column()
+    stamp: np.ndarray = _column('stamp')
+    angle: np.ndarray = _column('angle')
+    position: np.ndarray = _column('position')
+    reference: np.ndarray = _column('reference')
+    angle_covariance: np.ndarray = _column('angle_covariance')
+    position_covariance: np.ndarray = _column('position_covariance')
+    size: np.ndarray = _column('size')
+    height: np.ndarray = _column('height')
+    span: np.ndarray = _column('span')
+    degree: np.ndarray = _column('degree')
+    missing: np.ndarray = _column('missing')
+    pin: np.ndarray = _column('pin')
+    pin_variance: np.ndarray = _column('pin_variance')
+    shape: np.ndarray = _column('shape')
+    due: np.ndarray = _column('due')
 
     def __init__(
         self,
@@ -294,7 +294,7 @@ class Estimate:
     @cached_property
     def compiled_motion(self) -> Motion:
         """The arrays as the compiled code takes them."""
-        return Motion(*(getattr(self, name) for name in Motion.elements))
+        return motion_of(*(getattr(self, name) for name in Motion.elements))
 
     def general_pole(self, order: int) -> Vectors:
         """Return the pole of order 1 to 4, m, from the motion alone, without pins."""

@@ -44,16 +44,27 @@ class BodyEvent(NamedTuple):
     due: int
 
 
+# ns, before all times.
+_ALWAYS = -(2**62)
+
+
 class EventSearch:
     """
     Finds the events of bodies in their poses, each once, a `window`, ns, after it.
 
     An event follows from the frames around it alone, so it is the same whether these came one by
     one or many at once.
+
+    Attributes
+    ----------
+    due : int
+        The time, ns, of the newest frame before which there is nothing to search.
+
     """
 
     def __init__(self, window: int, bodies: int) -> None:
         self._window, self._share = window, window // _SHARE
+        self.due = _ALWAYS
         # Where the search goes on, ns; the last event of each body, ns.
         self._next: int | None = None
         self._is_paused = False
@@ -61,7 +72,7 @@ class EventSearch:
 
     def pause(self) -> None:
         """Go on only with frames that come after the next call of `search`."""
-        self._next, self._is_paused = None, True
+        self._next, self._is_paused, self.due = None, True, _ALWAYS
 
     def search(
         self, history: History, bodies: Bodies, pin: np.ndarray, numbers: np.ndarray
@@ -81,11 +92,13 @@ class EventSearch:
             begin = int(time[-1 if self._is_paused else 0]) + self._window
             self._next = -(-begin // self._share) * self._share
             self._last = [self._next - self._window] * len(self._last)
+        self.due = self._next + self._window + self._share
         settled = int(time[-1 - _SETTLED]) - self._window - self._share
         if self._next > settled:
             return []
         begins = np.arange(self._next, settled + 1, self._share)
         self._next = int(begins[-1]) + self._share
+        self.due = self._next + self._window + self._share
         asked: list[tuple[int, int, slice]] = []
         samples: list[Samples] = []
         values_and_variances = _poses(history, bodies, hub)

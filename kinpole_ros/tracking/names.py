@@ -12,15 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.planar import Fit
-from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.planar._plane import Complex
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.candidates import fit_points
 from kinpole_ros.tracking.grouping import group
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.identity import (
     Expected,
     Match,
-    fit_points,
     match,
     merge_names,
     predict_poses,
@@ -130,7 +130,7 @@ class Matcher:
         if not placed.is_nameless:
             return False
         self._update_full_count(placed)
-        return len(placed.identities) != self.full_count
+        return placed.size != self.full_count
 
     def arrange(self, placed: PlacedFrames, k: int, counts: Counter[str]) -> bool:
         """
@@ -147,7 +147,7 @@ class Matcher:
             self._arranged += 1
             if self._arranged == MIN_SAMPLES and not self.given.by_shape:
                 self._assignment.ordered_size = self.full_count
-        is_full = len(placed.identities) == self.full_count
+        is_full = placed.size == self.full_count
         if is_full and not self.given.by_shape:
             return restarts
         was_in_order = not self.disordered
@@ -174,11 +174,11 @@ class Matcher:
         unassigned = placed.layout.unassigned
         if not len(unassigned) or placed.arranged == k:
             return False
-        points, _ = self._assignment.project_rows(placed.frames.points[k], unassigned)
+        points = self._assignment.project_all(placed, k)[0][unassigned]
         points = points[~np.isnan(points)]
         if not len(points):
             return False
-        shapes, limit = self._bodies.markers(), self._bodies.fitting.limit
+        shapes, limit = self._bodies.fitting.places, self._bodies.fitting.limit
         predicted = fit.position[:, None] + np.exp(1j * fit.angle)[:, None] * shapes
         predicted = np.where(hidden, predicted, np.nan)
         if (np.abs(predicted[..., None] - points) <= limit[:, None, None]).any():
@@ -194,12 +194,12 @@ class Matcher:
         is_alone = len(self.given.names) == 1 and not len(layout.unassigned)
         if self.given.by_shape or placed.arranged == k or is_alone or self._assignment.posed:
             return False
-        points, _ = self._project(placed, k)
+        points, _ = self._assignment.project_all(placed, k)
         assigned = np.where(layout.rows < len(points), layout.rows, -1)
         hidden = (assigned >= 0) & np.isnan(np.append(points, np.nan)[assigned])
         named = np.where(hidden, -1, assigned)
         named[self.withheld] = -1
-        fits = self._fits_by_name(points, named, self._bodies.markers())
+        fits = self._fits_by_name(points, named, self._bodies.fitting.places)
         rows = merge_names(self._match(placed, k, points, named, fits), named)
         if rows is None:
             return False
@@ -280,11 +280,6 @@ class Matcher:
                 found[name] = 'mirrored' if self._fits_mirrored(placed, b) else 'nowhere'
         return found
 
-    def _project(self, placed: PlacedFrames, k: int) -> tuple[Complex, Real]:
-        """Return all points (m,) of a frame in the plane, and their heights, m."""
-        points = placed.frames.points[k]
-        return self._assignment.project_rows(points, np.arange(len(points)))
-
     def _note_corrections(self, placed: PlacedFrames) -> None:
         """Remember which markers were corrected."""
         layout, names = placed.layout, placed.identities
@@ -299,7 +294,7 @@ class Matcher:
 
     def _update_full_count(self, placed: PlacedFrames) -> bool:
         """Count the points of a cloud; return whether the full count, known before, changed."""
-        size = len(placed.identities)
+        size = placed.size
         self._cloud_sizes[size] += 1
         numbers = [int(n) for names in self._assignment.markers for n in names if n.isdecimal()]
         named = max(numbers, default=-1) + 1
@@ -318,9 +313,9 @@ class Matcher:
 
         Returns how many bodies fit in several ways.
         """
-        points, heights = self._project(placed, k)
+        points, heights = self._assignment.project_all(placed, k)
         # Learned shapes are void after a restart.
-        shapes = self.given.shapes if restarts else self._bodies.markers()
+        shapes = self.given.shapes if restarts else self._bodies.fitting.places
         has_shape = (~np.isnan(shapes)).sum(axis=1) >= 2
         rows = placed.layout.rows
         named = np.where(rows < len(points), rows, -1)
@@ -366,7 +361,7 @@ class Matcher:
         shapes: Complex | None = None,
     ) -> Match:
         """Match the points of a frame by shape, and by the predicted poses."""
-        shapes = self._bodies.markers() if shapes is None else shapes
+        shapes = self._bodies.fitting.places if shapes is None else shapes
         if self.withheld.any():
             shapes = np.where(self.withheld[:, None], np.nan, shapes)
         # Most best fits are right, so their median variance is that of the noise.
@@ -382,15 +377,15 @@ class Matcher:
 
     def _predict(self, stamp: int) -> tuple[Complex, Complex]:
         """Poses (B,) of the bodies in the next frame, predicted from those before."""
-        stamps, position, angle = (
-            self._history[name][-RECENT_FRAMES:] for name in ('stamp', 'position', 'angle')
-        )
-        return predict_poses(stamps, position, angle, int(stamp))
+        columns, end = self._history.columns, self._history.end
+        rows = slice(max(self._history.first, end - RECENT_FRAMES), end)
+        position, angle = columns['position'][rows], columns['angle'][rows]
+        return predict_poses(columns['stamp'][rows], position, angle, int(stamp))
 
     def _fits_mirrored(self, placed: PlacedFrames | None, b: int) -> bool:
         """Whether the points of the last frame have a body's given shape mirrored."""
         assert placed is not None
-        points, _ = self._project(placed, -1)
+        points, _ = self._assignment.project_all(placed, -1)
         shapes = self.given.shapes[b : b + 1].conj()
         nowhere = np.full(1, complex(np.nan, np.nan))
         expected = Expected(nowhere, nowhere, np.full(shapes.shape, -1), np.zeros(1, bool))

@@ -44,7 +44,7 @@ class Layout(NamedTuple):
     just 0, 1, 2... Of the markers in slots that the names do not give them, `foreign_names` have
     the name of another body's marker and `unknown_names` one of no body. `slots` are the rows as
     the slots take them: in the order of exchanged markers, and without withheld bodies; None while
-    it is to be made.
+    they are to be made. `all_rows` take the rows as they are.
     """
 
     rows: np.ndarray
@@ -54,6 +54,7 @@ class Layout(NamedTuple):
     unknown_names: int
     unassigned: np.ndarray
     is_numbered: bool
+    all_rows: Slots
     slots: Slots | None = None
 
 
@@ -75,6 +76,8 @@ class PlacedFrames:
         Markers in the frame of the message, m, of poses or while the plane is not known.
     tilts : (T, B) complex or None
         Tilts of poses, see `tilts_of`; None for markers, and while the plane is not known.
+    size : int
+        Number of rows of the message.
     is_nameless : bool
         Whether the names are indices, which may change at any time.
     arranged : int
@@ -88,6 +91,7 @@ class PlacedFrames:
     heights: np.ndarray
     in_space: np.ndarray | None
     tilts: np.ndarray | None
+    size: int
     is_nameless: bool
     arranged: int = -1
 
@@ -195,11 +199,11 @@ class MarkerAssignment:
             counts[TOO_FAR] += too_far
         if layout.foreign_names or layout.unknown_names:
             count_misnamed(counts, layout, len(points))
-        is_nameless = layout.is_numbered and not self.names_come
+        about = points.shape[1], layout.is_numbered and not self.names_come
         tilts = None
         if in_space is not None and self.plane is not None:
             tilts = tilts_of(in_space, self.plane, self._upside_down)
-        return PlacedFrames(frames, layout, flat, heights, in_space, tilts, is_nameless)
+        return PlacedFrames(frames, layout, flat, heights, in_space, tilts, *about)
 
     def assign_again(self, placed: PlacedFrames, first: int) -> None:
         """Place the frames from `first` on again, by what is known of names now."""
@@ -242,10 +246,10 @@ class MarkerAssignment:
         too_far = library.kinpole_assign(byref(slots), pass_new_array(points), len(points), *into)
         return flat, heights, too_far
 
-    def project_rows(self, points: np.ndarray, rows: np.ndarray) -> InPlane:
-        """Return rows (m,) of the points (n, 3) of a frame in the plane, and their heights, m."""
-        slots = self._slots_of(rows, len(points))
-        flat, heights, _ = self._in_plane(points[None], slots, rows.shape)
+    def project_all(self, placed: PlacedFrames, k: int) -> InPlane:
+        """Return all points (m,) of a frame in the plane, complex, m, and their heights."""
+        points = placed.frames.points[k]
+        flat, heights, _ = self._in_plane(points[None], placed.layout.all_rows, points.shape[:1])
         return flat[0], heights[0]
 
     def correct_names(self, placed: PlacedFrames, rows: np.ndarray, for_all: bool) -> None:
@@ -413,7 +417,8 @@ class MarkerAssignment:
         if self.posed or self._settings.marker_identity == 'shape':
             unassigned = unassigned[:0]
         is_numbered &= not self.posed
-        return Layout(rows, named, absent, foreign, unknown, unassigned, is_numbered)
+        all_rows = self._slots_of(np.arange(none), none)
+        return Layout(rows, named, absent, foreign, unknown, unassigned, is_numbered, all_rows)
 
     def _with_aliases(self, identities: tuple[str, ...], named: np.ndarray) -> np.ndarray:
         """Rows with the markers that have other names for now; a name of its own goes first."""

@@ -4,8 +4,7 @@ from ctypes import byref
 
 import numpy as np
 
-from kinpole_ros.core import bindings
-from kinpole_ros.core.bindings import address_of, codes_of, library, pass_new_array
+from kinpole_ros.core.bindings import Motion, address_of, codes_of, library, pass_new_array
 from kinpole_ros.planar._plane import Complex, Real
 
 # What is computed: see codes.h. Poles have their order, 1 to 4, and FREE is added for a pole by the
@@ -19,50 +18,45 @@ _FLAGS = codes_of('QUANTITY_FLAGS')
 DETERMINED, MOVES = _FLAGS['DETERMINED'], _FLAGS['MOVES']
 
 
-class Motion(bindings.Motion):
+def motion_of(*arrays: np.ndarray) -> Motion:
     """
-    `Motion` of poles.c: derivatives of bodies at instants, of any shape (...).
+    Return derivatives of bodies at instants, of any shape (...), as `Motion` of motion.h.
 
     Parameters
     ----------
-    position, angle : (K, ...)
-        Derivatives from order 0 on, complex, m/s^k, and float, rad/s^k.
-    position_covariance, angle_covariance : (K, K, ...) float
-        Covariances between the orders, of one coordinate.
-    size : (...) float
-        Diameters of the bodies, m.
-    pin, pin_variance : (...)
-        Fixed points that bodies turn about, complex, m, NaN for none, and the variance of one
-        coordinate, m^2.
-    reference, height, stamp : (...)
-        As in `Estimate`. Messages need them; no quantity does.
+    *arrays : ndarray
+        In the order of `Motion.elements`: position and angle (K, ...), derivatives from order 0 on,
+        complex, m/s^k, and float, rad/s^k. Their covariances (K, K, ...) between the orders, of one
+        coordinate. Diameters of the bodies (...), m. The pin (...) that each body turns about,
+        complex, m, NaN for none, and the variance (...) of one of its coordinates, m^2. Reference,
+        height and stamp (...) as in `Estimate`: messages need them, no quantity does.
+
+    Returns
+    -------
+    Motion
+        With its `shape`, and the arrays as `owners`.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit to each other.
 
     """
-
-    shape: tuple[int, ...]
-    owners: list[np.ndarray]
-
-    def __init__(self, *arrays: np.ndarray) -> None:
-        pairs = zip(arrays, self.elements.values(), strict=False)
-        self.owners = [np.asarray(array, kind, order='C') for array, kind in pairs]
-        position, angle, of_position, of_angle, *rest = self.owners
-        self.orders, *shape = angle.shape
-        self.shape, self.count = tuple(shape), rest[0].size
-        self.stride = self.count
-        square, each = (self.orders, *angle.shape), {array.shape for array in rest[:5]}
-        if position.shape != angle.shape or each != {self.shape}:
-            raise ValueError(f'expected arrays of one shape, got {[a.shape for a in arrays]}')
-        if of_position.shape != square or of_angle.shape != square:
-            raise ValueError(f'expected covariances of shape {square}, got {of_position.shape}')
-        for name, array in zip(self.elements, self.owners, strict=False):
-            self.bind(name, array)
-
-    @classmethod
-    def of_fields(cls, fields: np.ndarray, shape: tuple[int, int], owner: np.ndarray) -> 'Motion':
-        """Return the motion (T, B) with these fields, whose arrays are in the buffer `owner`."""
-        motion = cls.from_buffer(fields)
-        motion.shape, motion.owners = shape, [owner]
-        return motion
+    motion = Motion()
+    pairs = zip(arrays, Motion.elements.values(), strict=False)
+    motion.owners = owners = [np.asarray(array, kind, order='C') for array, kind in pairs]
+    position, angle, of_position, of_angle, *rest = owners
+    motion.orders, *shape = angle.shape
+    motion.shape, motion.count = tuple(shape), rest[0].size
+    motion.stride = motion.count
+    square, each = (motion.orders, *angle.shape), {array.shape for array in rest[:5]}
+    if position.shape != angle.shape or each != {motion.shape}:
+        raise ValueError(f'expected arrays of one shape, got {[a.shape for a in arrays]}')
+    if of_position.shape != square or of_angle.shape != square:
+        raise ValueError(f'expected covariances of shape {square}, got {of_position.shape}')
+    for name, array in zip(Motion.elements, owners, strict=False):
+        motion.bind(name, array)
+    return motion
 
 
 def compute_quantity(what: int, motion: Motion) -> tuple[Complex, Real, np.ndarray]:

@@ -56,6 +56,9 @@ MAX_ANGLE_NOISE = 0.15
 # Mean square residual of a corrected body over that of the body; 0.1% of chi-squares of three
 # degrees exceed it.
 MAX_SQUARE_RATIO = 5.4
+# A point is taken for a predicted marker if the second nearest point is this many times as far, and
+# a match for the best if the second best is.
+DISTANCE_RATIO = 2.0
 # rad. An exchange of markers that turns the body farther from its prediction comes last: any two
 # markers of an equilateral triangle may be exchanged, and it fits.
 NEAR_ANGLE = 0.25 * np.pi

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.core import bindings
-from kinpole_ros.tracking.quantities import Motion
 
 # Which axis of each array is that of the instants.
 INSTANT_AXIS = {
@@ -64,6 +63,7 @@ def layout_of(
         layout[name] = Part(shape, dtype, offset)
         offset += math.prod(shape) * np.dtype(dtype).itemsize
     of_fields, of_motion = (
-        np.array([layout[name].offset for name in names]) for names in (_FIELDS, Motion.elements)
+        np.array([layout[name].offset for name in names])
+        for names in (_FIELDS, bindings.Motion.elements)
     )
     return layout, of_fields, of_motion, offset

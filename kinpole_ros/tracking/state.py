@@ -3,6 +3,7 @@
 import itertools
 from collections import Counter, deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,8 +25,7 @@ MIN_HISTORY_FRAMES = 1024
 _run_numbers = itertools.count(1)
 
 
-@dataclass
-class Totals:
+class Totals(NamedTuple):
     """
     What is counted from the first frame on, also over restarts.
 
@@ -53,8 +53,6 @@ class State:
     ----------
     settings : Settings
         The parameters.
-    posed : bool
-        Whether the input are poses of bodies instead of markers.
     totals : Totals
         What is counted over restarts.
     run : int
@@ -88,7 +86,6 @@ class State:
     """
 
     settings: Settings
-    posed: bool
     totals: Totals
     run: int
     timeline: Timeline
@@ -121,21 +118,20 @@ def start(settings: Settings, posed: bool, totals: Totals, before: Timeline | No
     assignment.set_plane(space.plane)
     return State(
         settings,
-        posed,
         totals,
         next(_run_numbers),
         Timeline(settings, totals.counts, before),
         assignment,
         space,
         EventSearch(settings.window_ns, count),
-        *_new_bodies(settings, posed, totals, assignment),
+        *_new_bodies(settings, totals, assignment),
     )
 
 
 def start_bodies(state: State) -> None:
     """Start with bodies of which nothing is known, on the same clock, names and plane."""
     state.assignment.restart()
-    parts = _new_bodies(state.settings, state.posed, state.totals, state.assignment)
+    parts = _new_bodies(state.settings, state.totals, state.assignment)
     state.bodies, state.history, state.pins, state.matcher, state.step = parts
     state.frame_count = state.learned_count = state.counted_count = 0
     state.futile_searches = state.next_search = 0
@@ -143,12 +139,13 @@ def start_bodies(state: State) -> None:
 
 
 def _new_bodies(
-    settings: Settings, posed: bool, totals: Totals, assignment: MarkerAssignment
+    settings: Settings, totals: Totals, assignment: MarkerAssignment
 ) -> tuple[Bodies, History, Pins, Matcher, Step]:
     """Return bodies, history, pins, matcher and step before the first frame."""
+    posed = assignment.posed
     settings = of_poses(settings) if posed else settings
     slots = len(settings.bodies), assignment.width
-    bodies, history = Bodies(*slots), History(*slots)
+    bodies, history = Bodies(np.zeros(slots, complex)), History(*slots)
     pins = Pins(bodies)
     matcher = Matcher(settings, assignment, bodies, history)
     step = Step(settings, posed, new_tracks(len(settings.bodies), totals.outages, totals.wrong))

@@ -96,6 +96,7 @@ class Step:
         # Keeps the tables alive while the library uses them.
         self._tables = pass_tables(self._call)
         self._new_frames: list[np.ndarray | None] = []
+        self._corrected: np.ndarray | None = None
 
     def bind(self, bodies: Bodies, pins: Pins, history: History) -> None:
         """Use these arrays, after an update of the bodies or growth of the history."""
@@ -111,7 +112,7 @@ class Step:
             'pin_arm': pins.arm,
             'pin_variance': pins.variance,
             'pin_since': pins.since,
-            'known_shape': bodies.markers(),
+            'known_shape': bodies.fitting.places,
             'noise': np.where(bodies.noise > 0, bodies.noise, 1.0),
             'tilt_turn': bodies.extra_turn,
             'reason': reasons_of(bodies.noise, bodies.fitting.spread, angle_noise),
@@ -198,4 +199,6 @@ class Step:
 
     def correct_next(self, markers: np.ndarray) -> None:
         """Fit the next frame to these markers (B, n), complex, whatever is unusual of it."""
-        self.fields.bind('corrected', markers)
+        # As in `pass_frames`; the struct is to keep the array alive.
+        self._corrected = markers
+        self.fields.corrected = addressof(pass_new_array(markers))

@@ -39,7 +39,7 @@ class Tracker(TrackerSummary):
 
     def reset(self) -> None:
         """Forget all frames and everything learned from them."""
-        self._start(self.state.posed)
+        self._start(self.state.assignment.posed)
 
     def _start(self, posed: bool, before: Timeline | None = None) -> None:
         """Start from nothing, but with the clock of the timeline `before` a jump of the stamps."""
@@ -83,7 +83,8 @@ class Tracker(TrackerSummary):
         for frames in parts:
             if not len(frames.stamps):
                 continue
-            if frames.frame_id != self._frame_id or (frames.axes is not None) != self.state.posed:
+            posed = frames.axes is not None
+            if frames.frame_id != self._frame_id or posed != self.state.assignment.posed:
                 estimates += self._change_frame(frames)
             estimates += self._accept(frames, number, order)
             number += len(frames.stamps)
@@ -96,7 +97,7 @@ class Tracker(TrackerSummary):
         used = len(state.history) > 0
         state.totals.counts['frame_changes'] += used
         self._frame_id = frames.frame_id
-        if used or posed != state.posed:
+        if used or posed != state.assignment.posed:
             self._start(posed)
         return estimates
 
@@ -130,20 +131,20 @@ class Tracker(TrackerSummary):
         if stamp > newest:
             note_gap(state.totals.outages, newest, stamp - newest)
         state.totals.counts['resets'] += 1
-        self._start(state.posed, state.timeline)
+        self._start(state.assignment.posed, state.timeline)
 
     def _take(self, timed: TimedFrames, order: int | None) -> list[Estimate]:
         """Take frames whose times are known; return the results before a restart."""
         frames, *times, numbers = timed
         state, estimates = self.state, []
-        width = state.bodies.width
+        width = state.step.fields.width
         placed = self._place(frames, times)
-        if state.bodies.width > width:
+        if state.step.fields.width > width:
             estimates += self._flush_results()
         results = state.step.reserve_results(len(frames.stamps), order)
         first, count = 0, len(frames.stamps)
         while first < count:
-            self._search_events(numbers[:first])
+            self._search_events(times[0][:first], numbers)
             learns = state.frame_count >= state.next_update or state.names_changed
             if learns and update_if_due(state):
                 state.assignment.assign_again(placed, first)
@@ -157,7 +158,7 @@ class Tracker(TrackerSummary):
                 results = state.step.reserve_results(count - first, order)
             self._follow(placed, times, results)
             first = state.step.fields.frame
-        self._search_events(numbers[:first])
+        self._search_events(times[0][:first], numbers)
         self._keep_results(results, numbers)
         if placed.in_space is not None and state.assignment.plane is not None:
             state.space.add(placed.in_space)
@@ -167,7 +168,7 @@ class Tracker(TrackerSummary):
         """Place the markers of frames in the slots of the bodies, and pass them to C."""
         state = self.state
         state.placed = placed = state.assignment.assign(frames, state.totals.counts)
-        if state.assignment.width > state.bodies.width:
+        if state.assignment.width > state.step.fields.width:
             widen(state)
         new_frames = frames.stamps, *times, placed.points, placed.heights, placed.tilts
         hidden_is_unusual = len(placed.layout.unassigned) > 0
@@ -180,7 +181,7 @@ class Tracker(TrackerSummary):
         before, is_unusual = state.step.fields.frame, True
         if state.assignment.plane is None:
             keep_frame(state, placed, times)
-        elif not placed.is_nameless or len(placed.identities) == state.assignment.ordered_size:
+        elif not placed.is_nameless or placed.size == state.assignment.ordered_size:
             is_unusual = state.step.follow(state.next_update - state.frame_count, results)
             self._count_taken(before)
         if is_unusual:
@@ -209,10 +210,11 @@ class Tracker(TrackerSummary):
         if state.assignment.uncounted is not None:
             state.totals.counts[EXCHANGED] += state.assignment.count_exchanged(taken)
 
-    def _search_events(self, numbers: np.ndarray) -> None:
-        """Search for events in the history, to which frames with these numbers were appended."""
+    def _search_events(self, times: np.ndarray, numbers: np.ndarray) -> None:
+        """Search for events in the history, to which frames with these times were appended."""
         state, pin = self.state, self.state.pins.center
-        if self._events_needed and len(numbers):
+        if self._events_needed and len(times) and times[-1] >= state.event_search.due:
+            numbers = numbers[: len(times)]
             self._events += state.event_search.search(state.history, state.bodies, pin, numbers)
 
     def _keep_results(self, results: Results, numbers: np.ndarray) -> None:
@@ -226,7 +228,8 @@ class Tracker(TrackerSummary):
         if not results:
             return []
         events, self._events = self._events, []
-        about = self.bodies, self.state.run, self.state.assignment.plane, self.state.posed
+        names = self.state.assignment
+        about = self.bodies, self.state.run, names.plane, names.posed
         return [estimate_of(results, self._frame_id, *about, tuple(events))]
 
     def learn_if_due(self) -> None:

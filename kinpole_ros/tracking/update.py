@@ -50,18 +50,18 @@ def _update(state: State) -> bool:
         return False
     count_new_frames(state)
     new = state.frame_count - state.learned_count
-    if state.posed:
+    if state.assignment.posed:
         learn_poses(bodies, history, state.settings.noise)
         bodies.extra_turn = state.step.tracks['total_turn'].copy()
     else:
         restarts = learn(bodies, history, window, state.settings.noise, state.totals.counts)
         state.pins.forget(restarts)
-    state.pins.update(bodies, history, min(new, len(history)), state.posed)
+    state.pins.update(bodies, history, min(new, len(history)), state.assignment.posed)
     state.learned_count = state.frame_count
     _drop_old_frames(state)
     bodies.hub = find_hubs(bodies, history, window, bodies.hub)
     bodies.jump_scale = path_scale(history)
-    if not state.posed:
+    if not state.assignment.posed:
         _find_deformed(state)
     changed = False
     if state.matcher.regrouping_is_due():
@@ -94,10 +94,10 @@ def count_new_frames(state: State) -> None:
     if not new or state.assignment.plane is None:
         return
     markers, heights = (state.history[name][-new:] for name in ('markers', 'heights'))
-    seen = np.count_nonzero(~np.isnan(markers[..., 0] if state.posed else markers))
+    seen = np.count_nonzero(~np.isnan(markers[..., 0] if state.assignment.posed else markers))
     lacking = state.assignment.count * new - seen
     state.totals.counts['markers_not_seen'] += int(lacking)
-    if not state.posed:
+    if not state.assignment.posed:
         state.space.add(state.assignment.plane.in_space(markers, heights))
 
 
