@@ -73,7 +73,7 @@ setup(
             [
                 f'{NAME}/core/src/{name}.c'
                 for name in (
-                    *('structs', 'slots', 'fit', 'rejection', 'follow', 'poles'),
+                    *('structs', 'memory', 'slots', 'fit', 'rejection', 'follow', 'poles'),
                     *('points', 'rows', 'joints'),
                     # All files of the estimator, twice.
                     *('dispatch', 'estimator', 'estimator_avx2'),
