@@ -44,6 +44,9 @@
    the flat prior. With 1 the errors are the same, and the search takes a sixth longer. */
 #define SEARCH_BELOW 3
 
+/* Cells of a window at most: more than any has, and an integer. */
+#define MAX_LENGTH 1e15
+
 #ifndef DERIVE_SIGNALS
 #define DERIVE_SIGNALS derive_signals
 #endif
@@ -309,8 +312,8 @@ derive_signal(Call *call, long long instant, long long body, const Grid *grid)
     double coarser[2] = {1.0, 1.0}, scale[2][MAX_ORDERS], interval = grid->interval * 1e-9;
     if (fill_cells(call, instant, body, grid, &cells))
         return NO_MEMORY;
-    double length = rint(call->window / interval) + 1;
-    long long whole = length > FEWEST_SAMPLES ? (long long)length : FEWEST_SAMPLES;
+    double length = larger(rint(call->window / interval) + 1, FEWEST_SAMPLES);
+    long long whole = (long long)smaller(length, MAX_LENGTH);
     long long size = cells.count ? choose_size(call, &cells, whole, &block) : 0;
     if (!size)
         write_results(call, signal, now, NULL, NULL, NAN);
