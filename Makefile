@@ -82,12 +82,16 @@ lint: .venv/test-$(READY)  ## style and types
 	@$(RUN) -m ruff format --check
 	@$(RUN) -m mypy
 
+# Tests of compiled code: messages, hostile frames, derivatives.
+SANITIZED := core/test_bindings core/test_compiled core/test_hostile_frames test_marker_messages \
+  test_marker_reader test_pose_input test_quantities test_serialization test_state test_wrong_frames
+SANITIZERS := undefined,float-cast-overflow
 sanitize: .venv/test-$(READY)  ## tests of the compiled library under the sanitizers of gcc, for addresses and undefined behavior
-	@CC=gcc CFLAGS='-O1 -g -fsanitize=address,undefined -fno-sanitize-recover=undefined -fno-omit-frame-pointer' \
+	@CC=gcc CFLAGS='-O1 -g -fsanitize=address,$(SANITIZERS) -fno-sanitize-recover=$(SANITIZERS) -fno-omit-frame-pointer' \
 	  $(RUN) setup.py -q build_ext --inplace --force
 	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libubsan.so)" \
 	  ASAN_OPTIONS=detect_leaks=0 PYTHONMALLOC=malloc PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 OPENBLAS_NUM_THREADS=1 \
-	  $(RUN) -m pytest -q $(foreach name,bindings compiled quantities state marker_reader wrong_frames,test/test_$(name).py); \
+	  $(RUN) $(PYTEST) $(SANITIZED:%=test/%.py) $(PYTEST_ARGS); \
 	  status=$$?; $(RUN) setup.py -q build_ext --inplace --force && exit $$status
 
 bags: .venv/demo-$(READY)  ## simulate the bags in bags/ again
@@ -103,7 +107,7 @@ fuzz: .venv/test-$(READY)  ## read 10,000 corrupted bags, corrupted captures, an
 	@OPENBLAS_NUM_THREADS=1 $(RUN) test/fuzz_kills.py
 	@PYTHONPATH=. OPENBLAS_NUM_THREADS=1 $(RUN) test/fuzz_rigs.py
 	@HYPOTHESIS_PROFILE=fuzz PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 OPENBLAS_NUM_THREADS=1 \
-	  $(RUN) $(PYTEST) $$(grep -l '^@given' test/test_*.py)
+	  $(RUN) $(PYTEST) $$(grep -rl '^@given' test)
 
 # One resolution for all commands, so that they can share .venv; for Python 3.10 to 3.14.
 UV := .venv/bin/uv pip compile setup.py - --universal --python-version 3.10 --generate-hashes \

@@ -33,7 +33,8 @@ def find_compiler() -> list[str]:
 
 def takes(compiler: list[str], option: str, source: str) -> bool:
     """Whether a compiler knows an option; clang before 18 does not know all of them."""
-    command = [*compiler, '-Werror', option, '-fsyntax-only', source]
+    # zig finds fault with -fsyntax-only itself.
+    command = [*compiler, '-Werror', option, '-E', source]
     return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
 
@@ -43,8 +44,9 @@ class BuildExt(build_ext):
     def build_extension(self, ext: Extension) -> None:
         compiler = find_compiler()
         if not compiler and find_spec('ziglang'):
-            # A wheel with a C compiler; for any processor, as other compilers do it.
-            compiler = [sys.executable, '-m', 'ziglang', 'cc', '-mcpu=baseline']
+            # A wheel with a C compiler; for any processor, as other compilers do it, and without
+            # symbols, which are a file beside the library on Windows.
+            compiler = [sys.executable, '-m', 'ziglang', 'cc', '-mcpu=baseline', '-s']
         if not compiler:
             sys.exit(
                 f'{NAME} has a part in C, and there is no C compiler (cc, gcc or clang) on the '
@@ -73,7 +75,7 @@ setup(
             [
                 f'{NAME}/core/src/{name}.c'
                 for name in (
-                    *('structs', 'slots', 'fit', 'rejection', 'follow', 'poles'),
+                    *('structs', 'memory', 'slots', 'fit', 'rejection', 'follow', 'poles'),
                     *('points', 'rows', 'joints'),
                     # All files of the estimator, twice.
                     *('dispatch', 'estimator', 'estimator_avx2'),

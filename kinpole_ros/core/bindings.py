@@ -141,7 +141,10 @@ class Table(Struct):
 
 
 class Call(Struct):
-    """The arguments of `kinpole_derive`: see call.h."""
+    """The arguments of `kinpole_derive`, and the memory it works in: see call.h."""
+
+    def __del__(self, free: Any = library.kinpole_free_workspace) -> None:
+        free(ctypes.byref(self))
 
 
 class Frames(Struct):
@@ -239,6 +242,7 @@ _NUMBER, _ARRAY, _DATA = ctypes.c_longlong, ctypes.c_void_p, ctypes.c_char_p
 # or in one, are passed as arrays: `Results`, `Plane` and `Row`.
 _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     'derive': (ctypes.c_int, [_pointer(Call)]),
+    'free_workspace': (None, [_pointer(Call)]),
     'try_frame': (ctypes.c_int, [_pointer(Frames), _ARRAY]),
     'follow': (ctypes.c_int, [_pointer(Frames), _pointer(Call), _ARRAY]),
     'assign': (_NUMBER, [_pointer(Slots), _ARRAY, _NUMBER, *3 * [_ARRAY]]),

@@ -88,11 +88,17 @@ def derive_poses(
     `left_out` (T, B) is the number of newest frames of each window that are ignored, `noise` (T, B)
     the standard deviation of a pose with information of 1, and `window`, s, the length of a full
     window.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, stamps do not increase, or the window or the order is out of range.
+    IndexError
+        If a frame of `windows` is not among those of `poses`.
+
     """
+    _check_arguments(poses, windows, left_out, noise, window, order)
     (instants, bodies), (frames,), orders = noise.shape, poses.time.shape, order + 1
-    shapes = [array.shape for array in (*poses[1:], *windows, left_out)]
-    if shapes != [(frames, bodies)] * 5 + [(instants,)] * 3 + [(instants, bodies)] or order > 4:
-        raise ValueError(f'shapes do not fit to {frames} frames and noise {noise.shape}: {shapes}')
     results = np.empty((3 * orders + 2 * orders**2 + 2, instants, bodies))
     call = new_call(window, order)
     call.frames, call.bodies, call.instants = frames, bodies, instants
@@ -122,6 +128,25 @@ def derive_poses(
     return Derivatives(
         position, results[first:second], of_position, of_angle, results[-2], results[-1]
     )
+
+
+def _check_arguments(
+    poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real, window: float, order: int
+) -> None:
+    """Raise an exception for arguments of `derive_poses` that the library cannot take."""
+    (instants, bodies), (frames,) = noise.shape, poses.time.shape
+    shapes = [array.shape for array in (*poses[1:], *windows, left_out)]
+    if shapes != [(frames, bodies)] * 5 + [(instants,)] * 3 + [(instants, bodies)]:
+        raise ValueError(f'shapes do not fit to {frames} frames and noise {noise.shape}: {shapes}')
+    if not 0 <= order <= 4:
+        raise ValueError(f'order is {order}, but derivatives have order 0 to 4')
+    if not 0 < window < np.inf:
+        raise ValueError(f'window is {window} s, but a length is finite and more than 0')
+    early = np.flatnonzero(poses.time[1:] <= poses.time[:-1])
+    if early.size:
+        frame = early[0] + 1
+        stamp, before = poses.time[frame], poses.time[frame - 1]
+        raise ValueError(f'stamp {stamp} of frame {frame} is not after the one before, {before}')
 
 
 def new_call(window: float, order: int) -> Call:

@@ -28,7 +28,8 @@ typedef STRUCT(TABLE_FIELDS) Table;
    s; `flat` is the log standard deviation of the prior of mean and slope, over that of the noise.
    `time` (N) is in ns, and `windows` (3, T) are the frame of an instant, the oldest, and the newest
    of its window. See `write_results` for the results. `lacking` is the table to make before the
-   next call. */
+   next call. `workspace` is memory that C keeps for the next call: see memory.c. */
+typedef struct Workspace Workspace;
 #define CALL_FIELDS(VALUE, BLOCK, ARRAY)       \
     VALUE(long long, frames)                   \
     VALUE(long long, bodies)                   \
@@ -49,11 +50,14 @@ typedef STRUCT(TABLE_FIELDS) Table;
     ARRAY(const double, noise)                 \
     ARRAY(const Table, tables)                 \
     ARRAY(double, results)                     \
+    ARRAY(Workspace, workspace)                \
     VALUE(Table, lacking)
 
 typedef STRUCT(CALL_FIELDS) Call;
 
 /* Returns DONE, LACKING if `lacking` has to be made before another call, or an error below 0. */
 API int kinpole_derive(Call *call);
+/* Frees the memory that a call has used; it may be used again. */
+API void kinpole_free_workspace(Call *call);
 
 #endif

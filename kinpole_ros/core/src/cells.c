@@ -19,14 +19,14 @@
 #define MAX_SIZE_RATIO 1.25
 
 PRIVATE int
-fill_cells(const Call *call, long long instant, long long body, const Grid *grid, Samples *s,
-           long long *count, long long *ahead, double *unit, int *exact)
+fill_cells(Call *call, long long instant, long long body, const Grid *grid, Cells *cells)
 {
     const long long *windows = call->windows + instant, bodies = call->bodies;
     long long now = windows[0] * bodies + body, newest = windows[2 * call->instants];
     long long frames = newest - windows[call->instants] + 1, signal = instant * bodies + body;
-    long long oldest = 0;
-    *ahead = -1, *count = 0;
+    long long oldest = 0, count = 0, ahead = -1;
+    Samples *s = &cells->samples;
+    *cells = (Cells){.exact = 0};
     /* The first pass finds the range of the cells. */
     for (int pass = 0; pass < 2; pass++) {
         double a = call->angle[now], turns = call->turns[now];
@@ -35,7 +35,7 @@ fill_cells(const Call *call, long long instant, long long body, const Grid *grid
         if (isnan(a))
             a = turns = x = y = 0.0;
         for (long long k = call->left_out[signal]; k < frames; k++) {
-            long long row = (newest - k) * bodies + body, cell = grid->cell[k], at = *ahead - cell;
+            long long row = (newest - k) * bodies + body, cell = grid->cell[k], at = ahead - cell;
             if (!(call->angle_information[row] > 0 && call->position_information[row] > 0))
                 continue;
             if (pass) {
@@ -46,26 +46,25 @@ fill_cells(const Call *call, long long instant, long long body, const Grid *grid
                 s->weight[1][at] = call->position_information[row];
                 s->off[at] = grid->late[k];
             } else {
-                oldest = *count == 0 || cell < oldest ? cell : oldest;
-                *ahead = *count == 0 || cell > *ahead ? cell : *ahead;
-                *count = *ahead - oldest + 1;
+                oldest = count == 0 || cell < oldest ? cell : oldest;
+                ahead = count == 0 || cell > ahead ? cell : ahead;
+                count = ahead - oldest + 1;
             }
         }
-        if (*count < FEWEST_SAMPLES)
-            *count = 0;
-        else if (!pass && !lay_out_samples(s, OF_CELLS, (long long)(MAX_SIZE_RATIO * *count) + 1))
-            return NO_MEMORY;
-        if (!*count)
+        if (count < FEWEST_SAMPLES)
             return DONE;
+        if (!pass && !lay_out_samples(call, OF_CELLS, (long long)(MAX_SIZE_RATIO * count) + 1, s))
+            return NO_MEMORY;
     }
+    cells->count = count, cells->ahead = ahead;
     for (int c = 0; c < 2; c++) {
-        double most = largest_sample(s, c), usual = mean_of_similar(s->weight[c], *count);
+        double most = largest_sample(s, c), usual = mean_of_similar(s->weight[c], count);
         /* The noise is no less than rounding. */
-        unit[c] = larger(call->noise[signal] / sqrt(usual), most / MAX_EXACT_RATIO);
-        *exact |= most > EXACT_RATIO * unit[c];
-        normalize_weights(s->weight[c], *count, usual);
+        cells->unit[c] = larger(call->noise[signal] / sqrt(usual), most / MAX_EXACT_RATIO);
+        cells->exact |= most > EXACT_RATIO * cells->unit[c];
+        normalize_weights(s->weight[c], count, usual);
     }
-    divide_samples(s, unit);
+    divide_samples(s, cells->unit);
     return DONE;
 }
 
@@ -97,17 +96,18 @@ find_size(long long full, long long last, long long ahead, int exact, const long
 }
 
 PRIVATE long long
-choose_size(const Samples *s, long long count, long long whole, long long ahead, int exact,
-            long long *block)
+choose_size(Call *call, const Cells *cells, long long whole, long long *block)
 {
-    long long present = 0, oldest = 0, size = 0, tried = (whole + MAX_SAMPLES - 1) / MAX_SAMPLES;
+    const Samples *s = &cells->samples;
+    long long count = cells->count, ahead = cells->ahead, present = 0, oldest = 0, size = 0;
+    long long tried = (whole + MAX_SAMPLES - 1) / MAX_SAMPLES;
     for (long long k = 0; k < count; k++)
         if (s->weight[0][k] > 0 && s->weight[1][k] > 0)
             present++, oldest = k + 1;
     *block = tried;
     if (present < FEWEST_SAMPLES || ahead < 0 || ahead >= oldest)
         return 0;
-    long long *filled = buffer(OF_WINDOW, count * sizeof(long long));
+    long long *filled = kinpole_buffer(call, OF_WINDOW, count * sizeof(long long));
     if (!filled)
         return -1;
     for (; whole / tried >= FEWEST_SAMPLES; tried *= 2) {
@@ -118,8 +118,8 @@ choose_size(const Samples *s, long long count, long long whole, long long ahead,
                 is_filled |= s->weight[0][k] > 0 && s->weight[1][k] > 0;
             filled[b] = sum += is_filled;
         }
-        long long number = find_size(whole / tried, oldest / tried, ahead / tried, exact, filled,
-                                     blocks);
+        long long number = find_size(whole / tried, oldest / tried, ahead / tried, cells->exact,
+                                     filled, blocks);
         if (!number)
             continue;
         size = number, *block = tried;

@@ -23,18 +23,25 @@
 /* Low weights of a window above which its blocks are doubled: cost goes by their number squared. */
 #define MAX_LOW_WEIGHT 24
 
-/* Fill the cells of one body, the newest first, relative to its pose at the instant and in units of
-   the noise, `unit` (2), rad and m. `count` is the number of cells, 0 if they are too few, and
-   `ahead` how many are newer than the instant; empty cells follow, for a window that is not full.
-   `exact` is set if the motion is larger than EXACT_RATIO times the noise. */
-PRIVATE int fill_cells(const Call *call, long long instant, long long body, const Grid *grid,
-                       Samples *s, long long *count, long long *ahead, double *unit, int *exact);
+/* The cells of one body, the newest first, in units of the noise, `unit`, rad and m. `count` is the
+   number of cells, 0 if they are too few, and `ahead` how many are newer than the instant; empty
+   cells follow, for a window that is not full. They are `exact` if the motion is larger than
+   EXACT_RATIO times the noise. */
+typedef struct {
+    Samples samples;
+    long long count, ahead;
+    double unit[2];
+    int exact;
+} Cells;
+
+/* Fill the cells of one body, relative to its pose at the instant. */
+PRIVATE int fill_cells(Call *call, long long instant, long long body, const Grid *grid,
+                       Cells *cells);
 
 /* Return the number of blocks of a window, 0 for none, -1 without memory; `block` is the number of
    cells in each. A full window has `whole` cells. Blocks are doubled until few are empty, because
    frames may come in bunches. */
-PRIVATE long long choose_size(const Samples *s, long long count, long long whole, long long ahead,
-                              int exact, long long *block);
+PRIVATE long long choose_size(Call *call, const Cells *cells, long long whole, long long *block);
 
 /* Average the cells in each block, into samples in units of their noise, the oldest first. Their
    noise is `coarser` (2) times that of a cell. */

@@ -44,6 +44,9 @@
    the flat prior. With 1 the errors are the same, and the search takes a sixth longer. */
 #define SEARCH_BELOW 3
 
+/* Cells of a window at most: more than any has, and an integer. */
+#define MAX_LENGTH 1e15
+
 #ifndef DERIVE_SIGNALS
 #define DERIVE_SIGNALS derive_signals
 #endif
@@ -87,7 +90,7 @@ unpack_models(const Table *table, Models *m)
 /* Lay out the arrays of a window. The set has the samples with a weight below 1 and no steps; the
    scratch memory of `w` suffices for sets with steps. */
 static int
-prepare_window(const Models *m, long long orders, const Samples *s, Work *w, Set *set)
+prepare_window(Call *call, const Models *m, long long orders, const Samples *s, Work *w, Set *set)
 {
     long long cells = 0;
     int parts = 1;
@@ -105,7 +108,7 @@ prepare_window(const Models *m, long long orders, const Samples *s, Work *w, Set
                          6 * SLOPE_ORDERS * (half / LANES);
     long long of_numbers = 6 * m->rows + terms * half;
     size_t of_set = size_of_set(m, orders, cells, 0, parts);
-    char *data = buffer(OF_MODELS, of_set + 8 * (of_lanes * LANES + of_numbers));
+    char *data = kinpole_buffer(call, OF_MODELS, of_set + 8 * (of_lanes * LANES + of_numbers));
     if (!data)
         return NO_MEMORY;
     data = lay_out_set(m, orders, cells, 0, parts, data, set);
@@ -142,7 +145,7 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
     if (!stencils)
         return LACKING;
     unpack_models(table, &m);
-    if (prepare_window(&m, window->orders, s, &w, sets))
+    if (prepare_window(call, &m, window->orders, s, &w, sets))
         return NO_MEMORY;
     project_samples(&m, s, &w);
     evaluate_models(&m, s, &w, sets);
@@ -151,7 +154,7 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
                    (const Lanes *)(stencils->numbers + modes)};
     if (!window->exact && (sets[0].best_evidence[0] < -SEARCH_BELOW * call->flat ||
                            sets[0].best_evidence[1] < -SEARCH_BELOW * call->flat * 2))
-        code = search_events(&m, &by, s, &w, window->block, sets, &number);
+        code = search_events(call, &m, &by, s, &w, window->block, sets, &number);
     if (!code)
         differentiate(&m, &by, &w, sets, number, out);
     return code;
@@ -171,7 +174,7 @@ move_until_settled(Call *call, const Window *window, Samples *s, double *scratch
     if (!slopes)
         return LACKING;
     unpack_models(table, &m);
-    if (prepare_window(&m, 1, s, &w, &set))
+    if (prepare_window(call, &m, 1, s, &w, &set))
         return NO_MEMORY;
     Samples placed = *s;
     double *moved[3], movement[2] = {0.0};
@@ -301,39 +304,39 @@ write_results(const Call *call, long long signal, long long now, const Estimate 
 PRIVATE int
 derive_signal(Call *call, long long instant, long long body, const Grid *grid)
 {
-    Samples cells = {0}, s;
+    Cells cells;
+    Samples s;
     Estimate estimate;
-    long long count, ahead, block, size, signal = instant * call->bodies + body;
+    long long block, signal = instant * call->bodies + body;
     long long now = call->windows[instant] * call->bodies + body;
-    double unit[2], coarser[2] = {1.0, 1.0}, scale[2][MAX_ORDERS], interval = grid->interval * 1e-9;
-    int exact = 0;
-    if (fill_cells(call, instant, body, grid, &cells, &count, &ahead, unit, &exact))
+    double coarser[2] = {1.0, 1.0}, scale[2][MAX_ORDERS], interval = grid->interval * 1e-9;
+    if (fill_cells(call, instant, body, grid, &cells))
         return NO_MEMORY;
-    double length = rint(call->window / interval) + 1;
-    long long whole = length > FEWEST_SAMPLES ? (long long)length : FEWEST_SAMPLES;
-    size = count ? choose_size(&cells, count, whole, ahead, exact, &block) : 0;
+    double length = larger(rint(call->window / interval) + 1, FEWEST_SAMPLES);
+    long long whole = (long long)smaller(length, MAX_LENGTH);
+    long long size = cells.count ? choose_size(call, &cells, whole, &block) : 0;
     if (!size)
         write_results(call, signal, now, NULL, NULL, NAN);
     if (size <= 0)
         return size ? NO_MEMORY : DONE;
     /* Three times as long: the scratch memory of `derive_uneven` follows the samples. */
-    if (!lay_out_samples(&s, OF_WINDOW, 3 * size))
+    if (!lay_out_samples(call, OF_WINDOW, 3 * size, &s))
         return NO_MEMORY;
     double *data = s.x[0], *scratch = data + 6 * size;
     s.count = size;
     for (int c = 0; c < 3; c++)
         s.x[c] = data + c * size;
     s.weight[0] = data + 3 * size, s.weight[1] = data + 4 * size, s.off = data + 5 * size;
-    average_blocks(&cells, block, &s, coarser);
-    Window window = {block, call->orders, exact, 0.0};
-    window.at = (size - 1) / 2.0 - (ahead - (block - 1) / 2.0) / block;
+    average_blocks(&cells.samples, block, &s, coarser);
+    Window window = {block, call->orders, cells.exact, 0.0};
+    window.at = (size - 1) / 2.0 - (cells.ahead - (block - 1) / 2.0) / block;
     int code = derive_uneven(call, &window, &s, scratch, &estimate);
     if (code)
         return code;
     interval *= block;
     for (int c = 0; c < 2; c++)
         for (int k = 0; k < MAX_ORDERS; k++)
-            scale[c][k] = unit[c] * coarser[c] * pow(interval, -k);
+            scale[c][k] = cells.unit[c] * coarser[c] * pow(interval, -k);
     write_results(call, signal, now, &estimate, scale, (size - 1) * interval);
     return DONE;
 }
@@ -358,7 +361,7 @@ DERIVE_SIGNALS(Call *call)
             continue;
         }
         if (grid_instant != instant)
-            code = find_grid(call->time, windows[0], newest, frames, &grid);
+            code = find_grid(call, instant, &grid);
         grid_instant = instant;
         if (!code)
             code = derive_signal(call, instant, body, &grid);

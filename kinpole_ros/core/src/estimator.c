@@ -7,7 +7,6 @@
 
 #define KINPOLE_ESTIMATOR
 
-#include "memory.c"
 #include "samples.c"
 #include "grid.c"
 #include "cells.c"

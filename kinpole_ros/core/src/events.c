@@ -241,16 +241,16 @@ add_place_covariance(const Models *m, const Stencils *by, const Set *from, const
 }
 
 PRIVATE int
-search_events(const Models *m, const Stencils *by, const Samples *s, const Work *w, long long block,
-              Set *sets, int *number)
+search_events(Call *call, const Models *m, const Stencils *by, const Samples *s, const Work *w,
+              long long block, Set *sets, int *number)
 {
     long long most = sets->cells + MAX_STEPS, n = m->count, orders = by->orders;
     size_t of_set = size_of_set(m, orders, most, MAX_STEPS, 2);
     size_t of_screens = 2 * ((2 + 4 * STEP_ORDERS + most) * n + most) + STEP_ORDERS * n +
         2 * orders * n;
     size_t of_scratch = (1 + STEP_ORDERS * MAX_ORDERS) * n;
-    char *data = buffer(OF_SETS, (of_scratch + 2 * of_screens) * sizeof(double) +
-                                     (MAX_SETS - 1) * of_set);
+    char *data = kinpole_buffer(
+        call, OF_SETS, (of_scratch + 2 * of_screens) * sizeof(double) + (MAX_SETS - 1) * of_set);
     if (!data)
         return NO_MEMORY;
     Screens screens[2];

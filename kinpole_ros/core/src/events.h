@@ -23,6 +23,7 @@
 #ifndef KINPOLE_EVENTS_H
 #define KINPOLE_EVENTS_H
 
+#include "../include/call.h"
 #include "models.h"
 #include "private.h"
 #include "samples.h"
@@ -30,7 +31,7 @@
 
 /* Search a window for up to two events, and evaluate the models with them. The first of `sets` has
    no events, and is evaluated already. `number` is the number of sets. */
-PRIVATE int search_events(const Models *m, const Stencils *by, const Samples *s, const Work *w,
-                          long long block, Set *sets, int *number);
+PRIVATE int search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
+                          const Work *w, long long block, Set *sets, int *number);
 
 #endif

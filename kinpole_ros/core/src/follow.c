@@ -6,20 +6,20 @@
  */
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "fit.h"
+#include "memory.h"
 #include "numbers.h"
 #include "rejection.h"
 
-/* The arrays of one call of `kinpole_derive`. `heading` is the angle of the body, and `angle` that by
+/* The poses of a window, and their derivatives. `heading` is the angle of the body, and `angle` that by
    which its hub moves: the heading plus what a tilted body turns beyond it. */
 typedef struct {
     double *angle, *heading, *turn_information, *place_information, *derivatives;
     Number *position, *hub;
     long long frames[3];
-} Workspace;
+} Poses;
 
 /* A result is due this share of an interval before its frame is as old as the lag. */
 static const double EARLY = 0.75, TURN = 6.283185307179586;
@@ -156,7 +156,7 @@ take_frame(Frames *f)
 
 /* Computes the poses of the hubs in the window from `oldest` on; whether any body tilts. */
 static int
-fill_window(const Frames *f, long long oldest, Workspace *work)
+fill_window(const Frames *f, long long oldest, Poses *poses)
 {
     int tilts = 0;
     for (long long i = oldest * f->bodies; f->posed && i < f->end * f->bodies; i++)
@@ -167,11 +167,11 @@ fill_window(const Frames *f, long long oldest, Workspace *work)
             const double *information = f->information + 2 * row * f->bodies + b;
             double turned = information[0] * f->scale[b];
             double placed = information[f->bodies] * f->scale[f->bodies + b], growth = 0.0;
-            Number hub = work->hub[b], position = f->position[at];
-            work->heading[to] = f->angle[at];
-            work->angle[to] = f->angle[at] + (tilts ? f->extra_turn[at] - f->tilt_turn[b] : 0.0);
+            Number hub = poses->hub[b], position = f->position[at];
+            poses->heading[to] = f->angle[at];
+            poses->angle[to] = f->angle[at] + (tilts ? f->extra_turn[at] - f->tilt_turn[b] : 0.0);
             if (hub != 0.0) {
-                position += hub * unit_at(work->angle[to]);
+                position += hub * unit_at(poses->angle[to]);
                 /* The variance at the hub is that at the middle of the markers, plus that of the angle
                    times the squared distance. With hidden markers the fit is about another middle, so
                    the first may come out negative. */
@@ -181,9 +181,9 @@ fill_window(const Frames *f, long long oldest, Workspace *work)
                     growth = (growth > 0.0 ? growth : 0.0) + square_of(hub - f->middle[b]) * ratio;
                 }
             }
-            work->position[to] = position;
-            work->turn_information[to] = turned;
-            work->place_information[to] = growth > 0.0 ? placed / growth : placed;
+            poses->position[to] = position;
+            poses->turn_information[to] = turned;
+            poses->place_information[to] = growth > 0.0 ? placed / growth : placed;
         }
     return tilts;
 }
@@ -220,31 +220,31 @@ copy_derivatives(const Frames *f, const Call *call, Results *r)
 
 /* Replaces the angles by those of the headings of tilted bodies, and turns the hubs into their axes. */
 static int
-derive_headings(Call *call, Workspace *work)
+derive_headings(Call *call, Poses *poses)
 {
     long long bodies = call->bodies;
     /* The published angle is the heading; the hub is turned into its axes. */
-    double *angle = work->derivatives + 2 * call->orders * bodies;
+    double *angle = poses->derivatives + 2 * call->orders * bodies;
     for (long long b = 0; b < bodies; b++)
-        work->hub[b] *= isnan(angle[b]) ? 1.0 : unit_at(angle[b]);
-    call->angle = work->heading, call->next = 0;
+        poses->hub[b] *= isnan(angle[b]) ? 1.0 : unit_at(angle[b]);
+    call->angle = poses->heading, call->next = 0;
     long long size = (3 * call->orders + 2 * call->orders * call->orders + 2) * bodies;
-    call->results = work->derivatives + size;
+    call->results = poses->derivatives + size;
     int code = kinpole_derive(call);
     if (code)
         return code;
     const double *heading = call->results + 2 * call->orders * bodies;
     for (long long b = 0; b < bodies; b++) {
-        work->hub[b] *= isnan(heading[b]) ? 1.0 : conj(unit_at(heading[b]));
+        poses->hub[b] *= isnan(heading[b]) ? 1.0 : conj(unit_at(heading[b]));
         angle[b] = heading[b];
     }
-    call->results = work->derivatives;
+    call->results = poses->derivatives;
     return DONE;
 }
 
 /* Computes the result of the frame in row `now` from the window of those from `oldest` on. */
 static int
-compute_result(const Frames *f, Call *call, Results *r, Workspace *work, long long oldest, long long now)
+compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long oldest, long long now)
 {
     long long bodies = f->bodies, newest = f->end - 1, t = r->count, deforms = 0;
     for (long long b = 0; b < bodies; b++) {
@@ -252,32 +252,32 @@ compute_result(const Frames *f, Call *call, Results *r, Workspace *work, long lo
         int pinned = kinpole_holds_on_pin(f, oldest, b);
         r->pin[to] = pinned ? f->pin[b] : NAN + I * NAN;
         r->pin_variance[to] = pinned ? f->pin_variance[b] : NAN;
-        work->hub[b] = pinned ? 0.0 : f->hub[b];
+        poses->hub[b] = pinned ? 0.0 : f->hub[b];
     }
-    int tilts = fill_window(f, oldest, work);
+    int tilts = fill_window(f, oldest, poses);
     call->frames = f->end - oldest, call->bodies = bodies;
-    work->frames[0] = now - oldest, work->frames[1] = 0, work->frames[2] = newest - oldest;
+    poses->frames[0] = now - oldest, poses->frames[1] = 0, poses->frames[2] = newest - oldest;
     call->time = f->time + oldest, call->turns = f->turns + oldest * bodies;
-    call->windows = work->frames, call->left_out = f->newest;
-    call->angle = work->angle, call->position = (const double *)work->position;
-    call->angle_information = work->turn_information;
-    call->position_information = work->place_information;
-    call->noise = f->noise, call->results = work->derivatives, call->next = 0;
+    call->windows = poses->frames, call->left_out = f->newest;
+    call->angle = poses->angle, call->position = (const double *)poses->position;
+    call->angle_information = poses->turn_information;
+    call->position_information = poses->place_information;
+    call->noise = f->noise, call->results = poses->derivatives, call->next = 0;
     int code = kinpole_derive(call);
     if (code)
         return code;
-    if (tilts && (code = derive_headings(call, work)))
+    if (tilts && (code = derive_headings(call, poses)))
         return code;
     for (long long b = 0; b < bodies; b++) {
         long long at = now * bodies + b, to = t * bodies + b, orders = call->orders;
         const double *information = f->information + 2 * now * bodies + b;
         int missing = kinpole_reason(f, now, b), seen = missing < NOT_SEEN;
-        const double *rate = work->derivatives + (2 * orders + 1) * bodies + b;
-        const double *velocity = work->derivatives + 2 * (bodies + b);
+        const double *rate = poses->derivatives + (2 * orders + 1) * bodies + b;
+        const double *velocity = poses->derivatives + 2 * (bodies + b);
         int found = isfinite(*rate) && isfinite(velocity[0]) && isfinite(velocity[1]);
         r->reason[to] = missing ? missing : found ? KNOWN : NOT_FULL;
         r->size[to] = f->size[b], r->height[to] = f->height[at];
-        r->reference[to] = work->hub[b];
+        r->reference[to] = poses->hub[b];
         r->frame_angle[to] = f->angle[at] + TURN * f->turns[at];
         r->frame_position[to] = f->position[at];
         r->noise[to] = f->noise[b];
@@ -316,25 +316,25 @@ compute_due(Frames *f, Call *call, Results *r)
         /* Twice the space for derivatives: bodies that tilt have two angles. */
         long long all = (f->end - oldest) * f->bodies;
         long long derivatives = 2 * (3 * call->orders + 2 * call->orders * call->orders + 2) * f->bodies;
-        Workspace work;
-        double *data = malloc((6 * all + derivatives + 2 * f->bodies) * sizeof *data);
+        Poses poses;
+        double *data = kinpole_buffer(
+            call, OF_POSES, (6 * all + derivatives + 2 * f->bodies) * sizeof *data);
         if (!data)
             return NO_MEMORY;
-        work.position = (Number *)data, work.hub = (Number *)(data + 2 * all);
-        work.angle = data + 2 * all + 2 * f->bodies, work.heading = work.angle + all;
-        work.turn_information = work.heading + all;
-        work.place_information = work.turn_information + all;
-        work.derivatives = work.place_information + all;
+        poses.position = (Number *)data, poses.hub = (Number *)(data + 2 * all);
+        poses.angle = data + 2 * all + 2 * f->bodies, poses.heading = poses.angle + all;
+        poses.turn_information = poses.heading + all;
+        poses.place_information = poses.turn_information + all;
+        poses.derivatives = poses.place_information + all;
         for (; !code && f->due < end; ) {
             if (r->count == r->instants) {
                 code = FULL;
                 break;
             }
-            code = compute_result(f, call, r, &work, oldest, f->first + f->due);
+            code = compute_result(f, call, r, &poses, oldest, f->first + f->due);
             if (code == DONE)
                 f->due++;
         }
-        free(data);
         if (code)
             return code;
     }

@@ -50,15 +50,18 @@ clearest_interval(const double *time, long long frames, double span, double inte
 }
 
 PRIVATE int
-find_grid(const long long *stamps, long long now, long long newest, long long frames, Grid *grid)
+find_grid(Call *call, long long instant, Grid *grid)
 {
-    double *time = buffer(OF_GRID, frames * 4 * sizeof(double));
+    const long long *windows = call->windows + instant;
+    long long now = windows[0], newest = windows[2 * call->instants];
+    long long frames = newest - windows[call->instants] + 1;
+    double *time = kinpole_buffer(call, OF_GRID, frames * 4 * sizeof(double));
     if (!time)
         return NO_MEMORY;
     double *steps = time + frames;
     grid->late = steps + frames, grid->cell = (long long *)(grid->late + frames);
     for (long long k = 0; k < frames; k++)
-        time[k] = stamps[newest - k] - stamps[now];
+        time[k] = call->time[newest - k] - call->time[now];
     double span = time[0] - time[frames - 1];
     grid->interval = span / (frames - 1);
     int even = 1;

@@ -5,6 +5,7 @@
 #ifndef KINPOLE_GRID_H
 #define KINPOLE_GRID_H
 
+#include "../include/call.h"
 #include "private.h"
 
 /* A sample is on the grid if it is off by less than this part of the interval. */
@@ -17,8 +18,7 @@ typedef struct {
     long long *cell; /* intervals after the instant */
 } Grid;
 
-/* Find the grid of the instant of frame `now`, for a window of so many frames up to `newest`. */
-PRIVATE int find_grid(const long long *stamps, long long now, long long newest, long long frames,
-                      Grid *grid);
+/* Find the grid of an instant, from the frames of its window. */
+PRIVATE int find_grid(Call *call, long long instant, Grid *grid);
 
 #endif

@@ -1,18 +1,37 @@
+/*
+ * Memory that the library works in: a workspace that its `Call` owns.
+ */
+
 #include <stdlib.h>
 
 #include "memory.h"
 
-PRIVATE void *
-buffer(int which, size_t size)
-{
-    static _Thread_local struct {
+struct Workspace {
+    struct {
         void *data;
         size_t size;
-    } all[BUFFERS];
-    if (size > all[which].size) {
-        free(all[which].data);
-        all[which].data = malloc(size);
-        all[which].size = all[which].data ? size : 0;
+    } buffer[BUFFERS];
+};
+
+void *
+kinpole_buffer(Call *call, int which, size_t size)
+{
+    if (!call->workspace)
+        call->workspace = calloc(1, sizeof *call->workspace);
+    Workspace *workspace = call->workspace;
+    if (workspace && size > workspace->buffer[which].size) {
+        free(workspace->buffer[which].data);
+        workspace->buffer[which].data = malloc(size);
+        workspace->buffer[which].size = workspace->buffer[which].data ? size : 0;
     }
-    return all[which].data;
+    return workspace ? workspace->buffer[which].data : NULL;
+}
+
+void
+kinpole_free_workspace(Call *call)
+{
+    for (int k = 0; call->workspace && k < BUFFERS; k++)
+        free(call->workspace->buffer[k].data);
+    free(call->workspace);
+    call->workspace = NULL;
 }

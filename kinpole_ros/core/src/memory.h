@@ -1,5 +1,5 @@
 /*
- * Memory that a thread uses again in the next call.
+ * Memory that the library works in, which belongs to a `Call` and is used again by its next call.
  */
 
 #ifndef KINPOLE_MEMORY_H
@@ -7,14 +7,14 @@
 
 #include <stddef.h>
 
-#include "private.h"
+#include "../include/call.h"
 
-enum { OF_GRID, OF_CELLS, OF_WINDOW, OF_MODELS, OF_SETS, BUFFERS };
+enum { OF_POSES, OF_GRID, OF_CELLS, OF_WINDOW, OF_MODELS, OF_SETS, BUFFERS };
 
 /* Let an array begin at `data`, and move `data` behind it. */
 #define TAKE(array, size) (array = (void *)data, data += (size) * sizeof *array)
 
-/* Return memory of a thread for one purpose, as the last call left it; NULL if there is none. */
-PRIVATE void *buffer(int which, size_t size);
+/* Return memory for one purpose, as the last call left it; NULL if there is none. */
+void *kinpole_buffer(Call *call, int which, size_t size);
 
 #endif

@@ -32,9 +32,9 @@ normalize_weights(double *weight, long long count, double usual)
 }
 
 PRIVATE int
-lay_out_samples(Samples *s, int which, long long count)
+lay_out_samples(Call *call, int which, long long count, Samples *s)
 {
-    double *data = buffer(which, 6 * count * sizeof(double));
+    double *data = kinpole_buffer(call, which, 6 * count * sizeof(double));
     if (!data)
         return 0;
     memset(data, 0, 6 * count * sizeof(double));

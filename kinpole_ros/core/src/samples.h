@@ -5,6 +5,7 @@
 #ifndef KINPOLE_SAMPLES_H
 #define KINPOLE_SAMPLES_H
 
+#include "../include/call.h"
 #include "private.h"
 
 /* The samples of a signal, `count` of angle and both coordinates, in deviations of their noise;
@@ -15,7 +16,7 @@ typedef struct {
 } Samples;
 
 /* Lay out samples of zeros; returns 0 if there is no memory. */
-PRIVATE int lay_out_samples(Samples *s, int which, long long count);
+PRIVATE int lay_out_samples(Call *call, int which, long long count, Samples *s);
 
 /* Divide the samples of angle and position by a number each, as their noise. */
 PRIVATE void divide_samples(const Samples *s, const double *by);

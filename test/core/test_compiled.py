@@ -188,6 +188,39 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
             derive(poses, beyond)
 
 
+@pytest.mark.parametrize('window', [0.0, -0.4, np.inf, np.nan])
+def test_a_window_without_a_length_is_refused(window: float) -> None:
+    """The library made an integer of the number of its samples, which has no value for infinity."""
+    poses, windows = plain(1)
+    still = np.zeros((1, 1), int), np.full((1, 1), 1e-3)
+    with pytest.raises(ValueError, match=rf'window is {window} s, but a length is finite'):
+        derive_poses(poses, windows, *still, window, 4)
+
+
+def test_a_window_of_more_samples_than_an_integer_holds_has_no_result() -> None:
+    poses, windows = plain(1)
+    found = derive_poses(poses, windows, np.zeros((1, 1), int), np.full((1, 1), 1e-3), 1e300, 4)
+    assert all(np.isnan(array).all() for array in found)
+
+
+@pytest.mark.parametrize('order', [-1, 5])
+def test_an_order_that_has_no_derivatives_is_refused(order: int) -> None:
+    poses, windows = plain(1)
+    still = np.zeros((1, 1), int), np.full((1, 1), 1e-3)
+    with pytest.raises(ValueError, match=f'order is {order}, but derivatives have order 0 to 4'):
+        derive_poses(poses, windows, *still, 0.4, order)
+
+
+def test_stamps_that_do_not_increase_are_refused() -> None:
+    """They made cells without number: memory of gigabytes, or seconds."""
+    poses, windows = plain(1)
+    between = poses.time[1:-1][::-1] * 100
+    decreasing = np.concatenate((poses.time[:1], between, poses.time[:1] + 5))
+    for time, frame in ((decreasing, 2), (np.zeros_like(poses.time), 1), (poses.time[::-1], 1)):
+        with pytest.raises(ValueError, match=f'stamp .* of frame {frame} is not after the one be'):
+            derive(poses._replace(time=time), windows)
+
+
 def test_other_layouts_and_types_of_arrays_are_taken() -> None:
     poses, windows = plain()
     expected = derive(poses, windows)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).resolve().parents[1] / 'kinpole_ros'
+PACKAGE = Path(__file__).resolve().parents[2] / 'kinpole_ros'
 COMPILER = shlex.split(sysconfig.get_config_var('CC') or 'cc')
 FILES = [*PACKAGE.rglob('*.h'), *PACKAGE.rglob('*.c')]
 
