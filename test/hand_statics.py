@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from kinpole_ros.mechanism._assembly import Assembly, assemble, body_motion
+from kinpole_ros.mechanism._assembly import Assembly, assemble, body_motion, poses_of
 from kinpole_ros.mechanism._equilibrium import (
     Statics,
     separating_loads,
     why_no_reactions,
 )
-from kinpole_ros.mechanism._joint_kinds import GROUND, Belt, Revolute, Rolling, Slot, Strut
+from kinpole_ros.mechanism._joint_kinds import GROUND, Belt, Pose, Revolute, Rolling, Slot, Strut
 from kinpole_ros.mechanism._loads import Force, Load
 from kinpole_ros.mechanism._loops import (
     Linkage,
@@ -31,7 +31,7 @@ from kinpole_ros.mechanism._loops import (
     with_laws,
 )
 from kinpole_ros.mechanism._mechanism import Mechanism
-from kinpole_ros.mechanism._virtual_motions import has_teeth
+from kinpole_ros.mechanism._virtual_motions import has_teeth, virtual_motions
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
 
@@ -142,24 +142,24 @@ def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -
     system = Statics(mechanism, values, loads)
     if reason := why_no_reactions(mechanism):
         raise LinkageError(reason)
-    loads = list(loads)
+    loads, poses = list(loads), poses_of(mechanism.assembly, values)
     teeth = np.zeros((len(joints), values.shape[1]))
     for k, joint in enumerate(joints):
         if has_teeth(joint):
-            powers = _freed(mechanism, values, loads, system, k, system.axis[k])
+            powers = _freed(mechanism, values, loads, poses, system.axis, k, system.axis[k])
             teeth[k] = -powers.sum(axis=0)
     separating = [
         load
         for k, joint in enumerate(joints)
         if isinstance(joint, Rolling) and joint.pressure is not None
-        for load in separating_loads(system, k, teeth[k])
+        for load in separating_loads(joint, poses, system.at[k], system.axis[k], teeth[k])
     ]
     effort = system.effort
     loads += separating
     parts = np.zeros((3, *system.at.shape))
-    for k, part, _ in system.motions.bearings:
+    for k, part, _ in virtual_motions(mechanism, values, poses).bearings:
         way = None if part == 2 else 1j**part * system.axis[k]
-        parts[part, k] = -_freed(mechanism, values, loads, system, k, way).sum(axis=0)
+        parts[part, k] = -_freed(mechanism, values, loads, poses, system.axis, k, way).sum(axis=0)
     names, rows = mechanism.assembly.loops.variables, mechanism.driver_rows
     for k, joint in enumerate(joints):
         if isinstance(joint, Rolling) and joint.pressure is not None:
@@ -181,7 +181,8 @@ def _freed(
     mechanism: Mechanism,
     values: Real,
     loads: Sequence[Load],
-    system: Statics,
+    poses: dict[str, Pose],
+    axis: Complex,
     k: int,
     way: Complex | None,
 ) -> Real:
@@ -203,14 +204,14 @@ def _freed(
         below = (joint.one, carriages[0])
         for slide, one, other, turn in zip(slides, below, carriages, (0.0, np.pi / 2), strict=True):
             joints.append(Slot(slide, one, 0j, turn, other, 0j, 0.0))
-        seen = way * np.exp(-1j * system.poses[joint.one].angle)
+        seen = way * np.exp(-1j * poses[joint.one].angle)
         freed = [(seen.real, {slides[0]: 1.0}), (seen.imag, {slides[1]: 1.0})]
-    turned = [system.poses[joint.one].angle] * (len(bodies) - len(old.bodies))
+    turned = [poses[joint.one].angle] * (len(bodies) - len(old.bodies))
     for m, other_joint in enumerate(old.joints):
         if m != k and has_teeth(other_joint):
             # Nothing but their push keeps teeth from going apart.
-            angle = system.poses[other_joint.one].angle
-            away = float(np.angle(1j * system.axis[m] * np.exp(-1j * angle))[0])
+            angle = poses[other_joint.one].angle
+            away = float(np.angle(1j * axis[m] * np.exp(-1j * angle))[0])
             slide, carriage = f'{m} off', f'{m} off carriage'
             joints.append(Slot(slide, other_joint.one, 0j, away, carriage, 0j, 0.0))
             joints[m] = other_joint._replace(one=carriage)
@@ -232,7 +233,7 @@ def _freed(
             rows[row, names.index(name)] = weights[name]
     if way is not None and not isinstance(joint, Revolute):
         # A slide is now that on the carriage; drivers hold the whole.
-        slid = (way * system.axis[k].conj()).real
+        slid = (way * axis[k].conj()).real
         if isinstance(joint, Rolling) and joint.circle:
             slid = -slid / (joint.circle + joint.radius)
         rates[:drivers] = -rows[:drivers, [names.index(joint.name)]] * slid
