@@ -272,11 +272,13 @@ def _two_arms(loops: Loops, loop: Real) -> tuple[Real, float, tuple[float, float
         return None
     vectors = loop * loops.length0 * np.exp(1j * loops.angle0)
     arms = []
-    for turns in np.unique(loops.angles[used], axis=0)[::-1]:
+    for turns in sorted(set(map(tuple, loops.angles[used].tolist())), reverse=True):
         arm = complex(vectors[used[(loops.angles[used] == turns).all(axis=1)]].sum())
         if abs(arm) > 1e-9 * np.abs(vectors).max():
-            arms.append((arm, turns))
-    if len(arms) != 2:
+            arms.append((arm, np.array(turns)))
+        if len(arms) > 2:
+            return None
+    if len(arms) < 2:
         return None
     (first, turns), (second, against) = arms
     return turns - against, float(np.angle(-second / first)), (abs(first), abs(second))
