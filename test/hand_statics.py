@@ -31,7 +31,7 @@ from kinpole_ros.mechanism._loops import (
     with_laws,
 )
 from kinpole_ros.mechanism._mechanism import Mechanism
-from kinpole_ros.mechanism._virtual_motions import has_teeth, virtual_motions
+from kinpole_ros.mechanism._virtual_motions import virtual_motions
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
 
@@ -137,7 +137,7 @@ def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -
     differs from one to the next.
     """
     joints = mechanism.assembly.joints
-    if values.shape[1] > 1 and any(map(has_teeth, joints)):
+    if values.shape[1] > 1 and any(joint.pressure is not None for joint in joints):
         raise LinkageError('teeth with a pressure angle are freed at one position at a time')
     system = Statics(mechanism, values, loads)
     if reason := why_no_reactions(mechanism):
@@ -145,13 +145,13 @@ def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -
     loads, poses = list(loads), poses_of(mechanism.assembly, values)
     teeth = np.zeros((len(joints), values.shape[1]))
     for k, joint in enumerate(joints):
-        if has_teeth(joint):
+        if joint.pressure is not None:
             powers = _freed(mechanism, values, loads, poses, system.axis, k, system.axis[k])
             teeth[k] = -powers.sum(axis=0)
     separating = [
         load
         for k, joint in enumerate(joints)
-        if isinstance(joint, Rolling) and joint.pressure is not None
+        if joint.pressure is not None
         for load in separating_loads(joint, poses, system.at[k], system.axis[k], teeth[k])
     ]
     effort = system.effort
@@ -162,7 +162,7 @@ def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -
         parts[part, k] = -_freed(mechanism, values, loads, poses, system.axis, k, way).sum(axis=0)
     names, rows = mechanism.assembly.loops.variables, mechanism.driver_rows
     for k, joint in enumerate(joints):
-        if isinstance(joint, Rolling) and joint.pressure is not None:
+        if joint.pressure is not None:
             parts[1, k] = np.abs(teeth[k]) * np.tan(joint.pressure)
     still = np.zeros((len(mechanism.drivers), values.shape[1]))
     held = move(mechanism.linkage, mechanism.assembly, values, still).determined
@@ -189,17 +189,17 @@ def _freed(
     """Powers (loads, T) with joint k let go along `way` (T,), in the ground's axes, or to turn."""
     old, count, drivers = mechanism.assembly, values.shape[1], len(mechanism.drivers)
     # The hubs of a belt may move apart.
-    joints = [one._replace(carrier=None) if isinstance(one, Belt) else one for one in old.joints]
+    joints = [one.changed(carrier=None) if isinstance(one, Belt) else one for one in old.joints]
     joint, bodies = joints[k], list(old.bodies)
     # What is driven besides the drivers: at which rate, and variables with their weights.
     freed: list[tuple[Real, dict[str, float]]]
     slides, carriages = (f'{k} x', f'{k} y'), (f'{k} carriage x', f'{k} carriage y')
     if way is None:
         assert isinstance(joint, Slot)
-        joints[k] = joint._replace(turned=None)
+        joints[k] = joint.changed(turned=None)
         freed = [(np.ones(count), {joint.other: 1.0, joint.one: -1.0})]
     else:
-        joints[k] = joint._replace(one=carriages[1])
+        joints[k] = joint.changed(one=carriages[1])
         bodies += carriages
         below = (joint.one, carriages[0])
         for slide, one, other, turn in zip(slides, below, carriages, (0.0, np.pi / 2), strict=True):
@@ -208,13 +208,13 @@ def _freed(
         freed = [(seen.real, {slides[0]: 1.0}), (seen.imag, {slides[1]: 1.0})]
     turned = [poses[joint.one].angle] * (len(bodies) - len(old.bodies))
     for m, other_joint in enumerate(old.joints):
-        if m != k and has_teeth(other_joint):
+        if m != k and other_joint.pressure is not None:
             # Nothing but their push keeps teeth from going apart.
             angle = poses[other_joint.one].angle
             away = float(np.angle(1j * axis[m] * np.exp(-1j * angle))[0])
             slide, carriage = f'{m} off', f'{m} off carriage'
             joints.append(Slot(slide, other_joint.one, 0j, away, carriage, 0j, 0.0))
-            joints[m] = other_joint._replace(one=carriage)
+            joints[m] = other_joint.changed(one=carriage)
             bodies.append(carriage)
             turned.append(angle)
     new = assemble(bodies, joints)

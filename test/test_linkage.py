@@ -350,7 +350,7 @@ def test_a_third_crank_that_changes_nothing_is_borne() -> None:
     found = motion.motion(np.linspace(0, 2, 50))
     np.testing.assert_allclose(found.angle[:, 2:], found.angle[:, :1].repeat(2, axis=1), atol=1e-12)
     np.testing.assert_allclose(found.angle[:, 1], 0.0, atol=1e-12)
-    bent = [*joints[:-1], joints[-1]._replace(b=0.11 + 0j)]
+    bent = [*joints[:-1], joints[-1].changed(b=0.11 + 0j)]
     with pytest.raises(LinkageError, match='do not close'):
         mechanism(bent, constant_rate(1.0, 0.5), 'crank', rocker=0.5, third=0.5).motion(0.0)
 

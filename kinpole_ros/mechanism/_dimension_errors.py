@@ -13,7 +13,6 @@ import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly, assemble, body_motion
 from kinpole_ros.mechanism._equations import Path
-from kinpole_ros.mechanism._joint_kinds import Joint, Revolute, Rolling, Slot
 from kinpole_ros.mechanism._loop_closure import solve
 from kinpole_ros.mechanism._loops import LinkageError, reduce
 from kinpole_ros.mechanism._scene import Scene
@@ -122,11 +121,7 @@ def tolerances_of(
             raise SceneError(f'{name} is no dimension that joints use: give some of {names}')
         for label, row in own.items():
             errors[row.path, row.axis] = Tolerance(label, deviation, row.value, row.path, row.axis)
-    joints = {
-        joint.name: joint
-        for joint in scene.mechanism.assembly.joints
-        if isinstance(joint, Revolute | Slot | Rolling)
-    }
+    joints = {joint.name: joint for joint in scene.mechanism.assembly.joints if joint.has_play}
     plays = []
     for name, radius in play.items():
         if name not in joints:
@@ -135,7 +130,7 @@ def tolerances_of(
                 f'{", ".join(joints) or "none"}'
             )
         pin = joints[name]
-        if not isinstance(pin, Revolute):
+        if pin.center().kind != 'pin':
             plays.append(Tolerance(f'play {name}', radius / _UNIFORM, 0.0, (name,), 0, True))
             continue
         path: Path = ('bodies', pin.other, name.partition('.')[0])
@@ -232,7 +227,7 @@ def _changed(data: Mapping[str, Any], errors: Sequence[Tolerance], changes: Real
     else:
         assembly, points, _ = read_bodies(new['bodies'], new.get('joints'))
     if play:
-        joints = [_displaced(joint, play.get(joint.name, 0.0)) for joint in assembly.joints]
+        joints = [j.displaced(play[j.name]) if j.name in play else j for j in assembly.joints]
         laws = assembly.loops.laws
         assembly = assemble(assembly.bodies, joints)
         assembly = assembly._replace(loops=assembly.loops._replace(laws=laws))
@@ -254,15 +249,6 @@ def _with_change(entry: Any, error: Tolerance, change: float, path: Path) -> Any
     if isinstance(entry, str) and (base := _RELATIVE_ANGLE.match(entry)):
         return f'{base[1]} + {np.degrees(error.value + change):.15g} deg'
     return error.value + change
-
-
-def _displaced(joint: Joint, play: float) -> Joint:
-    """A slot that is off across, m, or a wheel that is off along the pitch line."""
-    if isinstance(joint, Slot):
-        return joint._replace(a=joint.a + 1j * np.exp(1j * joint.along) * play)
-    if isinstance(joint, Rolling):
-        return joint._replace(start=joint.start + play / (joint.arm if joint.circle else 1.0))
-    return joint
 
 
 def _moving(assembly: Assembly, points: Points) -> dict[str, tuple[int, complex]]:

@@ -21,8 +21,6 @@ from kinpole_ros.mechanism._joint_kinds import (
     TURN,
     Joint,
     Pose,
-    Rolling,
-    Strut,
 )
 from kinpole_ros.mechanism._loads import (
     Force,
@@ -38,7 +36,6 @@ from kinpole_ros.mechanism._virtual_motions import (
     UNSTRESSED,
     VirtualMotions,
     driver_motions,
-    has_teeth,
     powers,
     virtual_motions,
     without_rounding,
@@ -255,7 +252,7 @@ def _efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> _Effo
     share = 0.0 - powers(forces, np.abs(forces), motions)
     effort = without_rounding(share.sum(axis=0), np.abs(share).sum(axis=0))
     # Nothing but joints with teeth can lack more than the loops tell: what holds their hubs.
-    if any(map(has_teeth, mechanism.assembly.joints)) and not why_no_reactions(mechanism):
+    if _has_teeth(mechanism) and not why_no_reactions(mechanism):
         determined = virtual_motions(mechanism, values, poses).determined
         share[..., ~determined] = np.nan
     return _Efforts(share, effort + 0.0 * motions.sum(axis=0), determined)
@@ -274,9 +271,9 @@ def _joint_forces(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> 
     efforts = force[len(force) - len(mechanism.drivers) :]
     names, rows = mechanism.assembly.loops.variables, mechanism.driver_rows
     for k, joint in enumerate(joints):
-        if isinstance(joint, Rolling) and joint.pressure is not None:
+        if joint.pressure is not None:
             components[ACROSS, k] = np.abs(components[ALONG, k]) * np.tan(joint.pressure)
-        elif isinstance(joint, Strut):
+        elif joint.is_span and joint.is_driven:
             # The effort of a driver is the force of a strut, or over its length that across it.
             length, angle = names.index(joint.name), names.index(f'{joint.name}.angle')
             components[ALONG, k] = weigh(rows[:, [length]].T, efforts)[0]
@@ -293,23 +290,27 @@ def _with_teeth(
 
     These do no work, so the force that teeth transmit does not depend on them.
     """
-    joints = mechanism.assembly.joints
-    if not any(map(has_teeth, joints)):
+    if not _has_teeth(mechanism):
         return forces
+    joints = mechanism.assembly.joints
     transmitted = powers(forces.sum(axis=0), np.abs(forces).sum(axis=0), motions.rates)
     loads: list[Load] = []
     for row, (k, direction) in enumerate(motions.labels):
-        if k is not None and direction == ALONG and has_teeth(joints[k]):
+        if k is not None and direction == ALONG and joints[k].pressure is not None:
             at, axis = motions.contact[k], motions.axis[k]
             loads += separating_loads(joints[k], poses, at, axis, transmitted[row])
     return np.concatenate((forces, generalized_forces(mechanism, loads, poses)))
+
+
+def _has_teeth(mechanism: Mechanism) -> bool:
+    """Whether any wheels have teeth with a pressure angle."""
+    return any(joint.pressure is not None for joint in mechanism.assembly.joints)
 
 
 def separating_loads(
     joint: Joint, poses: dict[str, Pose], at: Complex, axis: Complex, transmitted: Real
 ) -> list[Load]:
     """The two forces that separate the teeth of a joint, which transmit a force (T,)."""
-    assert isinstance(joint, Rolling)
     push = np.abs(transmitted) * np.tan(joint.pressure or 0.0) * 1j * axis
     loads: list[Load] = []
     for body, force in ((joint.one, -push), (joint.other, push)):
@@ -322,11 +323,11 @@ def separating_loads(
 def loose_teeth(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
     """The joints with a pressure angle, at one position (n,), if nothing else holds their hubs."""
     joints = mechanism.assembly.joints
-    toothed = [joint.name for joint in joints if has_teeth(joint)]
+    toothed = [joint.name for joint in joints if joint.pressure is not None]
     if not toothed or why_no_reactions(mechanism):
         return ()
-    smooth = tuple(j._replace(pressure=None) if isinstance(j, Rolling) else j for j in joints)
-    assembly = mechanism.assembly._replace(joints=smooth)
+    smooth = (one.changed(pressure=None) if one.name in toothed else one for one in joints)
+    assembly = mechanism.assembly._replace(joints=tuple(smooth))
     rigid = Mechanism(assembly, mechanism.drivers, mechanism.start)
     here = values[:, None]
     poses = poses_of(assembly, here)

@@ -6,7 +6,6 @@ import numpy as np
 
 from kinpole_ros.mechanism._assembly import largest_length
 from kinpole_ros.mechanism._equilibrium import Statics
-from kinpole_ros.mechanism._joint_kinds import Belt
 from kinpole_ros.mechanism._loads import Force, Holder, Load, Torque
 from kinpole_ros.mechanism._loop_closure import SINGULAR
 from kinpole_ros.mechanism._loops import Block, LinkageError
@@ -183,7 +182,7 @@ def transmission_angles(mechanism: Mechanism, values: Real) -> dict[tuple[str, .
         for block, sine in zip(mechanism.linkage.blocks, sines, strict=True)
         if _is_dyad(block)
     }
-    belts = {joint.name for joint in mechanism.assembly.joints if isinstance(joint, Belt)}
+    belts = {joint.name for joint in mechanism.assembly.joints if not joint.is_driven}
     return {names: angle for names, angle in angles.items() if belts.isdisjoint(names)}
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import largest_length
-from kinpole_ros.mechanism._joint_kinds import ACROSS, ALONG, GROUND, Joint, Pose, Rolling
+from kinpole_ros.mechanism._joint_kinds import ACROSS, ALONG, GROUND, Joint, Pose
 from kinpole_ros.mechanism._loops import loop_jacobian
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
@@ -205,7 +205,7 @@ def _matrix(
         labels.append((k, along))
         rows.append(chain.real)
         # Other joints hold the distance of teeth with a pressure angle.
-        if not has_teeth(joint):
+        if joint.pressure is None:
             labels.append((k, across))
             rows.append(chain.imag)
         # Before the last tie of a belt are those that hubs on a carrier meet in any case.
@@ -238,8 +238,3 @@ def _chain(mechanism: Mechanism, joint: Joint, values: Real, poses: dict[str, Po
         if term.turn != GROUND:
             chain[2 * count + names.index(term.turn)] -= 1j * vector
     return chain
-
-
-def has_teeth(joint: Joint) -> bool:
-    """Whether a joint is one of teeth with a pressure angle."""
-    return isinstance(joint, Rolling) and joint.pressure is not None
