@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from kinpole_ros.mechanism._assembly import Assembly, assemble, body_motion
+from kinpole_ros.mechanism._assembly import Assembly, assemble, body_motion, poses_of
 from kinpole_ros.mechanism._equilibrium import (
     Statics,
     separating_loads,
     why_no_reactions,
 )
-from kinpole_ros.mechanism._joint_kinds import GROUND, Belt, Revolute, Rolling, Slot, Strut
+from kinpole_ros.mechanism._joint_kinds import GROUND, Belt, Pose, Revolute, Rolling, Slot, Strut
 from kinpole_ros.mechanism._loads import Force, Load
 from kinpole_ros.mechanism._loops import (
     Linkage,
@@ -31,7 +31,7 @@ from kinpole_ros.mechanism._loops import (
     with_laws,
 )
 from kinpole_ros.mechanism._mechanism import Mechanism
-from kinpole_ros.mechanism._virtual_motions import has_teeth
+from kinpole_ros.mechanism._virtual_motions import virtual_motions
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
 
@@ -137,32 +137,32 @@ def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -
     differs from one to the next.
     """
     joints = mechanism.assembly.joints
-    if values.shape[1] > 1 and any(map(has_teeth, joints)):
+    if values.shape[1] > 1 and any(joint.pressure is not None for joint in joints):
         raise LinkageError('teeth with a pressure angle are freed at one position at a time')
     system = Statics(mechanism, values, loads)
     if reason := why_no_reactions(mechanism):
         raise LinkageError(reason)
-    loads = list(loads)
+    loads, poses = list(loads), poses_of(mechanism.assembly, values)
     teeth = np.zeros((len(joints), values.shape[1]))
     for k, joint in enumerate(joints):
-        if has_teeth(joint):
-            powers = _freed(mechanism, values, loads, system, k, system.axis[k])
+        if joint.pressure is not None:
+            powers = _freed(mechanism, values, loads, poses, system.axis, k, system.axis[k])
             teeth[k] = -powers.sum(axis=0)
     separating = [
         load
         for k, joint in enumerate(joints)
-        if isinstance(joint, Rolling) and joint.pressure is not None
-        for load in separating_loads(system, k, teeth[k])
+        if joint.pressure is not None
+        for load in separating_loads(joint, poses, system.at[k], system.axis[k], teeth[k])
     ]
     effort = system.effort
     loads += separating
     parts = np.zeros((3, *system.at.shape))
-    for k, part, _ in system.motions.bearings:
+    for k, part, _ in virtual_motions(mechanism, values, poses).bearings:
         way = None if part == 2 else 1j**part * system.axis[k]
-        parts[part, k] = -_freed(mechanism, values, loads, system, k, way).sum(axis=0)
+        parts[part, k] = -_freed(mechanism, values, loads, poses, system.axis, k, way).sum(axis=0)
     names, rows = mechanism.assembly.loops.variables, mechanism.driver_rows
     for k, joint in enumerate(joints):
-        if isinstance(joint, Rolling) and joint.pressure is not None:
+        if joint.pressure is not None:
             parts[1, k] = np.abs(teeth[k]) * np.tan(joint.pressure)
     still = np.zeros((len(mechanism.drivers), values.shape[1]))
     held = move(mechanism.linkage, mechanism.assembly, values, still).determined
@@ -181,39 +181,40 @@ def _freed(
     mechanism: Mechanism,
     values: Real,
     loads: Sequence[Load],
-    system: Statics,
+    poses: dict[str, Pose],
+    axis: Complex,
     k: int,
     way: Complex | None,
 ) -> Real:
     """Powers (loads, T) with joint k let go along `way` (T,), in the ground's axes, or to turn."""
     old, count, drivers = mechanism.assembly, values.shape[1], len(mechanism.drivers)
     # The hubs of a belt may move apart.
-    joints = [one._replace(carrier=None) if isinstance(one, Belt) else one for one in old.joints]
+    joints = [one.changed(carrier=None) if isinstance(one, Belt) else one for one in old.joints]
     joint, bodies = joints[k], list(old.bodies)
     # What is driven besides the drivers: at which rate, and variables with their weights.
     freed: list[tuple[Real, dict[str, float]]]
     slides, carriages = (f'{k} x', f'{k} y'), (f'{k} carriage x', f'{k} carriage y')
     if way is None:
         assert isinstance(joint, Slot)
-        joints[k] = joint._replace(turned=None)
+        joints[k] = joint.changed(turned=None)
         freed = [(np.ones(count), {joint.other: 1.0, joint.one: -1.0})]
     else:
-        joints[k] = joint._replace(one=carriages[1])
+        joints[k] = joint.changed(one=carriages[1])
         bodies += carriages
         below = (joint.one, carriages[0])
         for slide, one, other, turn in zip(slides, below, carriages, (0.0, np.pi / 2), strict=True):
             joints.append(Slot(slide, one, 0j, turn, other, 0j, 0.0))
-        seen = way * np.exp(-1j * system.poses[joint.one].angle)
+        seen = way * np.exp(-1j * poses[joint.one].angle)
         freed = [(seen.real, {slides[0]: 1.0}), (seen.imag, {slides[1]: 1.0})]
-    turned = [system.poses[joint.one].angle] * (len(bodies) - len(old.bodies))
+    turned = [poses[joint.one].angle] * (len(bodies) - len(old.bodies))
     for m, other_joint in enumerate(old.joints):
-        if m != k and has_teeth(other_joint):
+        if m != k and other_joint.pressure is not None:
             # Nothing but their push keeps teeth from going apart.
-            angle = system.poses[other_joint.one].angle
-            away = float(np.angle(1j * system.axis[m] * np.exp(-1j * angle))[0])
+            angle = poses[other_joint.one].angle
+            away = float(np.angle(1j * axis[m] * np.exp(-1j * angle))[0])
             slide, carriage = f'{m} off', f'{m} off carriage'
             joints.append(Slot(slide, other_joint.one, 0j, away, carriage, 0j, 0.0))
-            joints[m] = other_joint._replace(one=carriage)
+            joints[m] = other_joint.changed(one=carriage)
             bodies.append(carriage)
             turned.append(angle)
     new = assemble(bodies, joints)
@@ -232,7 +233,7 @@ def _freed(
             rows[row, names.index(name)] = weights[name]
     if way is not None and not isinstance(joint, Revolute):
         # A slide is now that on the carriage; drivers hold the whole.
-        slid = (way * system.axis[k].conj()).real
+        slid = (way * axis[k].conj()).real
         if isinstance(joint, Rolling) and joint.circle:
             slid = -slid / (joint.circle + joint.radius)
         rates[:drivers] = -rows[:drivers, [names.index(joint.name)]] * slid

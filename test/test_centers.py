@@ -254,7 +254,7 @@ def test_wheels_turn_about_their_point_of_contact() -> None:
         (planet, lambda u: 0.2 * np.exp(1j * u[0]), {}),
     ):
         if joints is ring:
-            joints = [ring[0]._replace(start=np.pi)]
+            joints = [ring[0].changed(start=np.pi)]
         mechanism = linkage(joints, joints[0].other, start=start)
         values = mechanism.sweep(at).values[0]
         centers = instant_centers(mechanism, values)
@@ -365,7 +365,7 @@ def test_centers_turn_move_and_scale_with_the_linkage_whatever_its_names(
     new['ground'] = 'ground'
     moved: list[Joint] = []
     for joint in joints:
-        changed = joint._replace(
+        changed = joint.changed(
             one=new[joint.one],
             other=new[joint.other],
             # Only the ground's frame stays where it is.
@@ -373,7 +373,7 @@ def test_centers_turn_move_and_scale_with_the_linkage_whatever_its_names(
             b=factor * joint.b + shift,
         )
         moved.append(
-            changed._replace(along=joint.along + turn) if isinstance(joint, Slot) else changed
+            changed.changed(along=joint.along + turn) if isinstance(joint, Slot) else changed
         )
     first = joints[0].other
     order.shuffle(moved)

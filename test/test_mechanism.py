@@ -126,6 +126,15 @@ def test_rotation_derivatives_are_the_pole_matrices(values: list[float]) -> None
     np.testing.assert_allclose(rotation_derivatives(np.array(values)), expected, 1e-12, 1e-10)
 
 
+def test_a_sweep_of_positions_alone_goes_up_to_dead_points() -> None:
+    """Of positions without derivatives all are sound, also next to a dead point."""
+    mechanism = load_scene('eight_bar').mechanism
+    ends = mechanism.path(-7.0, 7.0).inputs[[0, -1]]
+    alone, all_orders = mechanism.sweep(ends, 1), mechanism.sweep(ends)
+    np.testing.assert_allclose(alone.values[0], all_orders.values[0], rtol=0, atol=1e-12)
+    assert alone.sound.tolist() == [1, 1]
+
+
 def test_wheel_rolls_along_x_about_its_contact_point(tmp_path: Path) -> None:
     def edit(data: dict) -> None:
         # At time 0 the hub is at 0.5: it would be at 0.56 with the angle turned back to 0.

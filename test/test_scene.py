@@ -89,7 +89,7 @@ def test_loader_loop_has_the_printed_rates_at_the_printed_angles() -> None:
     names = exact.mechanism.assembly.loops.variables
     angles = {'r2.angle': 45, 'r3.angle': 0, 'r4.angle': -90}
     values = np.array([[np.radians(angles[name])] for name in names])
-    velocity, turning = exact.mechanism.unit_rates(values)
+    velocity, turning = exact.mechanism.unit_rates(values)[:2]
     velocity, turning = 0.5 * velocity[0, :, 0], 0.5 * turning[0, :, 0]
     bodies = exact.mechanism.bodies
     assert turning[bodies.index('r4')] == pytest.approx(0.4985, rel=1e-3)

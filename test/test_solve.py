@@ -24,7 +24,7 @@ from kinpole_ros.mechanism import (
     scenes_folder,
 )
 from kinpole_ros.tools import cli
-from kinpole_ros.tools.solve import SolveOptions, _picture, _shapes, solve_scene
+from kinpole_ros.tools.solve import SolveOptions, _picture, _shapes, solve_scene, tolerances
 from kinpole_ros.tools.solve._solution import acting_loads, over_range, over_time
 from kinpole_ros.tools.solve._statics import work_lines
 
@@ -61,6 +61,17 @@ def test_the_trebuchet_of_the_seed_moves_as_printed(capsys: pytest.CaptureFixtur
     lines = told(capsys, 'trebuchet')
     assert row(lines, 'bar')[1] == pytest.approx(-1.443, rel=1e-3)
     assert row(lines, 'bar.P')[2:4] == pytest.approx([3.6075, 3.7484], rel=1e-3)
+
+
+def test_the_text_of_a_scene_is_solved_as_its_file_is(tmp_path: Path) -> None:
+    text = scene_text('four_bar')
+    page = tmp_path / 'page.html'
+    lines = solve_scene(text, SolveOptions(at='60 deg', html=page))
+    file = tmp_path / 'scene.yaml'
+    file.write_text(text)
+    assert lines[:-1] == solve_scene(file, SolveOptions(at='60 deg'))
+    assert page.stat().st_size
+    assert tolerances(text, samples=2) == tolerances(str(file), samples=2)
 
 
 def test_the_web_cutter_has_the_printed_poles(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from hand_statics import Freed, balance, freed_reactions
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from kinpole_ros.mechanism import load_scene
+from kinpole_ros.mechanism import _equilibrium, load_scene
 from kinpole_ros.mechanism._assembly import assemble
 from kinpole_ros.mechanism._equilibrium import Statics, undetermined
 from kinpole_ros.mechanism._joint_kinds import GROUND, Joint, Revolute, Rolling, Slot, Strut
@@ -179,11 +179,34 @@ def test_four_bar_both_ways_all_round() -> None:
     total = Statics(mechanism, values, loads)
     np.testing.assert_allclose(total.effort, total.share.sum(axis=0), rtol=1e-14)
     np.testing.assert_allclose(total.effort, found.effort, rtol=1e-9, atol=1e-9)
-    velocity, omega = mechanism.unit_rates(values)
+    velocity, omega = mechanism.unit_rates(values)[:2]
     arm = 0.2 * np.exp(2j) * np.exp(1j * values[mechanism.bodies.index('coupler')])
     moving = velocity[0, 1] + 1j * omega[0, 1] * arm
     power = (np.conj(3 - 50j) * moving).real + np.linspace(-2, 2, 200) * omega[0, 2]
     np.testing.assert_allclose(total.effort[0], -power, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize('most', [0, 500])
+def test_batches_of_positions_change_nothing(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However few positions are solved at a time, forces are the same, with loads of each."""
+    mechanism = slider_crank()
+    values = mechanism.sweep(np.linspace(0.1, 3.0, 23)).values[0]
+    loads = [Force('block', 0j, np.linspace(-50.0, 90.0, 23)), Torque('rod', 1.0)]
+    whole = Statics(mechanism, values, loads)
+    monkeypatch.setattr(_equilibrium, 'MOST_NUMBERS', most)
+    agree(whole, Statics(mechanism, values, loads), 1e-13)
+
+
+def test_no_rounding_is_left_of_forces_that_are_zero() -> None:
+    """Loads on the ground pins of a linkage of eight bars need no effort at all, not 1e-15."""
+    scene = load_scene('eight_bar')
+    values = scene.mechanism.motion(np.linspace(0.0, 0.4, 5)).values[0]
+    joints = scene.mechanism.assembly.joints
+    loads = [Force(one.other, one.b, 12.0 - 7j) for one in joints if one.one == GROUND]
+    found = Statics(scene.mechanism, values, loads)
+    assert len(loads) > 1
+    assert not found.share.any()
+    assert not np.signbit(found.effort).any()
 
 
 def test_each_position_is_solved_by_itself() -> None:

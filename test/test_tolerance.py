@@ -14,9 +14,9 @@ from kinpole_ros.mechanism import (
     LinkageError,
     SceneError,
     ToleranceSpread,
+    _dimension_errors,
     load_scene,
     propagate_tolerances,
-    scene_text,
     tolerances_of,
     transmission_angles,
 )
@@ -35,9 +35,21 @@ def spread_of(
     scene = load_scene(name)
     values = scene.mechanism.sweep(at).values[0]
     errors = tolerances_of(scene, deviations, play or {})
-    return propagate_tolerances(
-        scene_text(name), scene, errors, values, np.ones((1, len(at))), samples
-    )
+    return propagate_tolerances(scene, errors, values, np.ones((1, len(at))), samples)
+
+
+def test_linkages_solved_together_are_those_solved_one_by_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a four-bar with play, and of wheels, whose radii tie their angles."""
+    for name, play in (('four_bar', {'B': 5e-5}), ('rolling_wheel', {}), ('loader_loop', {})):
+        at = np.linspace(0.1, 0.9, 5)
+        found = spread_of(name, at, {'length': 1e-4, 'angle': 1e-3}, play, 7)
+        with monkeypatch.context() as alone:
+            alone.setattr(_dimension_errors, '_MOST_POSITIONS', 0)
+            single = spread_of(name, at, {'length': 1e-4, 'angle': 1e-3}, play, 7)
+        np.testing.assert_allclose(found.samples, single.samples, rtol=1e-11, atol=1e-12)
+        np.testing.assert_allclose(found.parts, single.parts, rtol=1e-7, atol=1e-12)
 
 
 def quantity(found: ToleranceSpread, name: str, what: str) -> int:

@@ -139,7 +139,7 @@ def adjust(
     ignored = [
         k
         for k, joint in enumerate(equations.joints)
-        if joint.radius is not None and {joint.one, joint.other} & unseen_names
+        if 'radius' in joint.sizes and {joint.one, joint.other} & unseen_names
     ]
 
     def current() -> Residuals:
@@ -223,7 +223,7 @@ def _joint_residuals(equations: Equations, now: Residuals, poses: ScenePoses) ->
         weight = np.linalg.pinv(variance, hermitian=True)
         square = np.einsum('tm,tmn,tn->t', value, weight, value)
         # Both rows of a pin are lengths; of a wheel or a guide only the first is a distance.
-        lengths = value if joint.along is None and joint.radius is None else value[:, :1]
+        lengths = value[:, :1] if joint.sizes else value
         off[:, k] = np.linalg.norm(lengths, axis=1)
         deviations[:, k] = np.sqrt(np.maximum(square, 0.0))
     return off, deviations
@@ -239,7 +239,7 @@ def normal_of(adjusted: Adjusted) -> Normal:
 def always_free(equations: Equations) -> list[int]:
     """The unknowns that no scene states: the pose of the ground, and the phases of wheels."""
     count = len(equations.dimensions)
-    starts = [joint.start for joint in equations.joints if joint.start is not None]
+    starts = [joint.sizes['start'] for joint in equations.joints if 'start' in joint.sizes]
     return [count, count + 1, count + 2, *starts]
 
 

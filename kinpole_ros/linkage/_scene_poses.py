@@ -11,15 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.linkage._matches import BodyMatch
-from kinpole_ros.mechanism import Equations, Pose, Rolling
-from kinpole_ros.mechanism._constraints import Anchor, constraint_rows, wheel_state
+from kinpole_ros.mechanism import Equations, Pose
+from kinpole_ros.mechanism._constraints import Anchor, anchor_of, constraint_rows
 from kinpole_ros.mechanism._equations import joint_at, part_sum
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.values import FramePoses
 
 # How each wheel stood at first, by the number of its joint.
-Anchors = dict[int, Anchor]
+Anchors = dict[int, Anchor | None]
 
 
 class ScenePoses(NamedTuple):
@@ -152,9 +152,9 @@ def residuals(
         joint, sizes = joint_at(equations, number, values)
         i, j = bodies[joint.one], bodies[joint.other]
         poses = Pose(position[:, i], angle[:, i]), Pose(position[:, j], angle[:, j])
-        if isinstance(joint, Rolling):
-            anchors.setdefault(number, wheel_state(joint, *poses))
-        rows = constraint_rows(joint, *poses, anchors.get(number))
+        if number not in anchors:
+            anchors[number] = anchor_of(joint, *poses)
+        rows = constraint_rows(joint, *poses, anchors[number])
         by = np.zeros((*rows.value.shape, len(bodies), 3))
         by[:, :, i] += rows.slope[:, :, :3]
         by[:, :, j] += rows.slope[:, :, 3:6]

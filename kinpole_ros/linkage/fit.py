@@ -78,11 +78,11 @@ def free_dimensions(scene: Scene, names: Sequence[str]) -> list[int]:
 
 def _used_dimensions(equations: Equations) -> list[int]:
     """Numbers of the dimensions on which joints depend."""
-    used: set[int | None] = set()
+    used: set[int] = set()
     for joint in equations.joints:
         used |= {k for part in (*joint.a, *joint.b) for k in (part.first, part.second)}
-        used |= {joint.along, joint.turned, joint.radius, joint.circle}
-    return sorted(number for number in used if number is not None)
+        used |= {number for name, number in joint.sizes.items() if name != 'start'}
+    return sorted(used)
 
 
 def fit_scene(theory: Theory, estimates: Iterable[Estimate], free: Sequence[int]) -> Fit:
@@ -197,7 +197,7 @@ def meshed(equations: Equations, solution: Solution) -> Solution:
 def _arms(equations: Equations) -> Iterator[_Arm]:
     pins = _pinned_points(equations)
     for joint in equations.joints:
-        if joint.circle is None or joint.radius is None:
+        if 'circle' not in joint.sizes:
             continue
         # Points by body, at the center of the circle and at the hub of the wheel.
         centers, hubs = (
@@ -205,14 +205,16 @@ def _arms(equations: Equations) -> Iterator[_Arm]:
             for point in ((joint.one, joint.a), (joint.other, joint.b))
         )
         if arms := sorted(centers.keys() & hubs.keys()):
-            yield _Arm(centers[arms[0]], hubs[arms[0]], joint.circle, joint.radius)
+            yield _Arm(
+                centers[arms[0]], hubs[arms[0]], joint.sizes['circle'], joint.sizes['radius']
+            )
 
 
 def _pinned_points(equations: Equations) -> list[set[_Point]]:
     """The sets of points of bodies that pins hold at one place."""
     sets: list[set[_Point]] = []
     for joint in equations.joints:
-        if joint.along is None and joint.radius is None:
+        if not joint.sizes:
             points: set[_Point] = {(joint.one, joint.a), (joint.other, joint.b)}
             connected = [group for group in sets if group & points]
             sets = [group for group in sets if not group & points]

@@ -21,7 +21,6 @@ from kinpole_ros.mechanism import (
     Load,
     Mechanism,
     Motion,
-    Revolute,
     Scene,
     SceneError,
     load_scene,
@@ -213,7 +212,7 @@ def joint_offsets(theory: Theory, estimate: Estimate) -> list[Difference]:
     center = estimate.relative_icr
     differences = []
     for joint in theory.scene.mechanism.assembly.joints:
-        if not isinstance(joint, Revolute) or not {joint.one, joint.other} <= frames.keys():
+        if joint.center().kind != 'pin' or not {joint.one, joint.other} <= frames.keys():
             continue
         b, c = (theory.matches[body].tracked for body in (joint.one, joint.other))
         k = pairs.get((max(b, c), min(b, c)))

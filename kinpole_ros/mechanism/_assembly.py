@@ -12,15 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._joint_kinds import (
-    GROUND,
-    Belt,
-    Joint,
-    Pose,
-    Rolling,
-    Strut,
-    Term,
-)
+from kinpole_ros.mechanism._joint_kinds import GROUND, Joint, Pose, Term
 from kinpole_ros.mechanism._laws import Follower, Law
 from kinpole_ros.mechanism._loops import LinkageError, Loops, term_lengths, weigh
 from kinpole_ros.mechanism._motions import rotation_derivatives
@@ -90,7 +82,7 @@ def joint_extent(assembly: Assembly, poses: dict[str, Pose]) -> tuple[Complex, f
     positions = np.stack(points or [pose.position for pose in poses.values()])
     middle = positions.mean(axis=0)
     size = float(np.abs(positions - middle).max(initial=0.0))
-    wheels = [joint.radius for joint in assembly.joints if isinstance(joint, Rolling)]
+    wheels = [rim.radius for one in assembly.joints for rim in one.rims() if rim.is_wheel]
     return middle, max(size, *wheels, 0.0) or 1.0
 
 
@@ -135,7 +127,7 @@ def assemble(
     chains, around = [], []
     for k, joint in enumerate(joints):
         # Hubs on a carrier close a loop that never moves.
-        if k not in used and not (isinstance(joint, Belt) and joint.carrier):
+        if k not in used and not joint.is_carried:
             around.append(_around(routes[joint.one], joint.name, routes[joint.other]))
             first = _sum(origins[joint.one], sides[k][0], {})
             chains.append(_sum(first, {}, _sum(origins[joint.other], sides[k][1], {})))
@@ -156,7 +148,7 @@ def assemble(
         around=tuple(around),
         laws=tuple(_law(follower, bodies, variables) for follower in followers),
     )
-    starts = {joint.name: joint.start for joint in joints if isinstance(joint, Rolling)}
+    starts = {joint.name: joint.start for joint in joints}
     return Assembly(
         _parallel_arms_as_ties(loops, np.array([starts.get(name, 0.0) for name in variables])),
         tuple(bodies),
@@ -194,7 +186,7 @@ def _spanning_tree(
         used.add(k)
         return True
 
-    rigid = [k for k, joint in enumerate(joints) if not isinstance(joint, Strut | Belt)]
+    rigid = [k for k, joint in enumerate(joints) if not joint.is_span]
     while sum([reaches(k) for k in rigid]):
         pass
     # A strut or belt only leads to a body that nothing else leads to.
@@ -272,11 +264,13 @@ def _two_arms(loops: Loops, loop: Real) -> tuple[Real, float, tuple[float, float
         return None
     vectors = loop * loops.length0 * np.exp(1j * loops.angle0)
     arms = []
-    for turns in np.unique(loops.angles[used], axis=0)[::-1]:
+    for turns in sorted(set(map(tuple, loops.angles[used].tolist())), reverse=True):
         arm = complex(vectors[used[(loops.angles[used] == turns).all(axis=1)]].sum())
         if abs(arm) > 1e-9 * np.abs(vectors).max():
-            arms.append((arm, turns))
-    if len(arms) != 2:
+            arms.append((arm, np.array(turns)))
+        if len(arms) > 2:
+            return None
+    if len(arms) < 2:
         return None
     (first, turns), (second, against) = arms
     return turns - against, float(np.angle(-second / first)), (abs(first), abs(second))

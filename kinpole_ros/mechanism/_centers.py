@@ -103,7 +103,7 @@ def centers_by_rates(mechanism: Mechanism, values: Real, rates: Real | None = No
     point). Arguments and errors as in `instant_centers`.
     """
     values = np.asarray(values, float)
-    velocity, turning = mechanism.unit_rates(values)
+    velocity, turning = mechanism.unit_rates(values)[:2]
     if rates is None:
         if len(velocity) != 1:
             raise LinkageError(

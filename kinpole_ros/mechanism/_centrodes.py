@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import joint_extent, poses_of
-from kinpole_ros.mechanism._joint_kinds import GROUND, Revolute
+from kinpole_ros.mechanism._joint_kinds import GROUND
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import rotation_derivatives
@@ -248,7 +248,7 @@ def _pieces(exists: np.ndarray, unbroken: np.ndarray, lengths: Real) -> tuple[np
 
 def _pins(mechanism: Mechanism, body: str) -> Complex:
     """The pins on a body, in its own frame, each once."""
-    joints = [joint for joint in mechanism.assembly.joints if isinstance(joint, Revolute)]
+    joints = [joint for joint in mechanism.assembly.joints if joint.center().kind == 'pin']
     points = [joint.a for joint in joints if joint.one == body]
     points += [joint.b for joint in joints if joint.other == body]
     return np.array(list(dict.fromkeys(complex(point) for point in points)), complex)

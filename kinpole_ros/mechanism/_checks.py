@@ -8,7 +8,6 @@ import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly
 from kinpole_ros.mechanism._equilibrium import loose_teeth
-from kinpole_ros.mechanism._joint_kinds import Rolling
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._scene_inputs import Driven
@@ -101,7 +100,7 @@ def _limits(mechanism: Mechanism, low: float, high: float) -> tuple[float | None
 
 def check_teeth(mechanism: Mechanism) -> None:
     """Raise SceneError for teeth with a pressure angle if nothing else holds the hub of a wheel."""
-    if not any(isinstance(joint, Rolling) for joint in mechanism.assembly.joints):
+    if not any(joint.pressure is not None for joint in mechanism.assembly.joints):
         return
     if names := loose_teeth(mechanism, mechanism.motion(np.zeros(1), 3).values[0, :, 0]):
         raise SceneError(

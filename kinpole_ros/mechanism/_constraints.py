@@ -1,46 +1,48 @@
 """
-Constraints of joints as equations between the poses of their bodies, with derivatives.
+Equations of a joint between the poses of its bodies, with derivatives, for `linkage`.
 
-`linkage` compares measured poses with them, and fits dimensions.
+They follow from the joint's chain of vectors (`loop_form`): its own variable, if it has one, is
+where the poses say, and leaves one equation of the chain; each tie is another.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._joint_kinds import (
-    Belt,
-    Joint,
-    Pose,
-    Revolute,
-    Rolling,
-    Slot,
-    strand,
-)
-from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.mechanism._joint_kinds import GROUND, Joint, LoopForm, Pose
+from kinpole_ros.planar._plane import Real
 
-# Sizes of a joint, and columns of the derivatives in `constraint_rows`: poses of both bodies, then
-# these sizes.
-SIZES = ('a.x', 'a.y', 'b.x', 'b.y', 'along', 'turned', 'radius', 'circle', 'start')
-X, Y, ANGLE, OTHER_X, OTHER_Y, OTHER_ANGLE = range(6)
-A_X, A_Y, B_X, B_Y, ALONG, TURNED, RADIUS, CIRCLE, START = range(6, 15)
-COLUMNS = 15
+# Columns of derivatives: the poses of both bodies, and x and y of both points.
+ANGLE, OTHER_ANGLE, POINTS = 2, 5, 10
 
 
 class Rows(NamedTuple):
     """
     The k equations of a joint at T instants: `value` (T, k), m or rad, zero where they hold.
 
-    `slope` (T, k, 15) is the derivative by x, y and angle of both bodies and by the sizes of the
-    joint: x and y of `a` and of `b`, along, turned, radius, circle and start.
+    `slope` (T, k, 10 + s) is the derivative by x, y and angle of both bodies, by x and y of `a` and
+    of `b`, and by the s `sizes` of the joint.
     """
 
     value: Real
     slope: Real
 
 
-# The slide of a wheel's hub, or its direction from the center, and the angles of both bodies.
+# The joint's own variable, and the angles of both bodies.
 Anchor = tuple[float, float, float]
+
+
+class _Chain(NamedTuple):
+    """
+    The chain of a joint: its `own` variable (T,), if any, and the equations (T, k) that are left.
+
+    Slopes as those of `Rows`.
+    """
+
+    own: Real | None
+    own_slope: Real
+    value: Real
+    slope: Real
 
 
 def constraint_rows(joint: Joint, one: Pose, other: Pose, anchor: Anchor | None = None) -> Rows:
@@ -48,111 +50,113 @@ def constraint_rows(joint: Joint, one: Pose, other: Pose, anchor: Anchor | None 
     Equations of a joint between the poses of its bodies at T instants, with their derivatives.
 
     A pin has the distances along x and y; a slot the distance across it; a guide also the turn; a
-    wheel the error of the distance of its hub, and its slip; a belt its slack; a strut no rows. The
-    slip is measured from `anchor` (`wheel_state`), or from where the hub and both angles are zero.
+    wheel the error of the distance of its hub, and its slip. Ties are measured from `anchor`, or
+    from where the variable and both angles are zero, and hold but for whole turns of `other`.
     """
-    between, slope = _between(joint, one, other)
-    match joint:
-        case Revolute():
-            return _rows((between.real, slope.real), (between.imag, slope.imag))
-        case Slot():
-            local, slope = _in_axes_of_line(joint, one, between, slope)
-            across = local.imag, slope.imag
-            if joint.turned is None:
-                return _rows(across)
-            turned = other.angle - one.angle - joint.turned
-            turned = (turned + np.pi) % (2 * np.pi) - np.pi
-            by = np.zeros(slope.shape)
-            by[:, [OTHER_ANGLE, ANGLE, TURNED]] = 1.0, -1.0, -1.0
-            return _rows(across, (turned, by))
-        case Rolling():
-            return _wheel_rows(joint, one, other, between, slope, anchor)
-        case Belt():
-            return _rows(_unwound(joint, one, other, between, slope))
-    return Rows(np.empty((len(between), 0)), np.empty((len(between), 0, COLUMNS)))
+    form, slopes = joint.loop_form(), _form_slopes(joint)
+    chain = _chain(joint, form, slopes, one, other)
+    values, by = [chain.value], [chain.slope]
+    first = dict(zip((*form.variables, joint.one, joint.other), anchor or (0.0,) * 3, strict=False))
+    for k, tie in enumerate(form.ties):
+        angles = {joint.one: one.angle, joint.other: other.angle}
+        variables = {name: angle - first.get(name, 0.0) for name, angle in angles.items()}
+        own = form.variables[0] if chain.own is not None else None
+        if own is not None and chain.own is not None:
+            variables[own] = chain.own - first[own]
+        gap = sum(weight * variables[name] for name, weight in tie.weights.items()) - tie.value
+        if own is not None and own in tie.weights and not form.terms[0].slide:
+            # The direction of the hub is known but for whole turns; the angles tell how many.
+            turns = -2 * np.pi * np.round(gap / (2 * np.pi * tie.weights[own]))
+            variables[own] = variables[own] + turns
+            gap = gap + tie.weights[own] * turns
+        slope = np.zeros((len(gap), chain.slope.shape[-1]))
+        for name, column in ((joint.one, ANGLE), (joint.other, OTHER_ANGLE)):
+            slope[:, column] += tie.weights.get(name, 0.0)
+        if own is not None:
+            slope += tie.weights.get(own, 0.0) * chain.own_slope
+        for column, changed in enumerate(slopes, POINTS):
+            weights = changed.ties[k].weights
+            slope[:, column] += sum(weights[name] * variables[name] for name in weights)
+            slope[:, column] -= changed.ties[k].value
+        whole = 2 * np.pi * abs(tie.weights.get(joint.other, np.inf))
+        values.append(((gap + whole / 2) % whole - whole / 2)[:, None])
+        by.append(slope[:, None])
+    return Rows(np.concatenate(values, axis=1), np.concatenate(by, axis=1))
 
 
-def wheel_state(joint: Rolling, one: Pose, other: Pose) -> Anchor:
-    """Where a wheel is at the first instant, from which `constraint_rows` measures its slip."""
-    between, slope = _between(joint, one, other)
-    if joint.circle:
-        hub = float(np.angle(between[0] * np.sign(joint.arm)))
-    else:
-        hub = float(_in_axes_of_line(joint, one, between, slope)[0][0].real)
-    return hub, float(one.angle[0]), float(other.angle[0])
+def anchor_of(joint: Joint, one: Pose, other: Pose) -> Anchor | None:
+    """Where a joint is at the first instant, of one whose own variable no scene tells."""
+    form = joint.loop_form()
+    first = (Pose(pose.position[:1], pose.angle[:1]) for pose in (one, other))
+    own = _chain(joint, form, (), *first).own
+    if own is None or not any(form.variables[0] in tie.weights for tie in form.ties):
+        return None
+    return float(own[0]), float(one.angle[0]), float(other.angle[0])
 
 
-def _between(joint: Joint, one: Pose, other: Pose) -> tuple[Complex, Complex]:
-    """The vector (T,) from the point `a` to the point `b`, with its derivatives (T, 15)."""
+def _form_slopes(joint: Joint) -> list[LoopForm]:
+    """Derivatives of the numbers of a joint's form by its sizes, of which they are quadratic."""
+    slopes = []
+    for name in joint.sizes():
+        size = getattr(joint, name)
+        step = abs(size) / 2 or 1.0
+        up, down = (joint.changed(**{name: size + s}).loop_form() for s in (step, -step))
+        by = 0.5 / step
+        terms = [
+            a._replace(length=by * (a.length - b.length), offset=by * (a.offset - b.offset))
+            for a, b in zip(up.terms, down.terms, strict=True)
+        ]
+        ties = [
+            a._replace(
+                weights={n: by * (w - b.weights[n]) for n, w in a.weights.items()},
+                value=by * (a.value - b.value),
+            )
+            for a, b in zip(up.ties, down.ties, strict=True)
+        ]
+        slopes.append(up._replace(terms=tuple(terms), ties=tuple(ties)))
+    return slopes
+
+
+def _chain(
+    joint: Joint, form: LoopForm, slopes: list[LoopForm] | tuple[()], one: Pose, other: Pose
+) -> _Chain:
+    """The vector from `a` to `b` less the joint's vectors without its own variable, split by it."""
+    count, width = len(one.angle), POINTS + len(slopes)
     turn, other_turn = one.turn, other.turn
-    slope = np.zeros((COLUMNS, len(turn)), complex).T
-    slope[:, [X, Y, OTHER_X, OTHER_Y]] = -1, -1j, 1, 1j
-    slope[:, ANGLE], slope[:, OTHER_ANGLE] = -1j * joint.a * turn, 1j * joint.b * other_turn
-    slope[:, A_X], slope[:, A_Y] = -turn, -1j * turn
-    slope[:, B_X], slope[:, B_Y] = other_turn, 1j * other_turn
-    return other.position + joint.b * other_turn - one.position - joint.a * turn, slope
-
-
-def _in_axes_of_line(
-    joint: Slot | Rolling, one: Pose, between: Complex, slope: Complex
-) -> tuple[Complex, Complex]:
-    """A vector and its derivatives in the axes of the joint's line, which turns with `one`."""
-    turn = one.turn.conj() * np.exp(-1j * joint.along)
-    local, slope = turn * between, turn[:, None] * slope
-    slope[:, ANGLE] -= 1j * local
-    slope[:, ALONG] -= 1j * local
-    return local, slope
-
-
-def _wheel_rows(
-    joint: Rolling, one: Pose, other: Pose, between: Complex, slope: Complex, anchor: Anchor | None
-) -> Rows:
-    """The rows of a wheel: the error of its hub's distance, and its slip but for whole turns."""
-    first_hub, first_angle, first_other = anchor or (0.0, 0.0, 0.0)
-    angle, other_angle = one.angle - first_angle, other.angle - first_other
-    radius, arm = joint.radius, joint.arm
-    if joint.circle:
-        outward = (np.sign(arm) * between / np.abs(between)).conj()
-        gap, by_gap = (outward * between).real - arm, (outward[:, None] * slope).real
-        by_gap[:, CIRCLE] -= 1.0
-        # The direction of the hub is known but for whole turns; the angles tell how many.
-        ahead = (joint.circle * angle + radius * other_angle) / arm + joint.start
-        hub = np.angle(between * np.sign(arm)) - first_hub
-        hub += 2 * np.pi * np.round((ahead - hub) / (2 * np.pi))
-        slip, by_slip = arm * (ahead - hub), -arm * (slope / between[:, None]).imag
-        by_slip[:, ANGLE] += joint.circle
-        by_slip[:, CIRCLE] += angle + joint.start - hub
-        by_slip[:, RADIUS] += other_angle + joint.start - hub
-        by_slip[:, START] += arm
-    else:
-        local, slope = _in_axes_of_line(joint, one, between, slope)
-        gap, by_gap = local.imag - radius, slope.imag
-        turned = other_angle - angle
-        slip, by_slip = local.real - first_hub + radius * turned - joint.start, slope.real
-        by_slip[:, ANGLE] -= radius
-        by_slip[:, RADIUS] += turned
-        by_slip[:, START] -= 1.0
-    by_slip[:, OTHER_ANGLE] += radius
-    by_gap[:, RADIUS] -= 1.0
-    circumference = 2 * np.pi * radius
-    slip = (slip + circumference / 2) % circumference - circumference / 2
-    return _rows((gap, by_gap), (slip, by_slip))
-
-
-def _unwound(
-    joint: Belt, one: Pose, other: Pose, between: Complex, slope: Complex
-) -> tuple[Real, Real]:
-    """The row of a belt: by how much its free length differs from what its wheels unwound."""
-    first, last = joint.radii
-    length, axis = strand(joint, between)
-    turned = np.angle(axis * np.exp(-1j * joint.direction))
-    gap = length - joint.length + (last - first) * turned + first * one.angle - last * other.angle
-    by = (axis.conj()[:, None] * slope).real
-    by[:, ANGLE] += first
-    by[:, OTHER_ANGLE] -= last
-    return gap, by
-
-
-def _rows(*rows: tuple[Real, Real]) -> Rows:
-    value, slope = zip(*rows, strict=True)
-    return Rows(np.stack(value, axis=1), np.stack(slope, axis=1))
+    slope = np.zeros((count, width), complex)
+    for column, by in enumerate((-1, -1j, -1j * joint.a * turn, 1, 1j, 1j * joint.b * other_turn)):
+        slope[:, column] = by
+    for column, by in enumerate((-turn, -1j * turn, other_turn, 1j * other_turn), 6):
+        slope[:, column] = by
+    between = other.position + joint.b * other_turn - one.position - joint.a * turn
+    columns = {joint.one: (one.angle, ANGLE), joint.other: (other.angle, OTHER_ANGLE)}
+    last: tuple[float, Real, Real] | None = None
+    for k, term in enumerate(form.terms):
+        # Derivatives of its length and direction.
+        by_length, by_angle = np.zeros((2, count, width))
+        for column, changed in enumerate(slopes, POINTS):
+            by_length[:, column] = changed.terms[k].length
+            by_angle[:, column] = changed.terms[k].offset
+        angle = np.full(count, term.offset)
+        if term.turn in columns:
+            angle += columns[term.turn][0]
+            by_angle[:, columns[term.turn][1]] += 1.0
+        if term.slide or term.turn not in (*columns, GROUND):
+            last = term.length, angle, by_length if not term.slide else by_angle
+            continue
+        vector = term.length * np.exp(1j * angle)
+        between = between - vector
+        slope -= np.exp(1j * angle)[:, None] * (by_length + 1j * term.length * by_angle)
+    if last is None:
+        parts = np.stack((between.real, between.imag), axis=1)
+        return _Chain(None, np.zeros(0), parts, np.stack((slope.real, slope.imag), axis=1))
+    length, angle, by_own = last
+    if form.terms[0].slide:
+        local = np.exp(-1j * angle) * between
+        by = np.exp(-1j * angle)[:, None] * slope - 1j * local[:, None] * by_own
+        return _Chain(local.real, by.real, local.imag[:, None], by.imag[:, None])
+    outward = length * between / np.abs(length * between)
+    gap = (outward.conj() * between).real - length
+    by_gap = (outward.conj()[:, None] * slope).real - by_own
+    direction = np.angle(outward) - angle
+    return _Chain(direction, (slope / between[:, None]).imag, gap[:, None], by_gap[:, None])

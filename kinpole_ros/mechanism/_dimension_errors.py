@@ -7,19 +7,16 @@ deviation up and down for the first order, at random for the samples.
 
 import re
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly, assemble, body_motion
 from kinpole_ros.mechanism._equations import Path
-from kinpole_ros.mechanism._joint_kinds import Joint, Revolute, Rolling, Slot
 from kinpole_ros.mechanism._loop_closure import solve
 from kinpole_ros.mechanism._loops import LinkageError, reduce
 from kinpole_ros.mechanism._scene import Scene
 from kinpole_ros.mechanism._scene_bodies import read_bodies
-from kinpole_ros.mechanism._scene_file import parse_scene
 from kinpole_ros.mechanism._scene_values import Points, SceneError, vector
 from kinpole_ros.mechanism._vectors import read_vectors
 from kinpole_ros.planar._plane import Real
@@ -28,6 +25,8 @@ from kinpole_ros.planar._plane import Real
 _UNIFORM = np.sqrt(3)
 # A body that turns with less than this share of the fastest rate has no center.
 _MIN_RATE = 1e-6
+# Positions that are solved together: more leave the cache.
+_MOST_POSITIONS = 8192
 # The angle of a vector relative to that of another.
 _RELATIVE_ANGLE = re.compile(r'\s*([A-Za-z_]\w*)')
 
@@ -67,6 +66,13 @@ class ToleranceSpread(NamedTuple):
     def deviation(self) -> Real:
         """Standard deviations (Q, T) to first order."""
         return np.asarray(np.sqrt((self.parts**2).sum(axis=0)))
+
+
+class _Linkage(NamedTuple):
+    """A linkage with other dimensions, and its points."""
+
+    assembly: Assembly
+    points: Points
 
 
 def tolerances_of(
@@ -115,11 +121,7 @@ def tolerances_of(
             raise SceneError(f'{name} is no dimension that joints use: give some of {names}')
         for label, row in own.items():
             errors[row.path, row.axis] = Tolerance(label, deviation, row.value, row.path, row.axis)
-    joints = {
-        joint.name: joint
-        for joint in scene.mechanism.assembly.joints
-        if isinstance(joint, Revolute | Slot | Rolling)
-    }
+    joints = {joint.name: joint for joint in scene.mechanism.assembly.joints if joint.has_play}
     plays = []
     for name, radius in play.items():
         if name not in joints:
@@ -128,7 +130,7 @@ def tolerances_of(
                 f'{", ".join(joints) or "none"}'
             )
         pin = joints[name]
-        if not isinstance(pin, Revolute):
+        if pin.center().kind != 'pin':
             plays.append(Tolerance(f'play {name}', radius / _UNIFORM, 0.0, (name,), 0, True))
             continue
         path: Path = ('bodies', pin.other, name.partition('.')[0])
@@ -141,7 +143,6 @@ def tolerances_of(
 
 
 def propagate_tolerances(
-    text: str,
     scene: Scene,
     errors: Sequence[Tolerance],
     values: Real,
@@ -154,10 +155,8 @@ def propagate_tolerances(
 
     Parameters
     ----------
-    text
-        The scene's file.
     scene
-        The same as loaded.
+        The scene.
     errors
         Errors (E) of its dimensions, independent of each other.
     values, rates
@@ -179,27 +178,24 @@ def propagate_tolerances(
         For a dimension that cannot change by itself, as the distance of two gears.
 
     """
-    data, rows = parse_scene(scene.name, text), scene.mechanism.driver_rows
-    inputs = np.zeros((2, *rates.shape))
-    inputs[0], inputs[1] = rows @ values, rates
-    names = _names(scene.mechanism.assembly, scene.points)
-
-    def at(changes: Real) -> Real:
-        assembly, points = _changed(data, errors, changes)
-        solution = solve(reduce(assembly.loops._replace(drives=rows)), inputs, values, 2)
-        return _quantities(assembly, points, solution.values)
-
-    value = at(np.zeros(len(errors)))
-    effects = np.empty((len(errors), *value.shape))
-    for k, error in enumerate(errors):
-        change = np.zeros(len(errors))
-        change[k] = error.deviation
+    count, rows = len(errors), scene.mechanism.driver_rows
+    deviations = np.diag([error.deviation for error in errors]).reshape(count, count)
+    linkages = [_changed(scene.data, errors, np.zeros(count))]
+    for error, deviation in zip(errors, deviations, strict=True):
         try:
-            effects[k] = (at(change) - at(-change)) / 2
+            for change in (deviation, -deviation):
+                linkages.append(_changed(scene.data, errors, change))
+                reduce(linkages[-1].assembly.loops._replace(drives=rows))
         except LinkageError as wrong:
             raise LinkageError(f'{error.name} cannot be off by itself: {wrong}') from None
-    drawn = [at(change) for change in _drawn(errors, samples, np.random.default_rng(seed))]
-    return ToleranceSpread(names, value, effects, np.reshape(drawn, (samples, *value.shape)))
+    drawn = _drawn(errors, samples, np.random.default_rng(seed))
+    linkages += [_changed(scene.data, errors, change) for change in drawn]
+    moving = _moving(scene.mechanism.assembly, scene.points)
+    inputs = np.stack((rows @ values, rates))
+    found = _quantities(linkages, list(moving), rows, inputs, values)
+    up, down = found[1 : 2 * count + 1 : 2], found[2 : 2 * count + 1 : 2]
+    names = _names(scene.mechanism.assembly, list(moving))
+    return ToleranceSpread(names, found[0], (up - down) / 2, found[2 * count + 1 :])
 
 
 def _drawn(errors: Sequence[Tolerance], count: int, rng: np.random.Generator) -> Real:
@@ -216,50 +212,43 @@ def _drawn(errors: Sequence[Tolerance], count: int, rng: np.random.Generator) ->
     return np.asarray(drawn)
 
 
-def _changed(
-    data: Mapping[str, Any], errors: Sequence[Tolerance], changes: Real
-) -> tuple[Assembly, Points]:
+def _changed(data: Mapping[str, Any], errors: Sequence[Tolerance], changes: Real) -> _Linkage:
     """The linkage and its points with changed dimensions."""
     keys = ('bodies', 'joints', 'vectors', 'loops', 'points')
-    new = deepcopy({key: data[key] for key in keys if key in data})
+    new = {key: data[key] for key in keys if key in data}
     play: dict[str, float] = {}
     for error, change in zip(errors, changes.tolist(), strict=True):
         if error.is_play and len(error.path) == 1:
             play[str(error.path[0])] = change
-            continue
-        entry: Any = new
-        for key in error.path[:-1]:
-            entry = entry[key]
-        last = error.path[-1]
-        # A scene may leave out what is zero, such as the angle of a slider.
-        written = entry.get(last) if isinstance(entry, dict) else entry[last]
-        if error.path[0] == 'bodies':
-            # A point has two coordinates, each with an error and the play of a pin.
-            point = vector(error.name, written) + 1j**error.axis * change
-            entry[last] = [point.real, point.imag]
-        elif isinstance(written, str) and (base := _RELATIVE_ANGLE.match(written)):
-            entry[last] = f'{base[1]} + {np.degrees(error.value + change):.15g} deg'
-        else:
-            entry[last] = error.value + change
+        elif change:
+            new = _with_change(new, error, change, error.path)
     if 'vectors' in new:
         assembly, points, _ = read_vectors(new['vectors'], new['loops'], new.get('points', {}))
     else:
         assembly, points, _ = read_bodies(new['bodies'], new.get('joints'))
     if play:
-        joints = [_displaced(joint, play.get(joint.name, 0.0)) for joint in assembly.joints]
+        joints = [j.displaced(play[j.name]) if j.name in play else j for j in assembly.joints]
         laws = assembly.loops.laws
         assembly = assemble(assembly.bodies, joints)
         assembly = assembly._replace(loops=assembly.loops._replace(laws=laws))
-    return assembly, points
+    return _Linkage(assembly, points)
 
 
-def _displaced(joint: Joint, play: float) -> Joint:
-    """A slot that is off across, m, or a wheel that is off along the pitch line."""
-    if isinstance(joint, Slot):
-        return joint._replace(a=joint.a + 1j * np.exp(1j * joint.along) * play)
-    if isinstance(joint, Rolling):
-        return joint._replace(start=joint.start + play / (joint.arm if joint.circle else 1.0))
-    return joint
+def _with_change(entry: Any, error: Tolerance, change: float, path: Path) -> Any:
+    """The data of a scene, or a part of them, with a change at a path."""
+    if path:
+        new = entry.copy()
+        # A scene may leave out what is zero, such as the angle of a slider.
+        written = new.get(path[0]) if isinstance(new, dict) else new[path[0]]
+        new[path[0]] = _with_change(written, error, change, path[1:])
+        return new
+    if error.path[0] == 'bodies':
+        # A point has two coordinates, each with an error and the play of a pin.
+        point = vector(error.name, entry) + 1j**error.axis * change
+        return [point.real, point.imag]
+    if isinstance(entry, str) and (base := _RELATIVE_ANGLE.match(entry)):
+        return f'{base[1]} + {np.degrees(error.value + change):.15g} deg'
+    return error.value + change
 
 
 def _moving(assembly: Assembly, points: Points) -> dict[str, tuple[int, complex]]:
@@ -271,24 +260,104 @@ def _moving(assembly: Assembly, points: Points) -> dict[str, tuple[int, complex]
     }
 
 
-def _names(assembly: Assembly, points: Points) -> tuple[tuple[str, str], ...]:
+def _names(assembly: Assembly, moving: Sequence[str]) -> tuple[tuple[str, str], ...]:
     """The names of `_quantities`, in their order."""
     of_bodies = [
         (body, quantity)
         for quantity in ('angle', 'angular velocity', 'ICR x', 'ICR y')
         for body in assembly.bodies
     ]
-    moving = _moving(assembly, points)
     return (*of_bodies, *((name, 'x') for name in moving), *((name, 'y') for name in moving))
 
 
-def _quantities(assembly: Assembly, points: Points, values: Real) -> Real:
-    """All quantities (Q, T) from variables (2, n, T)."""
-    position, angle = body_motion(assembly, values)
+def _quantities(
+    linkages: Sequence[_Linkage], points: Sequence[str], rows: Real, inputs: Real, values: Real
+) -> Real:
+    """
+    All quantities (linkages, Q, T) for inputs (2, d, T), next to variables (n, T).
+
+    Linkages that differ in lengths and angles alone are solved together.
+    """
+    alike: dict[tuple[bytes | int, ...], list[int]] = {}
+    for k, (assembly, _) in enumerate(linkages):
+        loops = assembly.loops
+        same = loops.lengths, loops.angles, loops.loops, loops.ties, assembly.origins
+        # The arguments of laws are dimensions too.
+        key = *(array.tobytes() for array in same), k if loops.laws else -1
+        alike.setdefault(key, []).append(k)
+    most = _MOST_POSITIONS // values.shape[1] + 1
+    found = np.empty(0)
+    for numbers in alike.values():
+        for first in range(0, len(numbers), most):
+            part = numbers[first : first + most]
+            solved = _solved([linkages[k] for k in part], points, rows, inputs, values)
+            if not found.size:
+                found = np.empty((len(linkages), *solved.shape[1:]))
+            found[part] = solved
+    return found
+
+
+def _solved(
+    linkages: Sequence[_Linkage], points: Sequence[str], rows: Real, inputs: Real, values: Real
+) -> Real:
+    """All quantities (linkages, Q, T) of linkages that differ in lengths and angles alone."""
+    count, positions = len(linkages), values.shape[1]
+    assembly, own = _with_inputs([linkage.assembly for linkage in linkages], rows)
+    all_inputs = np.zeros((2, len(assembly.loops.drives), count, positions))
+    all_inputs[:, : len(rows)] = inputs[:, :, None]
+    all_inputs[0, len(rows) :] = own.T[:, :, None]
+    guess = np.zeros((len(assembly.loops.variables), count, positions))
+    guess[: len(values)] = values[:, None]
+    flat_inputs, flat_guess = (a.reshape(*a.shape[:-2], -1) for a in (all_inputs, guess))
+    solution = solve(reduce(assembly.loops), flat_inputs, flat_guess, 2)
+    position, angle = (
+        part.reshape(*part.shape[:-1], count, positions)
+        for part in body_motion(assembly, solution.values)
+    )
+    fastest = np.nanmax(np.abs(angle[1]), axis=(0, 2), keepdims=True, initial=0.0)
     with np.errstate(divide='ignore', invalid='ignore'):
         icr = position[0] + 1j * position[1] / angle[1]
-    icr[np.abs(angle[1]) <= _MIN_RATE * np.nanmax(np.abs(angle[1]), initial=0.0)] = np.nan
+    icr[np.abs(angle[1]) <= _MIN_RATE * fastest] = np.nan
     turn = np.exp(1j * angle[0])
-    moving = [position[0, b] + point * turn[b] for b, point in _moving(assembly, points).values()]
-    moved = np.reshape(moving, (len(moving), values.shape[-1]))
-    return np.concatenate((*angle, icr.real, icr.imag, moved.real, moved.imag))
+    moved = np.empty((len(points), count, positions), complex)
+    for row, name in zip(moved, points, strict=True):
+        b = assembly.bodies.index(linkages[0].points[name][0])
+        arms = np.array([linkage.points[name][1] for linkage in linkages])
+        row[...] = position[0, b] + arms[:, None] * turn[b]
+    return np.concatenate((*angle, icr.real, icr.imag, moved.real, moved.imag)).swapaxes(0, 1)
+
+
+def _with_inputs(assemblies: Sequence[Assembly], rows: Real) -> tuple[Assembly, Real]:
+    """
+    One linkage for several (K) that differ in lengths and angles alone: these are inputs (K, .).
+
+    They follow those of the drivers with the given `rows` (d, n), and each is a variable or the
+    right side of a tie.
+    """
+    assembly, loops = assemblies[0], assemblies[0].loops
+    length0, angle0, tie0 = (
+        np.array([getattr(one.loops, name) for one in assemblies])
+        for name in ('length0', 'angle0', 'tie0')
+    )
+    by_length, by_angle, by_tie = (
+        (array != array[0]).any(axis=0) for array in (length0, angle0, tie0)
+    )
+    terms, count = loops.lengths.shape
+    added = np.eye(terms)[:, by_length], np.eye(terms)[:, by_angle]
+    more = added[0].shape[1] + added[1].shape[1]
+
+    def wider(array: Real) -> Real:
+        return np.pad(array, ((0, 0), (0, more)))
+
+    new = loops._replace(
+        variables=(*loops.variables, *(f'input {k + 1}' for k in range(more))),
+        lengths=np.hstack((loops.lengths, added[0], np.zeros_like(added[1]))),
+        length0=np.where(by_length, 0.0, loops.length0),
+        angles=np.hstack((loops.angles, np.zeros_like(added[0]), added[1])),
+        angle0=np.where(by_angle, 0.0, loops.angle0),
+        ties=wider(loops.ties[~by_tie]),
+        tie0=loops.tie0[~by_tie],
+        drives=np.vstack((wider(rows), wider(loops.ties[by_tie]), np.eye(count + more)[count:])),
+    )
+    own = np.hstack((tie0[:, by_tie], length0[:, by_length], angle0[:, by_angle]))
+    return assembly._replace(loops=new, turns=wider(assembly.turns)), own

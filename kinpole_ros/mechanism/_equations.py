@@ -5,21 +5,12 @@ The joints of a scene as equations between poses, with the dimensions of the sce
 path in the scene's file, so that a fit can change it and a message can name it.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._constraints import SIZES
-from kinpole_ros.mechanism._joint_kinds import (
-    GROUND,
-    Belt,
-    Joint,
-    Revolute,
-    Rolling,
-    Slot,
-    Strut,
-)
+from kinpole_ros.mechanism._joint_kinds import GROUND, Joint, Revolute, Slot
 from kinpole_ros.mechanism._vectors import Vectors
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -55,23 +46,18 @@ class Part(NamedTuple):
 
 class Equation(NamedTuple):
     """
-    A joint whose numbers are dimensions: the point `b` of `other` is at the point `a` of `one`.
+    A joint of some `kind` whose points and sizes are dimensions.
 
-    Points are sums of parts, all else numbers of dimensions. Without any of these the joint is a
-    pin. With `along` it is a slot, with `turned` a guide, with `radius` a wheel that rolls on a
-    line, or, without `along`, on a `circle`.
+    Its points are sums of parts, its `sizes` the numbers of dimensions by the names of its fields.
     """
 
+    kind: Callable[..., Joint]
     name: str
     one: str
     a: tuple[Part, ...]
     other: str
     b: tuple[Part, ...]
-    along: int | None = None
-    turned: int | None = None
-    radius: int | None = None
-    circle: int | None = None
-    start: int | None = None
+    sizes: dict[str, int]
 
 
 class Equations(NamedTuple):
@@ -110,26 +96,19 @@ def joint_at(equations: Equations, number: int, values: Real) -> tuple[Joint, Re
     The joint of an equation at dimensions `values` (D,), m and rad.
 
     The `start` of a wheel is the difference to the scene's own, since no scene tells which teeth
-    are in mesh. Also its sizes' derivatives (9, D) by the dimensions, in the order of the columns
-    of `constraint_rows` from the seventh on.
+    are in mesh. Also the derivatives (4 + s, D) of both points and of its sizes by the dimensions,
+    in the order of the columns of `constraint_rows` from the seventh on.
     """
     equation = equations.joints[number]
     (a, by_a), (b, by_b) = part_sum(equation.a, values), part_sum(equation.b, values)
-    by_dimension = np.zeros((len(SIZES), len(values)))
+    sizes = {key: float(values[number]) for key, number in equation.sizes.items()}
+    by_dimension = np.zeros((4 + len(sizes), len(values)))
     by_dimension[:4] = by_a.real, by_a.imag, by_b.real, by_b.imag
-    sizes: dict[str, Any] = {}
-    for row, key in enumerate(SIZES[4:], 4):
-        dimension = getattr(equation, key)
-        if dimension is not None:
-            by_dimension[row, dimension] = 1.0
-            sizes[key] = float(values[dimension])
-    if equation.start is not None:
-        sizes['start'] -= equations.dimensions[equation.start].value
-    kind: type[Revolute | Slot | Rolling] = Revolute if equation.along is None else Slot
-    if equation.radius is not None:
-        kind = Rolling
-    joint = kind(name=equation.name, one=equation.one, a=a, other=equation.other, b=b, **sizes)
-    return joint, by_dimension
+    by_dimension[range(4, 4 + len(sizes)), list(equation.sizes.values())] = 1.0
+    if 'start' in sizes:
+        sizes['start'] -= equations.dimensions[equation.sizes['start']].value
+    points: dict[str, Any] = {'one': equation.one, 'a': a, 'other': equation.other, 'b': b}
+    return equation.kind(name=equation.name, **points, **sizes), by_dimension
 
 
 class _Dimensions:
@@ -168,26 +147,15 @@ def equations_of_joints(
     equations = []
     numbers = [-1] * (len(joints) - len(entries)) + list(entries)
     for k, joint in zip(numbers, joints, strict=True):
-        if isinstance(joint, Strut | Belt):
+        if joint.is_span:
             continue
-        if isinstance(joint, Revolute):
-            point = joint.name.partition('.')[0]
-            a = rows.point(joint.one, point, joint.a)
-            b = rows.point(joint.other, point, joint.b)
-            equations.append(Equation(joint.name, joint.one, a, joint.other, b))
-            continue
-        entry = entries[k]
-        kind = next(key for key in ('slot', 'prismatic', 'rolling') if key in entry)
-        a = rows.point(joint.one, entry['on'].partition('.')[2], joint.a)
-        b = rows.point(joint.other, entry[kind].partition('.')[2], joint.b)
-        sizes = {'along': 'angle'}
-        if isinstance(joint, Slot) and joint.turned is not None:
-            sizes['turned'] = 'angle'
-        elif isinstance(joint, Rolling):
-            on_line = {'radius': 'length', 'start': 'length', 'along': 'angle'}
-            on_circle = {'radius': 'length', 'start': 'angle', 'circle': 'length'}
-            sizes = on_circle if joint.circle else on_line
-        dimensions = {
+        names = [joint.name.partition('.')[0]] * 2
+        if k >= 0:
+            entry = entries[k]
+            kind = next(key for key in ('slot', 'prismatic', 'rolling') if key in entry)
+            names = [entry[key].partition('.')[2] for key in ('on', kind)]
+        a, b = rows.point(joint.one, names[0], joint.a), rows.point(joint.other, names[1], joint.b)
+        sizes = {
             key: rows.add(
                 f'{joint.name}.{key}',
                 getattr(joint, key),
@@ -195,9 +163,9 @@ def equations_of_joints(
                 # No scene tells which teeth are in mesh.
                 () if key == 'start' else ('joints', k, key),
             )
-            for key, kind in sizes.items()
+            for key, kind in joint.sizes().items()
         }
-        equations.append(Equation(joint.name, joint.one, a, joint.other, b, **dimensions))
+        equations.append(Equation(type(joint), joint.name, joint.one, a, joint.other, b, sizes))
     own: dict[str, tuple[str, tuple[Part, ...]]] = {body: (body, ()) for body in bodies}
     return Equations((*bodies, GROUND), tuple(rows.rows), tuple(equations), own)
 
@@ -293,7 +261,6 @@ def _node_equations(bodies: dict[str, dict[object, _Node]]) -> Iterator[Equation
         first, position = rigid[0]
         for body, at in having:
             if body != first and len(at.slides) <= 1:
-                along = at.slides[0][1] if at.slides else None
-                yield Equation(
-                    f'{first}-{body}', body, at.position, first, position.position, along
-                )
+                kind, sizes = (Slot, {'along': at.slides[0][1]}) if at.slides else (Revolute, {})
+                name, place = f'{first}-{body}', position.position
+                yield Equation(kind, name, body, at.position, first, place, sizes)

@@ -5,7 +5,7 @@ Both are the power of the loads in a motion in which one driver or joint gives w
 (`_virtual_motions`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -14,15 +14,31 @@ import numpy as np
 
 from kinpole_ros.mechanism._assembly import poses_of
 from kinpole_ros.mechanism._dead_points import loose_variables
-from kinpole_ros.mechanism._joint_kinds import ACROSS, ALONG, GROUND, TURN, Pose, Rolling
-from kinpole_ros.mechanism._loads import Force, Load, check_loads
-from kinpole_ros.mechanism._loops import LinkageError
+from kinpole_ros.mechanism._joint_kinds import (
+    ACROSS,
+    ALONG,
+    GROUND,
+    TURN,
+    Joint,
+    Pose,
+)
+from kinpole_ros.mechanism._loads import (
+    Force,
+    Load,
+    check_loads,
+    generalized_forces,
+    load_part,
+)
+from kinpole_ros.mechanism._loops import LinkageError, weigh
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._virtual_motions import (
+    MOST_NUMBERS,
     UNSTRESSED,
     VirtualMotions,
-    has_teeth,
+    driver_motions,
+    powers,
     virtual_motions,
+    without_rounding,
 )
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -41,17 +57,20 @@ class Release(NamedTuple):
     powers: Real
 
 
-class UnitMotion(NamedTuple):
-    """
-    The bodies (B) at T positions when one driver moves at unit rate, the others held.
+class _Efforts(NamedTuple):
+    """Shares (loads, d, T) of loads in the efforts (d, T), and where these are determined (T,)."""
 
-    `velocity` (B, T), complex, is that of their origins, `omega` (B, T) the angular one, `rates`
-    (n, T) those of the variables; NaN where they are not determined.
-    """
+    share: Real
+    effort: Real
+    determined: np.ndarray
 
-    velocity: Complex
-    omega: Real
-    rates: Real
+
+class _JointForces(NamedTuple):
+    """Points and axes (J, T) of the joints, and forces along and across and moments (3, J, T)."""
+
+    at: Complex
+    axis: Complex
+    components: Real
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +107,7 @@ class Statics:
     Notes
     -----
     Seed 003: virtual work for the efforts, and one constraint released at a time for reactions.
+    Both are computed when first asked for, the efforts from the rates alone.
 
     """
 
@@ -98,55 +118,20 @@ class Statics:
     def __post_init__(self) -> None:
         check_loads(self.mechanism, self.loads)
 
-    @cached_property
-    def poses(self) -> dict[str, Pose]:
-        """Poses of all bodies by name, the ground first."""
-        return poses_of(self.mechanism.assembly, self.values)
-
-    @cached_property
-    def motions(self) -> VirtualMotions:
-        """The motions in which one joint or driver gives way."""
-        return virtual_motions(self.mechanism, self.values, self.poses)
-
-    @cached_property
-    def determined(self) -> np.ndarray:
-        """Positions (T,) at which joints and drivers determine the poses of all bodies."""
-        return self.motions.determined
-
-    @cached_property
+    @property
     def share(self) -> Real:
         """The part (loads, d, T) of each load in the efforts, N or N m."""
-        return -self._powers(self.loads)[:, self.motions.drivers]
+        return self._efforts.share
 
-    @cached_property
+    @property
     def effort(self) -> Real:
         """Efforts of the drivers (d, T), N or N m, positive along their rates."""
-        return self.share.sum(axis=0) + 0.0 * self.motions.rates[0, self.motions.drivers]
+        return self._efforts.effort
 
-    def unit_motion(self, driver: int) -> UnitMotion:
-        """All bodies at unit rate of a driver, the others held."""
-        motion = self.motions.rates[:, self.motions.drivers][:, driver]
-        x, y, rates = np.split(motion, [len(self.poses) - 1, 2 * len(self.poses) - 2])
-        return UnitMotion(x + 1j * y, self.mechanism.assembly.turns @ rates, rates)
-
-    def load_rates(self, driver: int = 0) -> list[Complex | Real]:
-        """
-        Velocities (T,) of the loads' points or bodies at unit rate of a driver, the others held.
-
-        Complex, in the ground's axes, for a force; the angular velocity for a torque.
-        """
-        motion = self.unit_motion(driver)
-        rates: list[Complex | Real] = []
-        for load in self.loads:
-            if load.body == GROUND:
-                rates.append(np.zeros(self.values.shape[1]))
-                continue
-            b = self.mechanism.bodies.index(load.body)
-            rate = motion.omega[b]
-            if isinstance(load, Force):
-                rate = motion.velocity[b] + 1j * rate * load.point * self.poses[load.body].turn
-            rates.append(rate)
-        return rates
+    @property
+    def determined(self) -> np.ndarray:
+        """Positions (T,) at which joints and drivers determine the poses of all bodies."""
+        return self._efforts.determined
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -156,27 +141,27 @@ class Statics:
     @property
     def at(self) -> Complex:
         """Points (J, T), complex, m, at which the reactions act."""
-        return self.motions.contact
+        return self._joint_forces.at
 
     @property
     def axis(self) -> Complex:
         """Directions (J, T) of the joints, complex of length 1."""
-        return self.motions.axis
+        return self._joint_forces.axis
 
     @property
     def along(self) -> Real:
         """Reactions (J, T), N, along the axes of the joints."""
-        return self._reactions[ALONG]
+        return self._joint_forces.components[ALONG]
 
     @property
     def across(self) -> Real:
         """Reactions (J, T), N, across the axes of the joints, to the left."""
-        return self._reactions[ACROSS]
+        return self._joint_forces.components[ACROSS]
 
     @property
     def moment(self) -> Real:
         """Moments (J, T), N m, of prismatic joints."""
-        return self._reactions[TURN]
+        return self._joint_forces.components[TURN]
 
     @property
     def force(self) -> Complex:
@@ -186,81 +171,151 @@ class Statics:
     @property
     def unique(self) -> np.ndarray:
         """Whether (J, T) statics alone determines the reaction of a joint."""
-        return np.isfinite(self.along + self.across + self.moment)
+        return np.isfinite(self._joint_forces.components).all(axis=0)
 
-    @cached_property
-    def acting(self) -> list[Load]:
-        """The loads with those by which teeth with a pressure angle separate each other."""
-        joints = self.mechanism.assembly.joints
-        if not any(map(has_teeth, joints)):
-            return list(self.loads)
-        # These do no work, so the force that teeth transmit does not depend on them.
-        transmitted = -self._powers(self.loads).sum(axis=0)
-        acting = list(self.loads)
-        for row, (k, direction) in enumerate(self.motions.labels):
-            if k is not None and direction == ALONG and has_teeth(joints[k]):
-                acting += separating_loads(self, k, transmitted[row])
-        return acting
+    def load_rates(self, driver: int = 0) -> list[Complex | Real]:
+        """
+        Velocities (T,) of the loads' points or bodies at unit rate of a driver, the others held.
+
+        Complex, in the ground's axes, for a force; the angular velocity for a torque.
+        """
+        bodies, poses = self.mechanism.bodies, poses_of(self.mechanism.assembly, self.values)
+        motion = driver_motions(self.mechanism, self.values).rates[:, driver]
+        x, y, omega = motion.reshape(3, len(bodies), -1)
+        rates: list[Complex | Real] = []
+        for load in self.loads:
+            if load.body == GROUND:
+                rates.append(np.zeros(self.values.shape[1]))
+                continue
+            b = bodies.index(load.body)
+            rate = omega[b]
+            if isinstance(load, Force):
+                turning = 1j * omega[b] * load.point * poses[load.body].turn
+                rate = np.empty(turning.shape, complex)
+                for part, first, last in ('real', x[b], turning.real), ('imag', y[b], turning.imag):
+                    size = np.abs(first) + np.abs(last)
+                    setattr(rate, part, without_rounding(first + last, size))
+            rates.append(rate)
+        return rates
 
     @cached_property
     def releases(self) -> list[Release]:
-        """Each constraint of each joint let go, one at a time, in the order of the joints."""
+        """
+        Each constraint of each joint let go, one at a time, in the order of the joints.
+
+        The loads are followed by those with which teeth with a pressure angle separate.
+        """
         if reason := why_no_reactions(self.mechanism):
             raise LinkageError(reason)
-        powers, joints = self._powers(self.acting), self.mechanism.assembly.joints
+        poses = poses_of(self.mechanism.assembly, self.values)
+        motions = virtual_motions(self.mechanism, self.values, poses)
+        forces = generalized_forces(self.mechanism, self.loads, poses)
+        forces = _with_teeth(self.mechanism, motions, poses, forces)
+        power = powers(forces, np.abs(forces), motions.rates)
         released = []
-        for k, direction, row in self.motions.bearings:
-            way = None if direction == TURN else 1j**direction * self.axis[k]
-            released.append(Release(joints[k].name, way, powers[:, row]))
+        for k, direction, row in motions.bearings:
+            way = None if direction == TURN else 1j**direction * motions.axis[k]
+            released.append(Release(self.joints[k], way, power[:, row]))
         return released
 
     @cached_property
-    def _reactions(self) -> Real:
-        """Reactions (3, J, T): along the axis, across it, and moments."""
+    def _efforts(self) -> _Efforts:
+        return _Efforts(*self._in_parts(_efforts))
+
+    @cached_property
+    def _joint_forces(self) -> _JointForces:
         if reason := why_no_reactions(self.mechanism):
             raise LinkageError(reason)
-        forces = 0.0 * self.motions.rates[0] - self._powers(self.acting).sum(axis=0)
-        components = np.zeros((3, *self.at.shape))
-        components[:, :, ~self.determined] = np.nan
-        for k, direction, row in self.motions.bearings:
-            components[direction, k] = forces[row]
-        for k, joint in enumerate(self.mechanism.assembly.joints):
-            if isinstance(joint, Rolling) and joint.pressure is not None:
-                components[ACROSS, k] = np.abs(components[ALONG, k]) * np.tan(joint.pressure)
-        for k, direction, row in self.motions.driven_struts:
-            components[direction, k] = forces[row]
-        return components
+        return _JointForces(*self._in_parts(_joint_forces))
 
-    def _powers(self, loads: Sequence[Load]) -> Real:
-        """Powers (loads, rows, T) of loads in the virtual motions."""
-        assembly, motions = self.mechanism.assembly, self.motions.rates
-        count = len(assembly.bodies)
-        turning = np.einsum('bn,nrt->brt', assembly.turns, motions[2 * count :])
-        powers = np.zeros((len(loads), *motions.shape[1:]))
-        for power, load in zip(powers, loads, strict=True):
-            if load.body == GROUND:
-                continue
-            b = assembly.bodies.index(load.body)
-            if isinstance(load, Force):
-                force = np.asarray(load.force, complex)
-                arm = load.point * self.poses[load.body].turn
-                power += force.real * motions[b] + force.imag * motions[count + b]
-                power += (np.conj(arm) * force).imag * turning[b]
-            else:
-                power += load.torque * turning[b]
-        return powers
+    def _in_parts(
+        self, compute: Callable[[Mechanism, Real, Sequence[Load]], tuple[np.ndarray, ...]]
+    ) -> list[np.ndarray]:
+        """What `compute` gives, (..., T), for as many positions at a time as memory is bounded."""
+        count, size = self.values.shape[1], 2 * len(self.mechanism.bodies) + len(self.values)
+        most = MOST_NUMBERS // size**2 + 1
+        parts = [slice(first, first + most) for first in range(0, max(count, 1), most)]
+        computed = [
+            compute(
+                self.mechanism, self.values[:, part], [load_part(one, part) for one in self.loads]
+            )
+            for part in parts
+        ]
+        return [np.concatenate(arrays, axis=-1) for arrays in zip(*computed, strict=True)]
 
 
-def separating_loads(statics: Statics, k: int, transmitted: Real) -> list[Load]:
-    """The two forces that separate the teeth of joint k, which transmit a force (T,)."""
-    joint = statics.mechanism.assembly.joints[k]
-    assert isinstance(joint, Rolling)
-    push = np.abs(transmitted) * np.tan(joint.pressure or 0.0) * 1j * statics.axis[k]
+def _efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> _Efforts:
+    """Efforts by the rates of the drivers."""
+    poses = poses_of(mechanism.assembly, values)
+    motions, determined = driver_motions(mechanism, values)
+    forces = generalized_forces(mechanism, loads, poses)
+    share = 0.0 - powers(forces, np.abs(forces), motions)
+    effort = without_rounding(share.sum(axis=0), np.abs(share).sum(axis=0))
+    # Nothing but joints with teeth can lack more than the loops tell: what holds their hubs.
+    if _has_teeth(mechanism) and not why_no_reactions(mechanism):
+        determined = virtual_motions(mechanism, values, poses).determined
+        share[..., ~determined] = np.nan
+    return _Efforts(share, effort + 0.0 * motions.sum(axis=0), determined)
+
+
+def _joint_forces(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> _JointForces:
+    """Reactions by the power of all loads in the motion in which each row gives way."""
+    joints, poses = mechanism.assembly.joints, poses_of(mechanism.assembly, values)
+    motions = virtual_motions(mechanism, values, poses)
+    forces = generalized_forces(mechanism, loads, poses)
+    forces = _with_teeth(mechanism, motions, poses, forces)
+    force = 0.0 - powers(forces.sum(axis=0), np.abs(forces).sum(axis=0), motions.rates)
+    components = np.zeros((3, *motions.axis.shape))
+    for k, direction, row in motions.bearings:
+        components[direction, k] = force[row]
+    efforts = force[len(force) - len(mechanism.drivers) :]
+    names, rows = mechanism.assembly.loops.variables, mechanism.driver_rows
+    for k, joint in enumerate(joints):
+        if joint.pressure is not None:
+            components[ACROSS, k] = np.abs(components[ALONG, k]) * np.tan(joint.pressure)
+        elif joint.is_span and joint.is_driven:
+            # The effort of a driver is the force of a strut, or over its length that across it.
+            length, angle = names.index(joint.name), names.index(f'{joint.name}.angle')
+            components[ALONG, k] = weigh(rows[:, [length]].T, efforts)[0]
+            components[ACROSS, k] = weigh(rows[:, [angle]].T, efforts)[0] / values[length]
+    components[:, :, ~motions.determined] = np.nan
+    return _JointForces(motions.contact, motions.axis, components)
+
+
+def _with_teeth(
+    mechanism: Mechanism, motions: VirtualMotions, poses: dict[str, Pose], forces: Real
+) -> Real:
+    """
+    Generalized forces (loads, 3B, T), and those by which teeth separate each other.
+
+    These do no work, so the force that teeth transmit does not depend on them.
+    """
+    if not _has_teeth(mechanism):
+        return forces
+    joints = mechanism.assembly.joints
+    transmitted = powers(forces.sum(axis=0), np.abs(forces).sum(axis=0), motions.rates)
+    loads: list[Load] = []
+    for row, (k, direction) in enumerate(motions.labels):
+        if k is not None and direction == ALONG and joints[k].pressure is not None:
+            at, axis = motions.contact[k], motions.axis[k]
+            loads += separating_loads(joints[k], poses, at, axis, transmitted[row])
+    return np.concatenate((forces, generalized_forces(mechanism, loads, poses)))
+
+
+def _has_teeth(mechanism: Mechanism) -> bool:
+    """Whether any wheels have teeth with a pressure angle."""
+    return any(joint.pressure is not None for joint in mechanism.assembly.joints)
+
+
+def separating_loads(
+    joint: Joint, poses: dict[str, Pose], at: Complex, axis: Complex, transmitted: Real
+) -> list[Load]:
+    """The two forces that separate the teeth of a joint, which transmit a force (T,)."""
+    push = np.abs(transmitted) * np.tan(joint.pressure or 0.0) * 1j * axis
     loads: list[Load] = []
     for body, force in ((joint.one, -push), (joint.other, push)):
         if body != GROUND:
-            pose = statics.poses[body]
-            arm = (statics.at[k] - pose.position) * pose.turn.conj()
+            arm = (at - poses[body].position) * poses[body].turn.conj()
             loads.append(Force(body, arm, force))
     return loads
 
@@ -268,13 +323,15 @@ def separating_loads(statics: Statics, k: int, transmitted: Real) -> list[Load]:
 def loose_teeth(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
     """The joints with a pressure angle, at one position (n,), if nothing else holds their hubs."""
     joints = mechanism.assembly.joints
-    toothed = [joint.name for joint in joints if has_teeth(joint)]
+    toothed = [joint.name for joint in joints if joint.pressure is not None]
     if not toothed or why_no_reactions(mechanism):
         return ()
-    smooth = tuple(j._replace(pressure=None) if isinstance(j, Rolling) else j for j in joints)
-    assembly = mechanism.assembly._replace(joints=smooth)
+    smooth = (one.changed(pressure=None) if one.name in toothed else one for one in joints)
+    assembly = mechanism.assembly._replace(joints=tuple(smooth))
     rigid = Mechanism(assembly, mechanism.drivers, mechanism.start)
-    ranks = [Statics(one, values[:, None], ()).motions.rank[0] for one in (mechanism, rigid)]
+    here = values[:, None]
+    poses = poses_of(assembly, here)
+    ranks = [virtual_motions(one, here, poses).rank[0] for one in (mechanism, rigid)]
     return tuple(toothed) if ranks[0] < ranks[1] else ()
 
 
@@ -316,10 +373,11 @@ def undetermined(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
     open_ended = f'{drivers} cannot hold it there, and no effort balances every load'
     if why_no_reactions(mechanism):
         return (f'{dead}: {open_ended}',) if names else ()
-    statics = Statics(mechanism, here, ())
-    system = statics.motions
+    system = virtual_motions(mechanism, here, poses_of(mechanism.assembly, here))
     stressed = system.stress[:, 0] > UNSTRESSED
-    of_joints = (statics.joints[k] for k, _, row in system.bearings if stressed[row])
+    of_joints = (
+        mechanism.assembly.joints[k].name for k, _, row in system.bearings if stressed[row]
+    )
     shared = ', '.join(dict.fromkeys(of_joints))
     if names or not system.determined[0]:
         where = f', in the joints {shared}' if shared else ''

@@ -3,13 +3,15 @@ The kinds of joints, and what each says of its two bodies.
 
 A joint relates the point `a` of the body `one` to the point `b` of the body `other`. Its
 `loop_form` is a chain of vectors from `a` to `b`, with linear ties: `_assembly` makes the vector
-loops of it, `_virtual_motions` the efforts and reactions. `contact` gives its point and axis, and
-`_constraints` its equations between the poses of the two bodies.
+loops of it, `_virtual_motions` the efforts and reactions, `_constraints` its equations between the
+poses of the two bodies. `contact` gives its point and axis; what else the package asks of a joint
+has an answer in `Joint` that suits most kinds.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -74,8 +76,100 @@ class LoopForm(NamedTuple):
     ties: tuple[Tie, ...] = ()
     bears: tuple[int | None, int | None, int | None] = (None, None, None)
 
+    @property
+    def free_slides(self) -> tuple[str, ...]:
+        """The variables that are lengths, and in no tie."""
+        tied = {name for tie in self.ties for name in tie.weights}
+        return tuple(term.slide for term in self.terms if term.slide and term.slide not in tied)
 
-class Revolute(NamedTuple):
+
+class Center(NamedTuple):
+    """
+    What a joint tells of the instant center of its two bodies.
+
+    By its `kind` the center is at the 'pin' or the 'contact', at 'infinity', or anywhere on a
+    'line' through the contact; these two lie in the direction `turn` times the joint's axis. `text`
+    is what an engineer writes for it. The kind '' tells nothing.
+    """
+
+    kind: str = ''
+    text: str = ''
+    turn: complex = 1j
+
+
+class Rim(NamedTuple):
+    """A circle of a `body`, m, in its frame: a wheel, or else a circle that a wheel rolls on."""
+
+    body: str
+    hub: complex
+    radius: float
+    is_wheel: bool = True
+
+
+class Joint:
+    """
+    A joint, and what most kinds of joints answer.
+
+    A kind is a frozen dataclass with at least these fields: its name, both bodies, and the points
+    where it is on them, complex, m, in their frames.
+    """
+
+    name: str
+    one: str
+    a: complex
+    other: str
+    b: complex
+    # The angle, rad, of teeth that push each other away, and the first value of its own variable.
+    pressure: float | None = None
+    start: float = 0.0
+    # Strut and belt: the variables are the length NAME and the direction NAME.angle of a span that
+    # may have any.
+    is_span = False
+    # A belt only holds: its variables are not driven.
+    is_driven = True
+    # Whether pin, slot or teeth have play.
+    has_play = False
+
+    def loop_form(self) -> LoopForm:
+        """The chain of vectors from `a` to `b`, and its ties."""
+        raise NotImplementedError
+
+    def contact(self, one: Pose, other: Pose) -> Contact:
+        """The point at which both bodies act on each other, and the axis of the joint."""
+        raise NotImplementedError
+
+    def center(self) -> Center:
+        """What the joint tells of the instant center of its bodies."""
+        return Center()
+
+    def rims(self) -> tuple[Rim, ...]:
+        """The circles of its bodies that roll, are rolled on, or carry belts."""
+        return ()
+
+    def sizes(self) -> dict[str, str]:
+        """The fields besides both points that a fit may change: each a 'length' or an 'angle'."""
+        return {}
+
+    def displaced(self, play: float) -> 'Joint':
+        """The joint off by its play, m: across a slot, or along the pitch line of wheels."""
+        raise NotImplementedError
+
+    def span(self, between: complex, angles: Mapping[str, float]) -> tuple[float, float]:
+        """Length and direction of a span from `a` to `b`, at angles of the bodies by name."""
+        return abs(between), float(np.angle(between))
+
+    @property
+    def is_carried(self) -> bool:
+        """Whether one body has the hubs of both wheels of a belt, so that its loop never moves."""
+        return False
+
+    def changed(self, **fields: Any) -> Any:
+        """The joint with other values of some fields."""
+        return replace(self, **fields)  # type: ignore[type-var]
+
+
+@dataclass(frozen=True)
+class Revolute(Joint):
     """A pin through the point `a` of the body `one` and the point `b` of `other` (complex, m)."""
 
     name: str
@@ -83,6 +177,8 @@ class Revolute(NamedTuple):
     a: complex
     other: str
     b: complex
+
+    has_play = True
 
     def loop_form(self) -> LoopForm:
         """No vectors: `a` and `b` coincide."""
@@ -93,8 +189,13 @@ class Revolute(NamedTuple):
         at = other.point(self.b)
         return at, np.ones_like(at)
 
+    def center(self) -> Center:
+        """The pin."""
+        return Center('pin', f'pin {self.name}')
 
-class Slot(NamedTuple):
+
+@dataclass(frozen=True)
+class Slot(Joint):
     """
     The point `b` of `other` slides on a line of `one`, through `a` in the direction `along` (rad).
 
@@ -110,6 +211,8 @@ class Slot(NamedTuple):
     b: complex
     turned: float | None = None
 
+    has_play = True
+
     def loop_form(self) -> LoopForm:
         """The slide; a guide ties both angles."""
         guide: tuple[Tie, ...] = ()
@@ -122,8 +225,23 @@ class Slot(NamedTuple):
         """The point that slides, and the direction of the line."""
         return other.point(self.b), one.turn * np.exp(1j * self.along)
 
+    def center(self) -> Center:
+        """At infinity for a guide; a pin in a slot leaves it anywhere on the normal."""
+        if self.turned is None:
+            return Center('line', f'the normal to slot {self.name} through its pin')
+        return Center('infinity', f'at infinity, normal to slide {self.name}')
 
-class Rolling(NamedTuple):
+    def sizes(self) -> dict[str, str]:
+        """The direction, and the angle between both bodies of a guide."""
+        return {'along': 'angle'} | ({} if self.turned is None else {'turned': 'angle'})
+
+    def displaced(self, play: float) -> 'Slot':
+        """Off across the line."""
+        return replace(self, a=self.a + 1j * np.exp(1j * self.along) * play)
+
+
+@dataclass(frozen=True)
+class Rolling(Joint):
     """
     A wheel, the body `other` with its hub at `b` and `radius` (m), rolls on `one` without slip.
 
@@ -145,6 +263,8 @@ class Rolling(NamedTuple):
     circle: float = 0.0
     start: float = 0.0
     pressure: float | None = None
+
+    has_play = True
 
     @property
     def arm(self) -> float:
@@ -176,8 +296,29 @@ class Rolling(NamedTuple):
             axis = -1j * np.sign(self.arm) * between / np.abs(between)
         return hub - 1j * self.radius * axis, axis
 
+    def center(self) -> Center:
+        """The point of contact."""
+        return Center('contact', f'point of contact of {self.name}')
 
-class Strut(NamedTuple):
+    def rims(self) -> tuple[Rim, ...]:
+        """The wheel, and the circle that it rolls on."""
+        wheel = Rim(self.other, self.b, self.radius)
+        on = Rim(self.one, self.a, abs(self.circle), is_wheel=False)
+        return (wheel, on) if self.circle else (wheel,)
+
+    def sizes(self) -> dict[str, str]:
+        """The radius, and of what it rolls on the direction or the radius, and the start."""
+        if self.circle:
+            return {'radius': 'length', 'start': 'angle', 'circle': 'length'}
+        return {'radius': 'length', 'start': 'length', 'along': 'angle'}
+
+    def displaced(self, play: float) -> 'Rolling':
+        """Off along the pitch line."""
+        return replace(self, start=self.start + play / (self.arm if self.circle else 1.0))
+
+
+@dataclass(frozen=True)
+class Strut(Joint):
     """
     A cylinder or spring from the point `a` of `one` to `b` of `other`; it constrains nothing.
 
@@ -190,6 +331,8 @@ class Strut(NamedTuple):
     a: complex
     other: str
     b: complex
+
+    is_span = True
 
     def loop_form(self) -> LoopForm:
         """One vector, whose length and direction are variables."""
@@ -204,7 +347,8 @@ class Strut(NamedTuple):
             return end, between / np.abs(between)
 
 
-class Belt(NamedTuple):
+@dataclass(frozen=True)
+class Belt(Joint):
     """
     One taut strand of a belt, chain or rope, from a wheel on the body `one` to one on `other`.
 
@@ -224,6 +368,8 @@ class Belt(NamedTuple):
     length: float
     direction: float
     carrier: str | None = None
+
+    is_span, is_driven = True, False
 
     def loop_form(self) -> LoopForm:
         """
@@ -247,8 +393,26 @@ class Belt(NamedTuple):
         axis = strand(self, hub - one.point(self.a))[1]
         return hub + 1j * self.radii[1] * axis, axis
 
+    def center(self) -> Center:
+        """Anywhere on the strand."""
+        return Center('line', f'the strand of {self.name}', 1.0)
 
-Joint = Revolute | Slot | Rolling | Strut | Belt
+    def rims(self) -> tuple[Rim, ...]:
+        """Its wheels."""
+        first, last = map(abs, self.radii)
+        wheels = Rim(self.one, self.a, first), Rim(self.other, self.b, last)
+        return tuple(wheel for wheel in wheels if wheel.radius)
+
+    def span(self, between: complex, angles: Mapping[str, float]) -> tuple[float, float]:
+        """The strand between the hubs, whose direction is within half a turn of `direction`."""
+        length, axis = strand(self, np.asarray(between))
+        near = self.direction + angles.get(self.carrier or GROUND, 0.0)
+        return float(length), near + float(np.angle(axis * np.exp(-1j * near)))
+
+    @property
+    def is_carried(self) -> bool:
+        """Whether one body has both hubs."""
+        return self.carrier is not None
 
 
 def strand(joint: 'Belt', hubs: Complex) -> tuple[Real, Complex]:

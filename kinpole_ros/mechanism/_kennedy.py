@@ -14,15 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import joint_extent, poses_of
-from kinpole_ros.mechanism._joint_kinds import (
-    GROUND,
-    Belt,
-    Joint,
-    Revolute,
-    Rolling,
-    Slot,
-    Strut,
-)
+from kinpole_ros.mechanism._joint_kinds import GROUND, Joint
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.planar._plane import Complex, Real
@@ -85,7 +77,7 @@ def deduce(mechanism: Mechanism, values: Real) -> tuple[Step, ...]:
     steps = []
     for m, joint in enumerate(centers.joints):
         pair = centers.pair_of(joint)
-        if pair not in centers.centers and not _is_line(joint) and not isinstance(joint, Strut):
+        if pair not in centers.centers and joint.center().kind not in ('', 'line'):
             steps.append(Step(pair, 'joint', (m,)))
             centers.add(steps[-1])
     remaining = [pair for pair in pairs_of(mechanism) if pair not in centers.centers]
@@ -145,21 +137,13 @@ def explain(mechanism: Mechanism, steps: Sequence[Step]) -> list[str]:
 
     def line(pair: Pair, code: int) -> str:
         if code < 0:
-            joint = joints[~code]
-            if isinstance(joint, Belt):
-                return f'the strand of {joint.name}'
-            return f'the normal to slot {joint.name} through its pin'
+            return joints[~code].center().text
         return f'line {center(pair[0], code)}-{center(code, pair[1])}'
 
     lines = [', '.join(f'{k + 1} {name}' for k, name in enumerate(bodies))]
     for pair, rule, by in steps:
         if rule == 'joint':
-            joint = joints[by[0]]
-            text = {
-                Revolute: f'pin {joint.name}',
-                Slot: f'at infinity, normal to slide {joint.name}',
-                Rolling: f'point of contact of {joint.name}',
-            }[type(joint)]
+            text = joints[by[0]].center().text
         elif rule == 'lines':
             text = ' meets '.join(line(pair, code) for code in by)
         elif rule == 'same':
@@ -193,7 +177,7 @@ class _CenterMap:
         self.centers: dict[Pair, tuple[Real, Real]] = {}
         self._slots: dict[Pair, list[int]] = {}
         for m, joint in enumerate(self.joints):
-            if _is_line(joint):
+            if joint.center().kind == 'line':
                 self._slots.setdefault(self.pair_of(joint), []).append(m)
 
     def pair_of(self, joint: Joint) -> Pair:
@@ -230,7 +214,8 @@ class _CenterMap:
     def _center(self, step: Step) -> tuple[Real, Real]:
         if step.rule == 'joint':
             m = step.by[0]
-            point = self._normal(m) if isinstance(self.joints[m], Slot) else self._contact(m)
+            is_far = self.joints[m].center().kind == 'infinity'
+            point = self._normal(m) if is_far else self._contact(m)
             return point, np.ones(point.shape[1])
         if step.rule == 'same':
             return self.centers[_ordered(step.pair[0], step.by[0])]
@@ -251,13 +236,7 @@ class _CenterMap:
 
     def _normal(self, m: int) -> Real:
         """The point at infinity (3, T) at a right angle to a slot, or along a belt."""
-        axis = self._contacts[m][1]
-        return _homogeneous(axis if isinstance(self.joints[m], Belt) else 1j * axis, 0.0)
-
-
-def _is_line(joint: Joint) -> bool:
-    """Whether a joint gives only a line for its bodies' center: a pin in a slot, a belt."""
-    return isinstance(joint, Belt) or (isinstance(joint, Slot) and joint.turned is None)
+        return _homogeneous(self.joints[m].center().turn * self._contacts[m][1], 0.0)
 
 
 def _ordered(i: int, j: int) -> Pair:

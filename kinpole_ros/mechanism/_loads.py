@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import poses_of
-from kinpole_ros.mechanism._joint_kinds import GROUND
+from kinpole_ros.mechanism._joint_kinds import GROUND, Pose
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.planar import body_point_derivative
@@ -91,6 +91,29 @@ def check_loads(mechanism: Mechanism, loads: Sequence[Load]) -> None:
                 f'a load is on {load.body}, which is no body: there are '
                 f'{", ".join(mechanism.bodies)}'
             )
+
+
+def load_part(load: Load, part: slice) -> Load:
+    """A load at some of the positions: what it has for each (T,) is cut."""
+    fields = {name: value for name, value in load._asdict().items() if np.size(value) > 1}
+    return load._replace(**{name: value[part] for name, value in fields.items()})
+
+
+def generalized_forces(mechanism: Mechanism, loads: Sequence[Load], poses: dict[str, Pose]) -> Real:
+    """Forces x and y, and moments about the origins, of loads on the bodies: (loads, 3B, T)."""
+    bodies = mechanism.bodies
+    forces = np.zeros((len(loads), 3, len(bodies), len(poses[GROUND].angle)))
+    for row, load in zip(forces, loads, strict=True):
+        if load.body == GROUND:
+            continue
+        b = bodies.index(load.body)
+        if isinstance(load, Force):
+            force = np.asarray(load.force, complex)
+            arm = load.point * poses[load.body].turn
+            row[0, b], row[1, b], row[2, b] = force.real, force.imag, (arm.conj() * force).imag
+        else:
+            row[2, b] = load.torque
+    return forces.reshape(len(loads), 3 * len(bodies), forces.shape[-1])
 
 
 def spring_loads(

@@ -90,7 +90,7 @@ def sound_orders(linkage: Linkage, inputs: Real, solution: Solution) -> np.ndarr
     orders = np.full(solution.closed.shape, len(solution.values))
     least = np.abs(solution.determinant).min(axis=0, initial=1.0)
     near = np.flatnonzero(least < _NEAR)
-    if not len(near):
+    if not len(near) or len(solution.values) == 1:
         return orders
     loops = linkage.loops
     size = float(np.abs(loops.length0).max(initial=0.0)) or 1.0

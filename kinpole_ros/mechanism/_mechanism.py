@@ -57,6 +57,20 @@ class Motion(NamedTuple):
     sound: np.ndarray
 
 
+class UnitRates(NamedTuple):
+    """
+    Motions of a linkage at T positions, each at unit rate of one of its drivers (d).
+
+    `velocity` (d, B, T), complex, is that of the bodies' origins, `omega` (d, B, T) the angular
+    one, `variables` (d, n, T) the rates of the variables; NaN where they are not `regular` (T,).
+    """
+
+    velocity: Complex
+    omega: Real
+    variables: Real
+    regular: np.ndarray
+
+
 @dataclass(eq=False)
 class Mechanism:
     """
@@ -105,19 +119,17 @@ class Mechanism:
             raise LinkageError('a sweep is over one driver: hold the others')
         return self._at(lambda part: unit_input(at[part], orders), len(at), at, None, orders)
 
-    def unit_rates(self, values: Real) -> tuple[Complex, Real]:
-        """
-        Velocities of all bodies per unit rate of each driver at variables (n, T) as given.
-
-        Returns those of the origins (d, B, T), complex, and the angular ones (d, B, T).
-        """
-        rates = []
-        for k in range(len(self.drivers)):
-            solution = self.rates(values, k)
-            position, angle = body_motion(self.assembly, solution.values)
-            rates.append((position[1], angle[1]))
-        velocity, omega = zip(*rates, strict=True)
-        return np.stack(velocity), np.stack(omega)
+    def unit_rates(self, values: Real) -> UnitRates:
+        """The motion at unit rate of each driver, the others held, at variables (n, T) as given."""
+        drivers, count = len(self.drivers), values.shape[1]
+        solutions = [self.rates(values, k) for k in range(drivers)]
+        variables = np.reshape([solution.values[1] for solution in solutions], (-1, *values.shape))
+        regular = (solutions or [self.rates(values)])[0].regular
+        shape = drivers, len(self.bodies), count
+        moving = [body_motion(self.assembly, solution.values) for solution in solutions]
+        velocity = np.reshape([position[1] for position, _ in moving], shape)
+        omega = np.reshape([angle[1] for _, angle in moving], shape)
+        return UnitRates(velocity, omega, variables, regular)
 
     def rates(self, values: Real, driver: int | None = None) -> Solution:
         """The first-order solution at variables (n, T), at unit rate of one driver or at rest."""

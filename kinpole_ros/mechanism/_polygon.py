@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly, poses_of
-from kinpole_ros.mechanism._joint_kinds import GROUND, Rolling, Slot, Strut
+from kinpole_ros.mechanism._joint_kinds import GROUND
 from kinpole_ros.mechanism._mechanism import Motion
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.mechanism._scene import Scene
@@ -134,7 +134,7 @@ def _body_points(scene: Scene, values: Real) -> BodyPoints:
     assembly = scene.mechanism.assembly
     poses = poses_of(assembly, values[:, None])
     points: BodyPoints = {body: {} for body in poses}
-    rolling = [joint for joint in assembly.joints if isinstance(joint, Rolling)]
+    rolling = [joint for joint in assembly.joints if joint.center().kind == 'contact']
     for joint in rolling:
         at, _ = joint.contact(poses[joint.one], poses[joint.other])
         for body in (joint.one, joint.other):
@@ -188,18 +188,16 @@ def _joint_sides(
     """Vectors along slides and struts, from the point `a` of one body to `b` of the other."""
     rows = dict(zip(assembly.loops.variables, values.T, strict=True)) | {GROUND: np.zeros(3)}
     for joint in assembly.joints:
-        if isinstance(joint, Strut):
-            turn = rows[f'{joint.name}.angle']
-        elif isinstance(joint, Slot):
-            turn = rows[joint.one] + np.array([joint.along, 0.0, 0.0])
-        else:
+        terms = joint.loop_form().terms
+        if len(terms) != 1 or not terms[0].slide or joint.rims():
             continue
+        turn = rows[terms[0].turn] + np.array([terms[0].offset, 0.0, 0.0])
         head, tail = (
             next(name for name, z in points[body].items() if z == point)
             for body, point in ((joint.other, joint.b), (joint.one, joint.a))
         )
         components = _components(order, rows[joint.name], turn)
-        at_rest = isinstance(joint, Slot) and joint.one == GROUND
+        at_rest = terms[0].turn == GROUND
         label = head if at_rest else _relative_name(head, tail)
         yield Side(label, '', image(joint.one, joint.a), components)
 

@@ -21,7 +21,7 @@ from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._motions import BodyMotion
 from kinpole_ros.mechanism._scene_bodies import read_bodies
-from kinpole_ros.mechanism._scene_file import parse_scene, read_scene, scene_path
+from kinpole_ros.mechanism._scene_file import is_text, parse_scene, read_scene, scene_path
 from kinpole_ros.mechanism._scene_inputs import (
     read_drivers,
     read_held_by,
@@ -58,7 +58,7 @@ class Scene:
     `springs` and `masses` add loads that depend on position and motion; `held_by` balances them, if
     not the drivers do. `equations` are those of its joints between the poses of the bodies; `free`
     names the dimensions to be fitted, none for all. After `course`, s, all drivers have been
-    through their ranges once; 0 where one has no end.
+    through their ranges once; 0 where one has no end. `data` are those of the file.
     """
 
     name: str
@@ -74,6 +74,7 @@ class Scene:
     equations: Equations
     free: tuple[str, ...]
     course: float
+    data: Mapping[str, Any]
 
 
 def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
@@ -100,8 +101,8 @@ def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
     """
     if isinstance(source, Mapping):
         path, data = Path('scene'), dict(source)
-    elif isinstance(source, str) and '\n' in source:
-        path, data = Path('scene'), parse_scene('scene', source)
+    elif is_text(source):
+        path, data = Path('scene'), parse_scene('scene', str(source))
     else:
         path = scene_path(source)
         data = read_scene(path)
@@ -163,6 +164,7 @@ def _scene(path: Path, data: Any) -> Scene:
         equations=equations,
         free=_free(data.get('free')),
         course=max(one.end for one in driven) if all(one.end for one in driven) else 0.0,
+        data=data,
     )
 
 

@@ -99,7 +99,7 @@ def _renamed(joint: Joint, taken: set[str]) -> Joint:
     """The joint with a name of its own, by its bodies: planet.H, or planet.H.sun."""
     for name in (f'{joint.other}.{joint.name}', f'{joint.other}.{joint.name}.{joint.one}'):
         if name not in taken:
-            return joint._replace(name=name)
+            return joint.changed(name=name)
     return joint
 
 
@@ -187,7 +187,7 @@ def _belt(where: str, entry: dict[str, Any], ends: Strut, names: list[str], poin
     if not isinstance(radii, list | tuple) or len(radii) != 2:
         raise SceneError(f'{where}: radii is {radii!r}: give both radii as [3 cm, 9 cm]')
     first, last = (quantity(f'{where}: radii', radius, 'length') for radius in radii)
-    belt = Belt(*ends, (first, last), 0.0, 0.0)
+    belt = Belt(ends.name, ends.one, ends.a, ends.other, ends.b, (first, last), 0.0, 0.0)
     if carrier := _carrier(names, points):
         body, hubs = carrier
         if abs(hubs) <= abs(first - last):
@@ -196,9 +196,9 @@ def _belt(where: str, entry: dict[str, Any], ends: Strut, names: list[str], poin
                 f'radii {first:.6g} and {last:.6g} m fits: move one hub away'
             )
         length, axis = strand(belt, np.array(hubs))
-        return belt._replace(length=float(length), direction=phase(axis), carrier=body)
+        return belt.changed(length=float(length), direction=phase(axis), carrier=body)
     need(where, entry, ('length', 'direction'), '{..., length: 1 m, direction: -90 deg}')
-    return belt._replace(
+    return belt.changed(
         length=positive(f'{where}: length', entry['length'], 'length'),
         direction=quantity(f'{where}: direction', entry['direction'], 'angle'),
     )
@@ -248,7 +248,7 @@ def _cam(where: str, entry: dict[str, Any], points: Points, joints: Sequence[Joi
     where = f"{where[:-1]}, cam'"
     need(where, entry, ('moves', 'angles', 'lift'), _EXAMPLES['cam'])
     bodies = list(dict.fromkeys(body for body, _ in points.values()))
-    slides = [joint.name for joint in joints if isinstance(joint, Slot)]
+    slides = [s for joint in joints if not joint.is_span for s in joint.loop_form().free_slides]
     turning = [body for body in bodies if body != GROUND]
     of = one_of(f'{where}: cam', entry['cam'], turning)
     moved = one_of(f'{where}: moves', entry['moves'], slides + turning)

@@ -103,14 +103,19 @@ def scene_path(path_or_name: str | Path) -> Path:
     return path
 
 
-def scene_text(path_or_name: str | Path) -> str:
+def is_text(source: str | Path) -> bool:
+    """Whether this is the text of a scene, which has lines, and no path."""
+    return isinstance(source, str) and '\n' in source
+
+
+def scene_text(source: str | Path) -> str:
     """
     The text of a scene's file.
 
     Parameters
     ----------
-    path_or_name
-        As `load_scene` takes it.
+    source
+        A path, a bare name or a text, as `load_scene` takes them.
 
     Returns
     -------
@@ -123,7 +128,9 @@ def scene_text(path_or_name: str | Path) -> str:
         For a file that cannot be read.
 
     """
-    path = scene_path(path_or_name)
+    if is_text(source):
+        return str(source)
+    path = scene_path(source)
     try:
         return read_limited(path, MOST_YAML).decode()
     except (OSError, ValueError) as error:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly
-from kinpole_ros.mechanism._joint_kinds import GROUND, Belt, Strut
+from kinpole_ros.mechanism._joint_kinds import GROUND
 from kinpole_ros.mechanism._laws import Function, constant_rate, sine, smooth_step, table
 from kinpole_ros.mechanism._loads import Force, Holder, Load, Mass, Spring, Torque, Torsion
 from kinpole_ros.mechanism._mechanism import Driver
@@ -62,7 +62,7 @@ def _driver(where: str, entry: dict[str, Any], assembly: Assembly) -> Driven:
     need(where, entry, ('drive',), _RATE_EXAMPLE)
     kinds = assembly.kinds
     for joint in assembly.joints:
-        if isinstance(joint, Belt) and entry['drive'] in (joint.name, f'{joint.name}.angle'):
+        if not joint.is_driven and entry['drive'] in (joint.name, f'{joint.name}.angle'):
             variable = entry['drive']
             raise SceneError(f"{where}: '{variable}' is of a belt, which only holds: drive a wheel")
     name, of = entry['drive'], entry.get('of', GROUND)
@@ -83,7 +83,7 @@ def _driver(where: str, entry: dict[str, Any], assembly: Assembly) -> Driven:
     if not np.isfinite(derivatives).all():
         raise SceneError(f'{where}: its derivatives are beyond all numbers: give it more time')
     low, high = float(values.min()), float(values.max())
-    is_strut = any(isinstance(joint, Strut) and joint.name == name for joint in assembly.joints)
+    is_strut = any(joint.is_span and joint.name == name for joint in assembly.joints)
     if is_strut and low <= 0:
         raise SceneError(f'{where}: its length goes down to {low:.6g} m: keep it greater than 0')
     label = name if of == GROUND else f'{name} of {of}'

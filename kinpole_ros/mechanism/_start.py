@@ -10,7 +10,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly, poses_of
-from kinpole_ros.mechanism._joint_kinds import GROUND, Belt, Slot, Strut, strand
 from kinpole_ros.mechanism._loops import Loops, loop_jacobian
 from kinpole_ros.planar._plane import Real
 
@@ -43,16 +42,10 @@ def start_near(assembly: Assembly, stated: Mapping[str, float], drives: Real, in
     poses = poses_of(assembly, values[:, None])
     start = dict(zip(names, values.tolist(), strict=True))
     for joint in assembly.joints:
-        if not isinstance(joint, Strut | Belt):
+        if not joint.is_span:
             continue
         between = poses[joint.other].point(joint.b)[0] - poses[joint.one].point(joint.a)[0]
-        start[joint.name] = float(abs(between))
-        start[f'{joint.name}.angle'] = float(np.angle(between))
-        if isinstance(joint, Belt):
-            length, axis = strand(joint, between)
-            near = joint.direction + start.get(joint.carrier or GROUND, 0.0)
-            start[joint.name] = float(length)
-            start[f'{joint.name}.angle'] = near + float(np.angle(axis * np.exp(-1j * near)))
+        start[joint.name], start[f'{joint.name}.angle'] = joint.span(between, start)
     start |= stated
     return _meet(rows, right, np.array([start[name] for name in names]), given)
 
@@ -174,9 +167,9 @@ def _with_slides(
     """
     loops = assembly.loops._replace(ties=rows, tie0=right, laws=())
     names = loops.variables
-    slots = {joint.name for joint in assembly.joints if isinstance(joint, Slot)}
-    slides = np.array([name in slots for name in names]) & ~given
-    struts = {f'{j.name}.angle' for j in assembly.joints if isinstance(j, Strut | Belt)}
+    free = {name for j in assembly.joints if not j.is_span for name in j.loop_form().free_slides}
+    slides = np.array([name in free for name in names]) & ~given
+    struts = {f'{joint.name}.angle' for joint in assembly.joints if joint.is_span}
     with_strut = loops.angles[:, [name in struts for name in names]].any(axis=1)
     is_open = (loops.loops[:, with_strut] != 0).any(axis=1)
     gap, matrix = _gaps(loops, values)

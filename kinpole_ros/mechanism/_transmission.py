@@ -5,12 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import largest_length
-from kinpole_ros.mechanism._equilibrium import Statics, UnitMotion
-from kinpole_ros.mechanism._joint_kinds import Belt
+from kinpole_ros.mechanism._equilibrium import Statics
 from kinpole_ros.mechanism._loads import Force, Holder, Load, Torque
 from kinpole_ros.mechanism._loop_closure import SINGULAR
 from kinpole_ros.mechanism._loops import Block, LinkageError
-from kinpole_ros.mechanism._mechanism import Mechanism
+from kinpole_ros.mechanism._mechanism import Mechanism, UnitRates
 from kinpole_ros.planar._plane import ROUNDING, Real
 
 # A port for power, in or out: along a force, with a torque, or with a variable by its name.
@@ -113,8 +112,8 @@ def advantage(mechanism: Mechanism, values: Real, into: Port, out: Port) -> Real
     k = names.index(into) if isinstance(into, str) and into in names else 0
     ports = [port if isinstance(port, str) else _unit_load(port) for port in (into, out)]
     statics = Statics(mechanism, values, [port for port in ports if not isinstance(port, str)])
-    moving, length = statics.unit_motion(k), largest_length(mechanism.assembly, values)
-    fastest = np.maximum(np.abs(moving.velocity), np.abs(moving.omega) * length).max(axis=0)
+    moving, length = mechanism.unit_rates(values), largest_length(mechanism.assembly, values)
+    fastest = np.maximum(np.abs(moving.velocity[k]), np.abs(moving.omega[k]) * length).max(axis=0)
     rates, powers = [], iter(-statics.share[:, k])
     for port in ports:
         if isinstance(port, str):
@@ -139,17 +138,17 @@ def _unit_load(port: Load) -> Load:
     return port._replace(force=port.force / size)
 
 
-def _rate(mechanism: Mechanism, moving: UnitMotion, k: int, port: str) -> tuple[Real, bool]:
+def _rate(mechanism: Mechanism, moving: UnitRates, k: int, port: str) -> tuple[Real, bool]:
     """The rate (T,) of a variable or driver at unit rate of driver `k`, and whether in m/s."""
     names = [driver.name for driver in mechanism.drivers]
     if port in names:
         number = names.index(port)
-        rate = np.full(moving.rates.shape[1], float(number == k))
+        rate = np.full(len(moving.regular), float(number == k))
         return rate, mechanism.kind(number) == 'length'
     kinds = mechanism.assembly.kinds
     if port not in kinds:
         raise LinkageError(f'no variable {port}: there are {", ".join(kinds)}')
-    return moving.rates[list(kinds).index(port)], kinds[port] == 'length'
+    return moving.variables[k, list(kinds).index(port)], kinds[port] == 'length'
 
 
 def transmission_angles(mechanism: Mechanism, values: Real) -> dict[tuple[str, ...], Real]:
@@ -183,7 +182,7 @@ def transmission_angles(mechanism: Mechanism, values: Real) -> dict[tuple[str, .
         for block, sine in zip(mechanism.linkage.blocks, sines, strict=True)
         if _is_dyad(block)
     }
-    belts = {joint.name for joint in mechanism.assembly.joints if isinstance(joint, Belt)}
+    belts = {joint.name for joint in mechanism.assembly.joints if not joint.is_driven}
     return {names: angle for names, angle in angles.items() if belts.isdisjoint(names)}
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.mechanism import GROUND, Belt, Rolling, Strut
+from kinpole_ros.mechanism import GROUND
 from kinpole_ros.mechanism._loops import with_laws
 from kinpole_ros.mechanism._scene_file import value_spans
 from kinpole_ros.tools.solve._solution import Solution
@@ -34,7 +34,7 @@ def editor_data(solution: Solution, text: str, order: np.ndarray) -> dict[str, A
     fixed = {hub for law in loops.laws for hub in law.hubs}
     for joint in mechanism.assembly.joints:
         ends = indices[joint.one, joint.a], indices[joint.other, joint.b]
-        if isinstance(joint, Rolling | Belt):
+        if joint.rims():
             fixed |= {points[end][1] for end in ends}
         joints.append(
             {
@@ -54,8 +54,8 @@ def editor_data(solution: Solution, text: str, order: np.ndarray) -> dict[str, A
                     }
                     for term in joint.loop_form().terms
                 ],
-                'loose': isinstance(joint, Strut | Belt),
-                'held': isinstance(joint, Belt) and joint.carrier is not None,
+                'loose': joint.is_span,
+                'held': joint.is_carried,
             }
         )
     inputs = with_laws(linkage, _inputs(solution))[:, :, order]

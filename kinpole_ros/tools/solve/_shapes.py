@@ -1,36 +1,19 @@
 """The shapes of the bodies of a scene: points, vectors, wheels and belts."""
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from kinpole_ros.mechanism import GROUND, Belt, Rolling, Scene
+from kinpole_ros.mechanism import GROUND, Belt, Scene
+from kinpole_ros.mechanism._joint_kinds import Rim
 from kinpole_ros.tools.solve._solution import Solution
-
-
-class Rim(NamedTuple):
-    """A circle of a body, m, in its frame: a wheel, or else a circle that a wheel rolls on."""
-
-    hub: complex
-    radius: float
-    is_wheel: bool = True
 
 
 def rims_of(scene: Scene, body: str) -> list[Rim]:
     """Return the circles of a body that roll, are rolled on, or carry belts."""
-    rims = []
-    for joint in scene.mechanism.assembly.joints:
-        if isinstance(joint, Rolling) and joint.other == body:
-            rims.append(Rim(joint.b, joint.radius))
-        if isinstance(joint, Rolling) and joint.one == body and joint.circle:
-            rims.append(Rim(joint.a, abs(joint.circle), is_wheel=False))
-        if isinstance(joint, Belt):
-            ends = (joint.one, joint.a), (joint.other, joint.b)
-            for (owner, hub), radius in zip(ends, joint.radii, strict=True):
-                if owner == body and radius:
-                    rims.append(Rim(hub, abs(radius)))
-    return list(dict.fromkeys(rims))
+    rims = [rim for joint in scene.mechanism.assembly.joints for rim in joint.rims()]
+    return list(dict.fromkeys(rim for rim in rims if rim.body == body))
 
 
 def outline_of(scene: Scene, body: str) -> np.ndarray:

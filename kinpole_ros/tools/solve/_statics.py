@@ -217,13 +217,13 @@ def _bearing_lines(here: Solution, named: dict[str, Load]) -> list[str]:
     mechanism = here.scene.mechanism
     if reason := why_no_reactions(mechanism):
         return ['', reason]
-    statics = Statics(mechanism, here.values, list(named.values()))
+    releases = Statics(mechanism, here.values, list(named.values())).releases
     names: Sequence[str] = [name.partition(' ')[0] for name in named]
-    names = [*names, *('teeth' for _ in statics.acting[len(named) :])]
+    names = [*names, *('teeth' for _ in releases[0].powers[len(named) :])]
     drivers = ', '.join(driver.name for driver in mechanism.drivers)
     lines = ['', f'bearings: each released at 1 m/s or 1 rad/s in one direction, {drivers} held']
     rows: list[Row] = []
-    for one in statics.releases:
+    for one in releases:
         direction = 'turning' if one.way is None else f'{_degrees(one.way[0]):g} deg'
         powers = one.powers[:, 0]
         unit = 'N m' if one.way is None else 'N'

@@ -15,7 +15,6 @@ from kinpole_ros.mechanism import (
     load_scene,
     propagate_tolerances,
     quantity,
-    scene_text,
     tolerances_of,
 )
 from kinpole_ros.tools.solve._solution import (
@@ -61,9 +60,7 @@ def tolerances(
     if not errors:
         raise SceneError('no dimension has an error: give --tolerances length=0.1mm')
     solution = over_full_motion(loaded, _POSITIONS)
-    spread = propagate_tolerances(
-        scene_text(scene), loaded, errors, solution.values, solution.rates, samples
-    )
+    spread = propagate_tolerances(loaded, errors, solution.values, solution.rates, samples)
     lines = [*head_lines(loaded), *notes, '', *_error_lines(errors)]
     lines += ['', *_spread_lines(solution, spread, errors)]
     if table:
