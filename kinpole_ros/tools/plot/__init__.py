@@ -10,13 +10,15 @@ from kinpole_ros.tools.plot._results import (
     centrodes,
     plane_of_motion,
     read_results,
+    read_truth,
 )
 from kinpole_ros.tools.plot._style import picture_format
-from kinpole_ros.tools.plot._topics import decode, row_of
+from kinpole_ros.tools.plot._topics import Series, decode, row_of
 
 __all__ = [
     'Body',
     'Centrodes',
+    'Series',
     'bodies_of',
     'centrodes',
     'decode',
@@ -27,6 +29,7 @@ __all__ = [
     'plane_of_motion',
     'plot',
     'read_results',
+    'read_truth',
     'row_of',
     'usual_interval',
 ]

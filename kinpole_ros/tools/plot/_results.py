@@ -199,22 +199,23 @@ def bodies_of(node: str, topics: Collection[str]) -> list[str]:
 
 def read_truth(bag: str | Path, results: Results) -> dict[str, dict[str, Series]]:
     """
-    Read the exact rates, curvature and ICR velocity of `kinpole simulate`, by body and topic.
+    Read the exact rates, poles and curvature of `kinpole simulate`, by body and topic.
 
     There are none if the plane is oblique.
     """
     plane = plane_of(results.plane) if results.plane in AXES else None
     if plane is None:
         return {}
+    vectors = (*POLES[:3], 'icr_velocity')
     names = {
         f'/kinpole/truth/{body.name}/{name}': (body.name, name)
         for body in results.bodies
-        for name in ('angular_velocity', *_NUMBERS[:3], 'icr_velocity')
+        for name in ('angular_velocity', *_NUMBERS[:3], *vectors)
     }
     truth: dict[str, dict[str, Series]] = {body.name: {} for body in results.bodies}
     for topic, rows in read_topics(bag, names).rows.items():
         body, name = names[topic]
-        truth[body][name] = series_of(rows, plane, is_number=name != 'icr_velocity')
+        truth[body][name] = series_of(rows, plane, is_number=name not in vectors)
     return truth
 
 
