@@ -4,6 +4,8 @@ PYTHON ?= python3
 PYTEST_ARGS ?=
 # LOCK= installs the newest versions instead of those in requirements/.
 LOCK ?= requirements
+# Seconds between lines about an installation.
+PROGRESS ?= 10
 RUN := .venv/bin/python
 PIP = $(RUN) -m pip install --disable-pip-version-check
 PYTEST := -m pytest -p xdist -n auto --dist loadfile
@@ -137,6 +139,8 @@ clean:  ## remove .venv and all else that can be made again
 	@{ grep -qs 'system-site-packages = $(if $(SITE),true,false)' .venv/pyvenv.cfg && $(RUN) -c \
 	  'import pip, sys; sys.exit("%d.%d" % sys.version_info[:2] != "$(VERSION)")' 2>/dev/null; } \
 	  || "$(BASE)" -m venv --clear $(SITE) .venv
-	@{ $(INSTALL); } > .venv/install.log 2>&1 || { tail -n 25 .venv/install.log >&2; \
+	@(while sleep $(PROGRESS) >&- 2>&- && kill -0 $$$$ 2>&-; do tail -n 1 .venv/install.log | cut -c 1-99; \
+	  done) & progress=$$!; trap "kill $$progress" EXIT; \
+	  { $(INSTALL); } > .venv/install.log 2>&1 || { tail -n 25 .venv/install.log >&2; \
 	  echo 'The installation failed: the reason is above, all of it in .venv/install.log.' >&2; exit 1; }
 	@touch $@

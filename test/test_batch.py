@@ -4,6 +4,7 @@ import csv
 import errno
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -29,7 +30,7 @@ from kinpole_ros.bags._replayed import concatenate_outcomes
 from kinpole_ros.bags._stretch import equal_stretches
 from kinpole_ros.bags.batch import _folder, _results, _workers, batch
 from kinpole_ros.bags.batch._results import Job, finished, replay_bag
-from kinpole_ros.files import _writing
+from kinpole_ros.files import _writing, as_cell
 from kinpole_ros.settings import Settings
 from kinpole_ros.tools.cli import main
 
@@ -95,6 +96,26 @@ def link(bag: Path, *places: Path) -> list[Path]:
         place.parent.mkdir(parents=True, exist_ok=True)
         os.link(bag, place)
     return list(places)
+
+
+@pytest.mark.parametrize('first', '=+-@')
+def test_no_cell_of_a_table_is_a_formula(simulated: Simulated, tmp_path: Path, first: str) -> None:
+    (bag,) = link(simulated('cardan', rate=100, duration=0.6), tmp_path / f'{first}cmd.mcap')
+    body = f'{first}cmd|calc'
+    settings = Settings(bodies={body: bodies_of('cardan')['rod']})
+    batch([bag], tmp_path / 'out', settings, kinds=('csv',), workers=1)
+    (row,) = summary(tmp_path / 'out')
+    assert row['results'].startswith(f"'{first}cmd-")
+    with open(tmp_path / 'out' / row['results'][1:], newline='', encoding='utf-8') as file:
+        for cells in csv.reader(file):
+            for cell in cells:
+                assert cell[:1] not in '=+-@' or not cell or float(cell)
+
+
+def test_numbers_in_a_table_stay_numbers() -> None:
+    cells = '-1.5', '+2', '-1e-05', '', -1.5, None, 'a=b', '-', '-x', '=1', '@', '+a', '\t=1'
+    quoted = [as_cell(cell) for cell in cells]
+    assert quoted == [*cells[:7], "'-", "'-x", "'=1", "'@", "'+a", "'\t=1"]
 
 
 def test_bags_without_parameters_are_said_to_be_of_one_body(
@@ -262,6 +283,94 @@ def test_a_dask_cluster_is_used_by_its_address(
     monkeypatch.setattr(_workers, '_CONNECT_TIMEOUT', 0.5)
     assert main([*words, 'tcp://127.0.0.1:9']) == 2
     assert 'no Dask scheduler answers at tcp://127.0.0.1:9' in capsys.readouterr().err
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[tuple[Any, Any, str]]:
+    """A scheduler of Dask and its worker, as processes, and its address."""
+    pytest.importorskip('distributed')
+    where = tmp_path / 'scheduler.json'
+    scheduling = ['-m', 'dask', 'scheduler', '--host', '127.0.0.1', '--port', '0']
+    with process(*scheduling, '--no-dashboard', '--scheduler-file', str(where)) as scheduler:
+        until(lambda: where.exists() and where.read_text().endswith('}'))
+        worker = ['-m', 'dask', 'worker', '--scheduler-file', str(where), '--nthreads', '1']
+        with process(*worker, '--no-dashboard', '--no-nanny') as crew:
+            yield scheduler, crew, json.loads(where.read_text())['address']
+
+
+@pytest.mark.parametrize('lost', ['scheduler', 'worker'])
+def test_a_cluster_that_ends_costs_one_line_and_leaves_a_summary(
+    simulated: Simulated, tmp_path: Path, cluster: tuple[Any, Any, str], lost: str
+) -> None:
+    scheduler, worker, address = cluster
+    bag, out = simulated('cardan', rate=100, duration=3.0), tmp_path / 'out'
+    bags = link(bag, *(tmp_path / f'run_{k}.mcap' for k in range(60)))
+    words = ['-m', 'kinpole_ros.tools.cli', 'batch', *map(str, bags), '--output', str(out)]
+    with process(*words, '--scheduler', address) as started:
+        assert started.stderr is not None
+        assert 'anyone who reaches' in started.stderr.readline()
+        until(lambda: len(list(out.glob('*.json'))) > 1)
+        if lost == 'worker':
+            worker.kill()
+            said = started.stderr.readline()
+            assert (
+                said
+                == f'the Dask cluster has no worker; waiting for one: `dask worker {address}`\n'
+            )
+        scheduler.kill()
+        _, complaints = started.communicate(timeout=90)
+    assert started.returncode == 2
+    (line,) = complaints.splitlines()
+    assert f'the Dask scheduler at {address} ended; what is done is in the summary; fix: ' in line
+    assert 1 < len(summary(out)) < 60
+
+
+def test_a_worker_ends_with_a_batch_that_is_killed_in_the_middle_of_its_job() -> None:
+    code = (
+        f'import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n'
+        'from kinpole_ros.bags.batch._workers import local_workers\n'
+        'from test_batch import report_and_sleep\n'
+        "if __name__ == '__main__':\n"
+        '    with local_workers(1) as crew:\n'
+        '        crew.submit(report_and_sleep, (), lambda pid: print(pid, flush=True)).result()\n'
+    )
+    with process('-c', code) as started:
+        assert started.stdout is not None
+        pid = int(started.stdout.readline())
+        assert is_running(pid)
+        started.kill()
+        started.wait()
+        until(lambda: not is_running(pid), 20)
+
+
+def report_and_sleep(progress: Callable[[float], None]) -> None:
+    """A job that has nothing to say after its begin."""
+    progress(os.getpid())
+    time.sleep(600)
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process has not ended, even if nobody has asked for its exit status."""
+    try:
+        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] != 'Z'
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize(
+    'name',
+    [
+        *('filecache::file:///etc/passwd', 'simplecache::s3://lab/run.mcap', 'local:///etc/passwd'),
+        *('LOCAL://x', 'zip://run.mcap::/home/me/a.zip', 'git://.', 'reference://run.mcap'),
+    ],
+)
+def test_a_list_names_no_address_that_leads_to_files_here(tmp_path: Path, name: str) -> None:
+    path = tmp_path / 'bags.txt'
+    path.write_text(f's3://lab/run.mcap\n{name}\n')
+    with pytest.raises(BagError, match=re.escape(f'bags.txt: {name} is a file of this machine')):
+        module.listed_bags(path)
+    path.write_text('s3://lab/run.mcap\n/data/run.mcap\nfile:///data/a.mcap\na::b.mcap\n')
+    assert len(module.listed_bags(path)) == 4
 
 
 def certificates(folder: Path) -> dict[str, Path]:

@@ -277,7 +277,7 @@ def bag(bounces: MarkerFrames, tmp_path_factory: pytest.TempPathFactory) -> Path
 def test_live_events_are_those_of_replay(bag: Path, tmp_path: Path) -> None:
     config = write_config(tmp_path / 'config.yaml', SETTINGS)
     topic = '/kinpole/ball/event'
-    assert live_run(bag, config, tmp_path / 'live.mcap') == 600
+    assert live_run(bag, config, tmp_path / 'live.mcap').frames == 600
     replay(bag, SETTINGS, tmp_path / 'replay.mcap', tmp_path / 'table.csv')
     live = figures(decoded(tmp_path / 'live.mcap', topic))
     expected = figures(decoded(tmp_path / 'replay.mcap', topic))

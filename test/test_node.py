@@ -241,7 +241,7 @@ def test_live_figures_are_those_of_replay(simulated: Bag, tmp_path: Path) -> Non
     pairs = {name: {'bodies': list(pair)} for name, pair in joints.items()}
     more = {'joints': list(joints), 'scene': str(loaded), **pairs}
     config = write_config(tmp_path / 'config.yaml', settings, **more)
-    assert live_run(bag, config, tmp_path / 'live.mcap') == 120
+    assert live_run(bag, config, tmp_path / 'live.mcap').frames == 120
     replay(bag, settings, tmp_path / 'replay.mcap')
     live = decoded(tmp_path / 'live.mcap')
     assert [array.status[1].name for array in live['/diagnostics']][:1] == ['kinpole: crank']

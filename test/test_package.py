@@ -296,6 +296,34 @@ def test_the_images_are_made_of_files_that_are_there():
     assert [name for name in copied if not (ROOT / name).exists()] == []
 
 
+def test_set_up_shows_what_is_installed_and_fails_with_its_reason(tmp_path):
+    for name in 'Makefile', 'setup.py':
+        shutil.copy(ROOT / name, tmp_path)
+    version = f'{sys.version_info.major}.{sys.version_info.minor}'
+    install = 'INSTALL=echo Collecting numpy; until test -e go; do sleep 0.05; done; false'
+    words = ['make', f'PYTHON={sys.executable}', 'LOCK=', 'PROGRESS=0.1', install]
+    # One that is there already is used again.
+    (tmp_path / '.venv' / 'bin').mkdir(parents=True)
+    (tmp_path / '.venv' / 'bin' / 'python').symlink_to(sys.executable)
+    (tmp_path / '.venv' / 'pyvenv.cfg').write_text('include-system-site-packages = false\n')
+    with subprocess.Popen(
+        [*words, f'.venv/demo-{version}-wheels'],
+        cwd=tmp_path,
+        env={k: v for k, v in os.environ.items() if k != 'AMENT_PREFIX_PATH'},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith('Setting up .venv')
+        # Before the installation ends, which waits for this.
+        assert process.stdout.readline() == 'Collecting numpy\n'
+        (tmp_path / 'go').touch()
+        _, complaints = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert 'The installation failed' in complaints
+
+
 def test_no_tracked_file_is_over_a_megabyte():
     assert [path for path in tracked() if (ROOT / path).stat().st_size > 1_000_000] == []
 

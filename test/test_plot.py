@@ -26,7 +26,7 @@ from kinpole_ros.bags import (
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import ns_to_stamp, stamp_to_ns
 from kinpole_ros.settings import Settings
-from kinpole_ros.tools.plot import Centrodes, _plane, _style, centrodes, plot, read_results
+from kinpole_ros.tools.plot import Centrodes, _gaps, _plane, _style, centrodes, plot, read_results
 
 pytest.importorskip('matplotlib')
 
@@ -253,12 +253,91 @@ def test_lines_stop_at_gaps_and_where_the_pole_passes_infinity(bags, tmp_path) -
         bags['cardan'], tmp_path / 'gap.mcap', lambda _, stamp: not 0.4 < stamp - start < 0.7
     )
     (rod,) = read_results(gappy).bodies
-    (gap,) = _style.breaks_of(rod, rod.stamp)
+    (gap,) = _gaps.breaks_of(rod.frames, rod.stamp)
     assert rod.stamp[gap + 1] - rod.stamp[gap] > 0.29e9
-    values, alone = _style.broken(np.arange(4.0), np.array([1, 2]))
+    values, alone = _gaps.broken(np.arange(4.0), np.array([1, 2]))
     np.testing.assert_array_equal(values, [0, 1, np.nan, 2, np.nan, 3])
     assert alone == [3, 5]
     np.testing.assert_array_equal(_style.reversals(np.array([1.0, 2, -1, -1, 3])), [1, 3])
+
+
+@pytest.mark.parametrize('lost', [0.0, 0.3, 0.7])
+@pytest.mark.parametrize('jitter', [0, 300_000])
+def test_the_usual_interval_does_not_depend_on_how_many_frames_are_lost(lost, jitter) -> None:
+    generator = np.random.default_rng(1)
+    stamp = 5_000_000 * np.arange(2000) + generator.integers(0, jitter + 1, 2000)
+    kept = stamp[generator.random(2000) >= lost]
+    interval = _gaps.usual_interval(kept)
+    assert interval == pytest.approx(5e6, rel=0.01)
+    between = np.round((kept[-1] - kept[0]) / 5e6) + 1 - len(kept)
+    assert _gaps.lost_count(kept) == between
+
+
+def test_lost_frames_are_counted_and_shaded_and_no_line_crosses_them(
+    bags, tmp_path, monkeypatch
+) -> None:
+    start = read_results(bags['cardan']).bodies[0].stamp[0] * 1e-9
+    gappy = thinned(
+        bags['cardan'], tmp_path / 'gap.mcap', lambda _, stamp: not 0.395 < stamp - start < 0.695
+    )
+    figure = pictured(gappy, tmp_path, monkeypatch, bags['cardan_markers'])
+    assert ', 30 frames lost' in title_of(figure)
+    for axis in figure.axes[1:]:
+        span = axis.collections[0].get_paths()[0].vertices[:, 0]
+        assert (span.min(), span.max()) == pytest.approx((0.395, 0.695))
+        # Each quantity is determined in every frame that is there.
+        assert not [text for text in axis.texts if 'determined' in text.get_text()]
+    for axis in figure.axes[1::2]:
+        curve = axis.lines[1]
+        times = np.asarray(curve.get_xdata(), float)
+        steps = np.diff(times)
+        assert np.nanmax(steps) < 0.02
+        for band in axis.collections[1:]:
+            assert len(band.get_paths()) == 2
+
+
+def test_a_message_that_the_recorder_lost_is_read_from_the_state(bags, tmp_path) -> None:
+    (whole,) = read_results(bags['cardan']).bodies
+    topics_lost = ('centrode_curvature', 'centrode_curvature/deviation', 'icr', 'odom')
+    thin = thinned(
+        bags['cardan'],
+        tmp_path / 'thin.mcap',
+        lambda topic, stamp: (
+            round(100 * stamp) % 3 == 0 or topic not in [f'/kinpole/rod/{n}' for n in topics_lost]
+        ),
+    )
+    (rod,) = read_results(thin).bodies
+    np.testing.assert_array_equal(rod.frames, whole.frames)
+    np.testing.assert_array_equal(rod.stamp, whole.stamp)
+    np.testing.assert_allclose(rod.position, whole.position, atol=1e-12)
+    for name in ('centrode_curvature', 'centrode_curvature/deviation', 'icr'):
+        for found, expected in zip(rod.series[name], whole.series[name], strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_a_body_that_is_hidden_in_frames_that_are_there_is_undetermined_and_not_lost(
+    bags, tmp_path, monkeypatch
+) -> None:
+    scene, markers = load_scene('four_bar'), tmp_path / 'hidden.mcap'
+    simulate(scene, tmp_path / 'all.mcap', rate=100, duration=1.2, noise=1e-5)
+    with BagWriter(markers) as writer:
+        for k, message in enumerate(read_messages(tmp_path / 'all.mcap', ['/markers'])):
+            array = deserialize_message(message.data, message_class(message.type_name))
+            if 40 <= k < 80:
+                seen = [m for m in array.markers if m.ns not in scene.marker_names['coupler']]
+                assert 0 < len(seen) < len(array.markers)
+                array.markers = seen
+            writer.write('/markers', array, message.log_time)
+    bodies = {body: tuple(names) for body, names in scene.marker_names.items()}
+    replay(markers, Settings(bodies=bodies), tmp_path / 'result.mcap')
+    coupler = read_results(tmp_path / 'result.mcap').bodies[1]
+    assert 20 < len(coupler.frames) - len(coupler.stamp) <= 40
+    assert _gaps.lost_count(coupler.frames) == 0
+    figure = pictured(tmp_path / 'result.mcap', tmp_path, monkeypatch)
+    assert 'lost' not in title_of(figure)
+    share = len(coupler.stamp) / len(coupler.frames)
+    rate_axis = figure.axes[13 + 1]
+    assert [f'determined at {share:.0%} of the instants'] == [t.get_text() for t in rate_axis.texts]
 
 
 def pictured(bag: Path, folder: Path, monkeypatch, truth=None):
@@ -441,7 +520,9 @@ def test_a_curve_of_few_instants_is_not_called_one_of_none(bags, tmp_path) -> No
     topic = '/kinpole/rod/centrode_curvature'
     start = read_results(bags['cardan']).bodies[0].series['centrode_curvature'].stamp[0] * 1e-9
     few = thinned(
-        bags['cardan'], tmp_path / 'few.mcap', lambda t, s: t != topic or s < start + 1e-4
+        bags['cardan'],
+        tmp_path / 'few.mcap',
+        lambda t, s: (t != topic or s < start + 1e-4) and not t.endswith('/state'),
     )
     assert len(read_results(few).bodies[0].series['centrode_curvature'].stamp) == 1
     assert b'determined at less than 1% of the instants' in drawn(few, tmp_path / 'out.svg')

@@ -15,7 +15,14 @@ import numpy as np
 import pytest
 
 from kinpole_ros import planar
-from kinpole_ros.bags import BagError, BagWriter, replay, simulate
+from kinpole_ros.bags import (
+    BagError,
+    BagWriter,
+    message_class,
+    read_messages,
+    replay,
+    simulate,
+)
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import RECEIVED, RESTARTS, DiagnosticArray
@@ -100,6 +107,38 @@ def test_pins_are_found_and_nothing_else(made) -> None:
 )
 def test_figures_are_rounded_by_their_deviation(value, sigma, expected) -> None:
     assert _page.rounded(np.array([value]), np.array([sigma])) == [expected]
+
+
+@pytest.fixture(scope='module')
+def gappy(tmp_path_factory) -> Path:
+    """The markers of the four-bar without 170 frames, and without one more."""
+    bag = tmp_path_factory.mktemp('gappy') / 'gappy.mcap'
+    with BagWriter(bag) as writer:
+        for k, message in enumerate(read_messages(BAG, ['/markers'])):
+            if not 100 <= k < 270 and k != 300:
+                cls = message_class(message.type_name)
+                writer.write_raw('/markers', cls, message.data, message.log_time)
+    return bag
+
+
+def test_lost_frames_are_no_undetermined_ones(gappy, tmp_path, capsys) -> None:
+    output = tmp_path / 'gap.html'
+    config = str(ROOT / 'config' / 'four_bar.yaml')
+    assert main(['report', str(gappy), '--config', config, '--output', str(output)]) == 0
+    assert '; 181 frames lost' in capsys.readouterr().out
+    from_markers = data_of(output)
+    replay(gappy, load_settings(config), tmp_path / 'results.mcap')
+    report(tmp_path / 'results.mcap', output, Settings())
+    for data in from_markers, data_of(output):
+        assert ' at 100 Hz, 181 frames lost' in data['about']
+        # The 10 frames of the lag before the gap have no results either. Both ends of the gap and
+        # the single frame are without a value, so no line crosses them.
+        spans = [(data['t'][start], data['t'][end - 1]) for start, end, _ in data['lost']]
+        np.testing.assert_allclose(spans, [(0.9, 2.69), (3.0, 3.0)], atol=1e-6)
+        for body in data['bodies']:
+            assert not any('lost:' in reason for _, _, reason in body['missing'])
+            for start, end, _ in data['lost']:
+                assert body['x'][start:end] == [None] * (end - start)
 
 
 def test_long_recordings_are_thinned_evenly_and_say_so(blocks) -> None:
@@ -586,3 +625,17 @@ def test_images_of_points_are_their_velocities_and_accelerations(opened) -> None
     ):
         assert image[0] == 'P'
         assert complex(*image[1:]) == pytest.approx(complex(truth), rel=1e-9)
+
+
+def test_page_shows_lost_frames_apart_from_undetermined_ones(opened, gappy, tmp_path) -> None:
+    output = tmp_path / 'gap.html'
+    report(gappy, output, load_settings(ROOT / 'config' / 'four_bar.yaml'))
+    page = opened(file=output, at='#t=1.8')
+    assert '181 frames lost' in page.text_content('body')
+    assert {cell(page, name, 1) for name in ('angular_velocity', 'icr')} == {
+        'lost: no result of these frames'
+    }
+    # Of the frames that are there, all have a pose.
+    shares = page.locator('td', has_text='100%')
+    assert shares.count() >= 3
+    assert page.locator('figure[data-name=withheld] .unit', has_text='lost: no result').count() == 1

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
 import pytest
 import yaml
@@ -321,6 +322,17 @@ def test_a_chunk_that_unpacks_to_more_than_it_claims_is_damage(tmp_path):
     bomb = zstandard.compress(bytes(2**31))
     path.write_bytes(handmade(*DESCRIBED, SOUND, Chunk('zstd', bomb, 9, 9, 0, 1000)))
     assert 'a chunk of the wrong size' in bounded(path, 300)
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'lz4'])
+def test_a_chunk_takes_no_more_memory_than_it_unpacks_to(tmp_path, compression):
+    path, size = tmp_path / 'run.mcap', 120 << 20
+    pack = {'zstd': zstandard.compress, 'lz4': lz4.frame.compress}[compression]
+    # Noise, so that it may unpack to as much as it claims.
+    packed = pack(bytes(size) + os.urandom(1 << 18))
+    chunk = Chunk(compression, packed, 9, 9, 0, size + (1 << 18))
+    path.write_bytes(handmade(*DESCRIBED, SOUND, chunk))
+    assert 'zeros in place of a record' in bounded(path, 220)
 
 
 def test_a_record_that_claims_too_much_is_damage(tmp_path):

@@ -333,12 +333,13 @@ def read_span(file: BinaryIO, span: Span, layout: Layout) -> tuple[bytes, bytes]
 def unpack_lz4(data: bytes, most: int) -> bytes:
     """Unpack at most so many bytes; in pieces, since lz4 takes twice the memory of each."""
     decompressor = lz4.frame.LZ4FrameDecompressor()
-    pieces = [decompressor.decompress(data, min(most, _LZ4_PIECE))]
-    size = len(pieces[0])
-    while size < most and pieces[-1] and not (decompressor.eof or decompressor.needs_input):
-        pieces.append(decompressor.decompress(b'', min(most - size, _LZ4_PIECE)))
-        size += len(pieces[-1])
-    return b''.join(pieces)
+    content = BytesIO()  # gives its bytes away without a copy, as a list of pieces cannot
+    piece = decompressor.decompress(data, min(most, _LZ4_PIECE))
+    while content.write(piece) and content.tell() < most:
+        if decompressor.eof or decompressor.needs_input:
+            break
+        piece = decompressor.decompress(b'', min(most - content.tell(), _LZ4_PIECE))
+    return content.getvalue()
 
 
 def _too_large(file: BinaryIO, span: Span) -> BagError:

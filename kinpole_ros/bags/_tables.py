@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.bags._files import BagError, unwritable
+from kinpole_ros.files import as_cell
 from kinpole_ros.packages import install_command
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
@@ -170,7 +171,7 @@ class CsvTable(_Table):
     def _open(self) -> None:
         self._file = open(self._path, 'w', newline='', encoding='utf-8')  # noqa: SIM115
         self._rows = csv.writer(self._file)
-        self._rows.writerow(['t', *self._names])
+        self._rows.writerow(['t', *map(as_cell, self._names)])
 
     def _write(self, stamps: np.ndarray, rows: np.ndarray) -> None:
         cells = rows.astype(object)

@@ -6,9 +6,10 @@ All readers of bags, tables, scenes and parameters open their files by these fun
 """
 
 from kinpole_ros.files._reading import cut, cut_line, open_regular, printable, read_limited
-from kinpole_ros.files._writing import lock, whole_file
+from kinpole_ros.files._writing import as_cell, lock, whole_file
 
 __all__ = [
+    'as_cell',
     'cut',
     'cut_line',
     'lock',

@@ -21,6 +21,7 @@ _RETRY_INTERVAL = 0.1  # s; Windows cannot wait for a lock without end
 _LONGEST_NAME = 200  # bytes; 255 are allowed with what is appended
 # There a locked file cannot be opened again for writing, and an open one cannot be removed.
 _WINDOWS = os.name == 'nt'
+_FORMULA = ('=', '+', '-', '@', '\t', '\r')
 
 
 def lock(file: IO[Any], wait: bool) -> bool:
@@ -141,3 +142,14 @@ def _open_part(target: Path) -> tuple[Path, BinaryIO]:
             if os.fstat(part_file.fileno()).st_nlink:
                 return part, part_file
         part_file.close()
+
+
+def as_cell(value: Any) -> Any:
+    """Return a value for a CSV table, with ' before a text that a spreadsheet would run."""
+    if not isinstance(value, str) or not value.startswith(_FORMULA):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value

@@ -27,7 +27,7 @@ from kinpole_ros.messages._results import (
     result_outputs,
     theory_of,
 )
-from kinpole_ros.messages._state import STATE, read_state, state_fields
+from kinpole_ros.messages._state import STATE, read_state, read_states, state_fields
 from kinpole_ros.messages._types import (
     INPUT_TYPE_NAMES,
     INPUT_TYPES,
@@ -95,6 +95,7 @@ __all__ = [
     'read_event',
     'read_markers',
     'read_state',
+    'read_states',
     'reader_of',
     'result_outputs',
     'serialize_message',

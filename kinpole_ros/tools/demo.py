@@ -10,35 +10,56 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
-from nav_msgs.msg import Odometry
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
 
-from kinpole_ros.bags import BagError, read_messages
+from kinpole_ros.bags import BagError, message_class, read_messages
+from kinpole_ros.bags import topics as topics_of
 from kinpole_ros.mechanism import share_folder
-from kinpole_ros.messages import stamp_to_ns
-from kinpole_ros.ros.player import own_context, play
+from kinpole_ros.messages import DRAWING, STATE, read_states, stamp_to_ns
+from kinpole_ros.ros.player import headers, own_context, play, with_slash
+from kinpole_ros.ros.private import take
 from kinpole_ros.settings import Settings, load_settings
-from kinpole_ros.tools.plot import decode, plot, row_of
+from kinpole_ros.tools.plot import (
+    Series,
+    decode,
+    lost_count,
+    plot,
+    read_results,
+    read_truth,
+)
 from kinpole_ros.tracking.values import POLE_NAMES
 
-_START_TIMEOUT, _STOP_TIMEOUT = 20.0, 10.0  # s
-# Seconds without a result after the last marker, after which all have arrived. Fast DDS resends
-# lost messages every 3 s.
-_SILENCE = 3.5
+# s. Processes that live are waited for, with a line now and then: a busy machine needs minutes.
+_PATIENCE, _STOP_TIMEOUT, _NEXT_LINE, _POLL_INTERVAL = 1800.0, 60.0, 5.0, 0.02
+# Seconds without a result after which all have arrived: if the last one that is due is among them,
+# and if not. Fast DDS resends lost messages every 3 s.
+_SILENCE, _LONG_SILENCE = 3.5, 60.0
+_MANY = 10_000  # messages, more than a demo has
+# s; a node and a recorder on an idle machine need a few milliseconds.
+_LONG = 0.1
 _UNITS = {
     'angular_velocity': 'rad/s',
     'angular_acceleration': 'rad/s^2',
     **dict.fromkeys(POLE_NAMES[:3], 'm'),
     'centrode_curvature': '1/m',
 }
-_TABLE = '{:9} {:21} {:>8} {:>13} {:>10} {:>9} {:>12}  {}'
+_TABLE = '{:9} {:21} {:>10} {:>12} {:>6} {:>13} {:>10} {:>9}  {}'
+
+
+class LiveRun(NamedTuple):
+    """Frames of markers that were played, and by stamp, ns, when markers and states were sent."""
+
+    frames: int
+    sent: dict[int, int]
+    results: dict[int, int]
 
 
 def demo(output: str | Path) -> int:
@@ -59,78 +80,117 @@ def demo(output: str | Path) -> int:
     recording.unlink(missing_ok=True)
     print(f'node:     kinpole node --ros-args --params-file {config}')
     print(f'recorder: kinpole record --output {recording}')
-    print(f'player:   kinpole play {bag}')
-    count = live_run(bag, config, recording)
-    print(f'{count} frames of markers played over DDS; what the node said is in {recording}\n')
-    print('latency: from a frame to its results, as the recorder received both')
-    for line in _comparison_lines(bag, recording, load_settings(config)):
+    print(f'player:   kinpole play {bag}', flush=True)
+    settings = load_settings(config)
+    run = live_run(bag, config, recording, _shown_topics(list(settings.bodies)))
+    print(f'{run.frames} frames of markers played over DDS; the results are in {recording}\n')
+    for line in (*_comparison_lines(bag, recording), '', *_latency_lines(run, recording, settings)):
         print(line)
+    print(f'\ndrawing {picture} ...', flush=True)
     plot(recording, picture, truth=bag)
-    print(f'\nthe picture: {picture}')
+    print(f'the picture: {picture}')
     return 0
 
 
-def live_run(bag: Path, config: Path, recording: Path) -> int:
-    """
-    Play the markers of `bag` into a node; record them and all that it publishes.
+def _shown_topics(bodies: Sequence[str]) -> list[str]:
+    """Return the topics of table and picture: the state has almost all numbers."""
+    names = [STATE, DRAWING, *(f'{body}/{name}' for body in bodies for name in ('odom', 'event'))]
+    names += [f'{j}/wrt/{i}/icr' for n, j in enumerate(bodies) for i in bodies[:n]]
+    return [f'/kinpole/{name}' for name in names]
 
-    The node is set to lose no marker. Returns the number of messages played. Raises BagError if the
-    node or the recorder does not start.
+
+def live_run(
+    bag: Path, config: Path, recording: Path, topics: Sequence[str] = ('/kinpole/',)
+) -> LiveRun:
+    """
+    Play the markers of `bag` into a node; record them, and its topics that begin with `topics`.
+
+    The node is set to lose no marker. Raises BagError if node or recorder end on the way.
     """
     settings = load_settings(config)
-    markers = _absolute(settings.marker_topic)
+    markers = with_slash(settings.marker_topic)
     node_words = ['node', '--ros-args', '--params-file', str(config)]
     prefix = f'qos_overrides.{markers}.subscription'
     node_words += ['-p', f'{prefix}.reliability:=reliable', '-p', f'{prefix}.depth:=1000']
-    record_words = ['record', '--topic', '/kinpole/', '--topic', '/diagnostics', '--topic', markers]
+    record_words = ['record', '--output', str(recording)]
+    for topic in (*topics, '/diagnostics', markers):
+        record_words += ['--topic', topic]
     context = own_context()
-    executor = SingleThreadedExecutor(context=context)
     watcher = rclpy.create_node('kinpole_demo', context=context)
-    executor.add_node(watcher)
-    times: list[float] = []  # of results
-    topic = f'/kinpole/{next(iter(settings.bodies))}/odom'
-    watcher.create_subscription(Odometry, topic, lambda _: times.append(time.monotonic()), 1)
+    types = {markers: topics_of(bag)[markers], f'/kinpole/{STATE}': 'sensor_msgs/msg/PointCloud2'}
+    watched = [
+        watcher.create_subscription(
+            message_class(kind), topic, print, QoSProfile(depth=_MANY), raw=True
+        )
+        for topic, kind in types.items()
+    ]
     try:
-        with (
-            _process(node_words) as node,
-            _process([*record_words, '--output', str(recording)]) as recorder,
-        ):
-            _await(lambda: _all_recorded(watcher), node, recorder)
-            count = play(bag, [markers], wait=_START_TIMEOUT, subscribers=2)
-            times.append(time.monotonic())
-            while time.monotonic() - times[-1] < _SILENCE:
-                executor.spin_once(timeout_sec=_SILENCE)
-            if node.poll() is not None or recorder.poll() is not None:
-                raise BagError('the node or its recorder ended on the way; see what it printed')
-            return count
+        with _process(node_words) as node, _process(record_words) as recorder:
+            _await(lambda: _missing(watcher, tuple(topics)), node, recorder)
+            count = play(bag, [markers], wait=_PATIENCE, subscribers=3)
+            sent = {
+                stamp_to_ns(next(headers(decode(types[markers], data))).stamp): time_sent
+                for data, time_sent in _taken(watched[0])
+            }
+            results: dict[int, int] = {}
+            _await(lambda: _still_due(watched[1], results, sent, settings.lag), node, recorder)
+            return LiveRun(count, sent, results)
     finally:
         watcher.destroy_node()
         context.try_shutdown()
 
 
-def _absolute(topic: str) -> str:
-    return topic if topic.startswith('/') else f'/{topic}'
-
-
-def _all_recorded(watcher: Any) -> bool:
-    """Return whether all topics of the node exist and have a subscriber."""
+def _missing(watcher: Any, prefixes: tuple[str, ...]) -> str:
+    """Return what keeps the run from starting; '' for nothing."""
     names = [n for n, _ in watcher.get_topic_names_and_types() if n.startswith('/kinpole/')]
-    if not any(name.endswith('/visualization') for name in names):
-        return False
-    return all(watcher.count_subscribers(n) for n in names if 'transition_event' not in n)
+    # The state has a subscriber already, which is the watcher.
+    if not any(name.endswith(f'/{DRAWING}') for name in names):
+        return 'the node to announce its topics'
+    recorded = [n for n in names if n.startswith(prefixes) and 'transition_event' not in n]
+    left = [n for n in recorded if watcher.count_subscribers(n) < 1 + n.endswith(f'/{STATE}')]
+    return f'the recorder to subscribe to {len(left)} of {len(recorded)} topics' if left else ''
 
 
-def _await(condition: Callable[[], bool], *processes: 'subprocess.Popen[bytes]') -> None:
-    deadline = time.monotonic() + _START_TIMEOUT
-    while not condition():
-        ended = any(process.poll() is not None for process in processes)
-        if ended or time.monotonic() > deadline:
-            raise BagError(
-                f'the node and its recorder did not come up within {_START_TIMEOUT:g} s; see what '
-                'they printed, and whether ROS_DOMAIN_ID or a firewall blocks traffic between '
-                'processes'
-            )
-        time.sleep(0.02)
+def _taken(subscription: Subscription) -> Iterator[tuple[bytes, int]]:
+    """Yield the messages that wait, and when they were sent, ns since 1970."""
+    for data, info in take(subscription, _MANY):
+        yield data, info['source_timestamp']
+
+
+def _still_due(
+    subscription: Subscription, results: dict[int, int], sent: dict[int, int], lag: float
+) -> str:
+    """Add the results that have come to those before; return what is still missing."""
+    for data, time_sent in _taken(subscription):
+        ((stamps, _),) = read_states([data])
+        results[int(stamps[0])] = time_sent
+    silence = time.time() - 1e-9 * max([*sent.values(), *results.values()], default=0)
+    # The stamps of results are not those of frames where the clock of these is corrected.
+    last = max(sent, default=0) * 1e-9 - lag - 0.1 - max(results, default=0) * 1e-9
+    if last > 0 and silence < _LONG_SILENCE:
+        return f'the results of the last of {len(sent)} frames, of which {len(results)} have some'
+    return '' if silence > _SILENCE else 'results that may come late'
+
+
+def _await(missing: Callable[[], str], *processes: 'subprocess.Popen[bytes]') -> None:
+    """Wait until nothing is missing, while the processes live, and say what for."""
+    start = time.monotonic()
+    line_due = start + _NEXT_LINE
+    while what := missing():
+        now = time.monotonic()
+        if any(process.poll() is not None for process in processes):
+            raise BagError('the node or its recorder ended on the way; see what it printed')
+        hint = 'see whether ROS_DOMAIN_ID or a firewall blocks traffic between processes'
+        if now > start + _PATIENCE:
+            raise BagError(f'waited {_PATIENCE:g} s in vain for {what}; {hint}')
+        if now > line_due:
+            line_due = now + _NEXT_LINE
+            print(f'waiting for {what}: {now - start:.0f} s; {_load()}', flush=True)
+        time.sleep(_POLL_INTERVAL)
+
+
+def _load() -> str:
+    return f'load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors'
 
 
 @contextmanager
@@ -148,81 +208,61 @@ def _process(words: list[str]) -> 'Iterator[subprocess.Popen[bytes]]':
             process.wait()
 
 
-class _Received(NamedTuple):
-    """A message: its time of arrival (ns), its vector, and the standard deviation of its length."""
-
-    log_time: int
-    value: np.ndarray
-    deviation: float
-
-
-def _comparison_lines(bag: Path, recording: Path, settings: Settings) -> Iterator[str]:
+def _comparison_lines(bag: Path, recording: Path) -> Iterator[str]:
     """Yield a table of the recording against the exact motion."""
-    topics = [f'{body}/{name}' for body in settings.bodies for name in _UNITS]
-    markers = _absolute(settings.marker_topic)
-    truth = _received(bag, [f'/kinpole/truth/{topic}' for topic in topics])
-    ends = ('', '/deviation', '/with_covariance')
-    names = [f'/kinpole/{topic}{end}' for topic in topics for end in ends]
-    received = _received(recording, [markers, *names])
-    frames = received.get(markers, {})
-    head = ('body', 'quantity', 'instants', 'median error', 'deviation', 'error/dev')
-    yield _TABLE.format(*head, 'latency, ms', '')
-    for body in settings.bodies:
+    results = read_results(recording)
+    truth = read_truth(bag, results)
+    head = ('determined', 'undetermined', 'lost', 'median error', 'deviation', 'error/dev')
+    yield _TABLE.format('body', 'quantity', *head, '').rstrip()
+    for body in results.bodies:
         for name, unit in _UNITS.items():
-            topic = f'/kinpole/{body}/{name}'
-            exact = truth.get(f'/kinpole/truth/{body}/{name}', {})
-            results = received.get(topic, {})
-            spread = received.get(f'{topic}/deviation') or received.get(
-                f'{topic}/with_covariance', {}
-            )
-            stamps = [stamp for stamp in results if stamp in exact and stamp in spread]
+            value = _by_stamp(body.series.get(name))
+            deviation = _by_stamp(body.series.get(f'{name}/deviation'))
+            exact = _by_stamp(truth[body.name].get(name))
+            counts = len(value), len(body.frames) - len(value), lost_count(body.frames)
+            stamps = [stamp for stamp in value if stamp in exact]
             if not stamps:
-                outcome = 'undetermined' if exact else 'undetermined, as it should be'
-                yield f'{body:9} {name:21} {len(results):8} {outcome}'
+                outcome = 'as it should be' if not exact and not value else ''
+                yield _TABLE.format(body.name, name, *counts, '', '', '', outcome).rstrip()
                 continue
-            error = np.array([np.linalg.norm(results[s].value - exact[s].value) for s in stamps])
-            deviation = np.array([spread[s].deviation for s in stamps])
+            error = np.abs([value[stamp] - exact[stamp] for stamp in stamps])
+            spread = np.abs([deviation[stamp] for stamp in stamps])
             yield _TABLE.format(
-                body,
+                body.name,
                 name,
-                len(results),
+                *counts,
                 f'{np.median(error):.3g}',
-                f'{np.median(deviation):.3g}',
-                f'{np.sqrt(np.mean((error / deviation) ** 2)):.2f}',
-                f'{np.median(_latencies(results, frames, settings.lag)) * 1e-6:.1f}',
+                f'{np.median(spread):.3g}',
+                f'{np.sqrt(np.mean((error / spread) ** 2)):.2f}',
                 unit,
             )
 
 
-def _latencies(
-    results: dict[int, _Received], frames: dict[int, _Received], lag: float
-) -> list[int]:
-    """Return the times, ns, from the frames that are `lag` (s) newer to their results."""
-    stamps = np.array(sorted(frames), np.int64)
-    awaited = np.array(list(results)) + round(lag * 1e9)
-    newest = stamps[np.minimum(stamps.searchsorted(awaited - 1000), len(stamps) - 1)].tolist()
-    return [
-        result.log_time - frames[stamp].log_time
-        for result, stamp in zip(results.values(), newest, strict=True)
+def _by_stamp(series: Series | None) -> dict[int, complex]:
+    return {} if series is None else dict(zip(series.stamp.tolist(), series.value, strict=True))
+
+
+def _latency_lines(run: LiveRun, recording: Path, settings: Settings) -> Iterator[str]:
+    """Yield the latencies of node and recorder, with a remark if they are long."""
+    stamps = np.array(sorted(run.sent), np.int64)
+    lag = round(settings.lag * 1e9)
+    # A result is due when the frame that is `lag` newer has been sent.
+    newest = {
+        stamp: int(stamps[stamps.searchsorted(stamp + lag - 1000) - len(stamps)])
+        for stamp in run.results
+    }
+    node = [run.results[stamp] - run.sent[newest[stamp]] for stamp in run.results]
+    recorder = [
+        message.log_time - run.results[int(stamps[0])]
+        for message in read_messages(recording, [f'/kinpole/{STATE}'])
+        for stamps, _ in read_states([message.data])
+        if int(stamps[0]) in run.results
     ]
-
-
-def _received(bag: Path, topics: list[str]) -> dict[str, dict[int, _Received]]:
-    """Return the messages by topic and stamp; of markers only their times."""
-    received: dict[str, dict[int, _Received]] = {}
-    for message in read_messages(bag, topics):
-        decoded = decode(message.type_name, message.data)
-        value, deviation = np.empty(0), float('nan')
-        if hasattr(decoded, 'markers'):
-            stamp = stamp_to_ns(decoded.markers[0].header.stamp)
-        else:
-            stamp = stamp_to_ns(decoded.header.stamp)
-            row = np.array(row_of(message.type_name, message.data))
-            value, covariance = row[:3], row[3:]
-            deviation = float(np.linalg.norm(value))
-            if len(covariance):
-                deviation = float(np.sqrt(np.trace(covariance.reshape(6, 6)[:2, :2])))
-        received.setdefault(message.topic, {})[stamp] = _Received(
-            message.log_time, value, deviation
-        )
-    return received
+    what = {'node': 'from a frame to its results', 'recorder': 'from results to their recording'}
+    for name, latencies in (('node', node), ('recorder', recorder)):
+        if not latencies:
+            continue
+        median, late = np.percentile(latencies, [50, 99]) * 1e-6
+        yield f'latency of the {name}, {what[name]}: {median:.1f} ms, 99% within {late:.1f} ms'
+        if late > 1e3 * _LONG:
+            yield f'  which is long: on an idle machine it is a few ms, and here {_load()}'

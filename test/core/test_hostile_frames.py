@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from recordings import KITE
 
+from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.parameters import settings_from
 from kinpole_ros.tracking.tracker import Tracker
 
 BODIES = {'kite': list('abcd'), 'other': list('efgh')}

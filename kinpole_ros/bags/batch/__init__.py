@@ -5,6 +5,7 @@ Each result gets its name only when it is complete, with a small file next to it
 was made of. So a run that was stopped goes on where it was, and a bag that fails costs only itself.
 """
 
+import logging
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -45,6 +46,7 @@ from kinpole_ros.settings import Settings
 __all__ = ['KINDS', 'TlsFiles', 'batch', 'is_open_to_all', 'listed_bags']
 
 _QUEUED = 8  # bags for each worker: the scheduler of a cluster slows down under more
+_CHECK_INTERVAL = 5.0  # s without a result, after which to see whether there are workers
 _MOST_LIST_BYTES = 64 << 20  # a hundred thousand paths of 600
 
 
@@ -64,7 +66,7 @@ def listed_bags(path: str | Path) -> list[str]:
     Raises
     ------
     BagError
-        If it cannot be read or names none.
+        If it cannot be read or names none, or names an address that leads to another one.
 
     """
     try:
@@ -76,6 +78,11 @@ def listed_bags(path: str | Path) -> list[str]:
     names = [line.strip() for line in lines if line.strip() and not line.startswith('#')]
     if not names:
         raise BagError(f'{path} names no bags; fix: write the path of a bag in each line')
+    if around := next(filter(_store.is_around_files, names), ''):
+        raise BagError(
+            f'{path}: {around} is a file of this machine, or one store in another; fix: write the '
+            'path, or name the bag on the command line'
+        )
     return names
 
 
@@ -253,8 +260,13 @@ def _submit(
 
     for number in islice(waiting, _QUEUED * crew.count):
         begin(number)
+    trouble = ''
     while numbers:
-        for done in wait(numbers, return_when=FIRST_COMPLETED).done:
+        completed = wait(numbers, _CHECK_INTERVAL, return_when=FIRST_COMPLETED).done
+        before, trouble = trouble, '' if completed else crew.trouble()
+        if trouble != before and trouble:
+            logging.getLogger(__name__).warning('%s', trouble)
+        for done in completed:
             number = numbers.pop(done)
             if number in numbers.values():
                 continue

@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 from kinpole_ros.bags._files import unwritable
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._results import Job, Row, finished, result_name, write_text
+from kinpole_ros.files import as_cell
 from kinpole_ros.settings import Settings
 
 # Results of more bags lie in 256 subfolders.
@@ -86,9 +87,9 @@ def write_summary(path: Path, rows: list[Row]) -> None:
     """Write a line for each bag, with a column for all that any of them has."""
     columns = dict.fromkeys(_FIRST) | dict.fromkeys(name for row in rows for name in row)
     text = StringIO(newline='')
-    table = csv.DictWriter(text, list(columns))
-    table.writeheader()
-    table.writerows(rows)
+    table = csv.writer(text)
+    table.writerow(map(as_cell, columns))
+    table.writerows([as_cell(row.get(name, '')) for name in columns] for row in rows)
     try:
         write_text(path, text.getvalue())
     except OSError as error:

@@ -19,10 +19,21 @@ from kinpole_ros.packages import install_command
 # Names in stores of properties that change with the content of a file.
 _VERSIONS = ('ETag', 'etag', 'md5Hash', 'content_md5', 'mtime', 'LastModified', 'created')
 
+# Protocols of fsspec that read the disk of this machine, by themselves or through another store.
+_LOCAL = (
+    *('local', 'git', 'generic', 'reference', 'dir', 'dask', 'zip', 'tar', 'libarchive'),
+    *('cached', 'blockcache', 'filecache', 'simplecache', 'asyncwrapper', 'data'),
+)
+
 
 def is_url(path: str | Path) -> bool:
     """Return whether it is in a store, and not on a disk."""
     return isinstance(path, str) and '://' in path and not path.startswith('file://')
+
+
+def is_around_files(path: str) -> bool:
+    """Return whether a URL is one store in another, or reads files of this machine."""
+    return is_url(path) and ('::' in path or path.partition('://')[0].lower() in _LOCAL)
 
 
 def on_disk(path: str | Path) -> str | Path:

@@ -9,11 +9,12 @@ leaves its processes running when it is killed. So processes here are reached th
 import asyncio
 import logging
 import multiprocessing
+import os
 import signal
 import threading
 import uuid
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
@@ -45,6 +46,9 @@ class Workers(Protocol):
     def submit(self, job: Job, arguments: Arguments, progress: Progress | None) -> Future[Any]:
         """Begin a job; `progress` is called, in any thread, with the share that is done."""
 
+    def trouble(self) -> str:
+        """Return what keeps all jobs waiting; '' for nothing."""
+
 
 class _LocalWorkers:
     """Worker processes, with a thread here for each; or one thread of this process."""
@@ -59,6 +63,9 @@ class _LocalWorkers:
         if self._processes is None:
             return self._threads.submit(job, *arguments, progress or _ignore)
         return self._threads.submit(self._processes.run, job, arguments, progress)
+
+    def trouble(self) -> str:
+        return ''
 
 
 class _Processes:
@@ -155,8 +162,17 @@ def local_workers(count: int, here: bool = False) -> Iterator[Workers]:
                 processes.close()
 
 
+def _end_with_parent() -> None:
+    """End this process with the one that started it, in the middle of a job too."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
 def _serve(pipe: Connection) -> None:
     """Run the jobs that come through a pipe, until it is closed; runs in a worker process."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):
         while True:
             job, arguments = pipe.recv()
@@ -237,6 +253,7 @@ class _ClusterWorkers:
     """The workers of a Dask client."""
 
     def __init__(self, client: Any) -> None:
+        self._client = client
         self.count = max(1, len(client.nthreads()))
         self._executor = client.get_executor(pure=False)
         # Other batches may use the same cluster.
@@ -255,6 +272,12 @@ class _ClusterWorkers:
         progress = self._progress[number] if batch == self._batch else None
         if progress is not None:
             progress(share)
+
+    def trouble(self) -> str:
+        if self._client.nthreads():
+            return ''
+        address = self._client.scheduler.address
+        return f'the Dask cluster has no worker; waiting for one: `dask worker {address}`'
 
 
 def _run(job: Job, arguments: Arguments, job_id: tuple[str, int]) -> Any:
@@ -287,7 +310,8 @@ def cluster_workers(scheduler: str, tls: TlsFiles | None = None) -> Iterator[Wor
         }
         given = {name: path for name, path in files.items() if path is not None}
         security = Security(require_encryption=True, **given)
-    logging.getLogger('distributed').setLevel(logging.CRITICAL)
+    for name in ('distributed', 'distributed.client', 'tornado.application'):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = Client(scheduler, timeout=_CONNECT_TIMEOUT, security=security)
     except (OSError, ValueError, RuntimeError, TypeError, asyncio.TimeoutError) as error:
@@ -305,4 +329,13 @@ def cluster_workers(scheduler: str, tls: TlsFiles | None = None) -> Iterator[Wor
                 f'the Dask scheduler at {scheduler} has no workers; fix: start some, with '
                 f'`dask worker {scheduler}`'
             ) from None
-        yield _ClusterWorkers(client)
+        try:
+            yield _ClusterWorkers(client)
+        # Dask's own error of a lost connection is an OSError.
+        except (CancelledError, OSError):
+            if client.status == 'running':
+                raise
+            raise BagError(
+                f'the Dask scheduler at {scheduler} ended; what is done is in the summary; fix: '
+                'start it and its workers, and run the same command again'
+            ) from None

@@ -101,6 +101,7 @@ def demo(options: argparse.Namespace) -> int:
     Starts the node, plays a bag of a four-bar into it, records what it publishes, prints a table
     and draws a picture.
     """
+    print('starting a node, a recorder and a player ...', flush=True)
     from kinpole_ros.tools.demo import demo as run_demo
 
     return run_demo(options.output)

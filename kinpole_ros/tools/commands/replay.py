@@ -178,7 +178,7 @@ def batch(options: argparse.Namespace) -> int:
     A folder is one bag; name several recordings in one folder as FOLDER/*.mcap. Bags and output may
     be URLs of stores that fsspec knows, such as s3://... (pip install fsspec). Results of more than
     10,000 bags are in 256 subfolders. A list of bags is trusted like the command line: it can name
-    any file that you can read, and any address.
+    any file that you can read, and any address but those of one store in another.
 
     A cluster (pip install dask distributed) is `dask scheduler --protocol tls` on one machine and
     `dask worker tls://hub:8786 --nthreads 1` on each of the others, all with --tls-ca-file,

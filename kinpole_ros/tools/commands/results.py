@@ -87,7 +87,8 @@ def report(options: argparse.Namespace) -> int:
     thinned = '' if len(record.stamp) == record.total else f' of {record.total}'
     if assumptions:
         print_lines(assumptions)
-    print(f'{len(record.stamp)}{thinned} instants of {", ".join(record.bodies)}')
+    lost = f'; {record.lost} frames lost' if record.lost else ''
+    print(f'{len(record.stamp)}{thinned} instants of {", ".join(record.bodies)}{lost}')
     print(f'written to {output}')
     return 0
 

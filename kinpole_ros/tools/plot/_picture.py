@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from kinpole_ros.tools.plot import _plane, _time
+from kinpole_ros.tools.plot._gaps import lost_count
 from kinpole_ros.tools.plot._results import Results, Series, read_results, read_truth
 from kinpole_ros.tools.plot._style import (
     BAND,
@@ -20,6 +21,7 @@ from kinpole_ros.tools.plot._style import (
     FIXED,
     GREEN,
     LINK,
+    LOST,
     MOVING,
     PATH,
     POLES,
@@ -70,11 +72,13 @@ def _draw(figure: Any, bag: str, results: Results, exact: dict[str, dict[str, Se
     end = max(int(body.stamp[-1]) for body in bodies)
     scopes = [_plane.scope_of(body) for body in bodies]
     instant = _plane.instant_of(scopes, (start + end) // 2)
+    lost = max(lost_count(body.frames) for body in bodies)
     omitted = ', '.join(body.name for body in results.bodies[_MOST_BODIES:])
     figure.suptitle(
         f'{bag}: {", ".join(body.name for body in bodies)}'
         + (f' (not drawn: {omitted})' if omitted else '')
         + f'\n{(end - start) * 1e-9:.3g} s from stamp {start * 1e-9:.3f} s'
+        + (f', {lost} frames lost' if lost else '')
         + (', bag cut off' if results.cut else '')
         + f'; poles and moving centrode at t = {(instant - start) * 1e-9:.3f} s',
         parse_math=False,
@@ -107,10 +111,10 @@ def _draw(figure: Any, bag: str, results: Results, exact: dict[str, dict[str, Se
     for axes in columns:
         figure.align_ylabels(axes)
     has_events = any(len(body.events) for body in bodies)
-    _add_legend(figure, bool(results.relative), bool(exact), has_events)
+    _add_legend(figure, bool(results.relative), bool(exact), has_events, bool(lost))
 
 
-def _add_legend(figure: Any, relative: bool, exact: bool, events: bool) -> None:
+def _add_legend(figure: Any, relative: bool, exact: bool, events: bool, lost: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -143,6 +147,8 @@ def _add_legend(figure: Any, relative: bool, exact: bool, events: bool) -> None:
     if events:
         label = 'event: velocity, acceleration or jerk steps'
         handles.append(Line2D([], [], label=label, **EVENT))
+    if lost:
+        handles.append(Patch(label='lost: frames without any result', **LOST))
     if exact:
         handles.append(Line2D([], [], label='exact answer', **THIN))
         handles.append(Line2D([], [], label='error, in the band', **THIN))

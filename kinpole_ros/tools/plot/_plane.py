@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from kinpole_ros.tools.plot._gaps import breaks_of
 from kinpole_ros.tools.plot._results import Body, Centrodes, Results, Series, centrodes
 from kinpole_ros.tools.plot._style import (
     BLACK,
@@ -17,7 +18,6 @@ from kinpole_ros.tools.plot._style import (
     PATH,
     POLES,
     RELATIVE,
-    breaks_of,
     draw_ground,
     hull,
     line,
@@ -129,8 +129,8 @@ def draw_plane(axis: Any, scope: Scope, instant: int, results: Results) -> None:
     """Draw the linkage with this body in color, its centrodes, poles and relative centers."""
     body, loci, view = scope
     view = _draw_linkage(axis, body, view, instant, results)
-    breaks = np.union1d(breaks_of(body, loci.stamp), reversals(loci.rate))
-    line(axis, body.position, breaks_of(body, body.stamp), PATH)
+    breaks = np.union1d(breaks_of(body.frames, loci.stamp), reversals(loci.rate))
+    line(axis, body.position, breaks_of(body.frames, body.stamp), PATH)
     line(axis, loci.fixed, breaks, FIXED)
     at = np.flatnonzero(body.stamp == instant)
     if len(at):
@@ -226,7 +226,7 @@ def _draw_relative_center(
     sharp = ~_is_blurred(series, radius)
     locus = Series(*(values[sharp] for values in series))
     stamp, own, its = np.intersect1d(body.stamp, reference.stamp, return_indices=True)
-    breaks = breaks_of(body, locus.stamp)
+    breaks = breaks_of(body.frames, locus.stamp)
     if len(stamp):
         rate = np.interp(locus.stamp, stamp, body.rate[own] - reference.rate[its])
         breaks = np.union1d(breaks, reversals(rate))

@@ -9,10 +9,8 @@ import numpy as np
 
 from kinpole_ros.bags import BagError, in_place_of
 from kinpole_ros.packages import install_command
-from kinpole_ros.tools.plot._results import Body
+from kinpole_ros.tools.plot._gaps import broken
 
-# An interval of this many periods without a sample is a gap, not a lost frame.
-_GAP = 2.5
 BLACK, BLUE, GREEN, GRAY = '#000000', '#0060a8', '#00785a', '#777777'
 # Markers and sizes; each surrounds the one before, so that poles at one point are all visible.
 POLES = {'icr': ('o', 6.0), 'iap': ('^', 9.0), 'ijp': ('s', 11.0)}
@@ -23,6 +21,7 @@ MOVING: dict[str, Any] = {'color': '#a83200', 'linestyle': '--', 'linewidth': 1.
 RELATIVE: dict[str, Any] = {'color': GREEN, 'linestyle': '-.', 'linewidth': 0.7}
 BAND: dict[str, Any] = {'color': BLUE, 'alpha': 0.3, 'linewidth': 0.8}
 EVENT: dict[str, Any] = {'color': '#c00000', 'linewidth': 1.6, 'zorder': 6}
+LOST: dict[str, Any] = {'color': '#dddddd', 'linewidth': 0, 'zorder': 0.5}
 THIN: dict[str, Any] = {'color': BLACK, 'linewidth': 0.7}
 ESTIMATE: dict[str, Any] = {'color': '#4c9be0', 'linewidth': 2.6}
 LINK: dict[str, Any] = {'facecolor': '#f2d9a0', 'edgecolor': '#8a6d00', 'linewidth': 1.2}
@@ -62,23 +61,9 @@ def saved_figure(output: str | Path, size: tuple[float, float], dpi: int) -> Ite
         figure.savefig(part, format=kind, dpi=dpi)
 
 
-def breaks_of(body: Body, stamp: np.ndarray) -> np.ndarray:
-    """Return the indices after which a line through `stamp` is interrupted by a gap."""
-    period = np.median(np.diff(body.stamp)) if len(body.stamp) > 1 else np.inf
-    return np.flatnonzero(np.diff(stamp) > _GAP * period)
-
-
 def reversals(rate: np.ndarray) -> np.ndarray:
     """Return the indices after which a rate changes sign: there the ICR goes through infinity."""
     return np.flatnonzero(np.diff(np.sign(rate)) != 0)
-
-
-def broken(values: np.ndarray, breaks: np.ndarray) -> tuple[np.ndarray, list[int]]:
-    """Return the values with NaN at each break, and the indices of isolated values."""
-    values = np.insert(values, np.unique(breaks) + 1, np.nan)
-    gap = np.concatenate([[True], np.isnan(values), [True]])
-    isolated = ~gap[1:-1] & gap[:-2] & gap[2:]
-    return values, np.flatnonzero(isolated).tolist()
 
 
 def line(axis: Any, points: np.ndarray, breaks: np.ndarray, style: dict[str, Any]) -> None:

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from kinpole_ros.tools.plot._gaps import breaks_of, broken, lost_spans
 from kinpole_ros.tools.plot._results import Body, Series
-from kinpole_ros.tools.plot._style import BAND, BLUE, ESTIMATE, EVENT, GRAY, THIN, breaks_of, broken
+from kinpole_ros.tools.plot._style import BAND, BLUE, ESTIMATE, EVENT, GRAY, LOST, THIN
 
 # Positive values that spread over more than this factor have a logarithmic axis.
 _LOG_FACTOR = 30
@@ -99,15 +100,18 @@ def _is_pinned(body: Body) -> bool:
 
 def draw_panel(axis: Any, strip: Any, body: Body, panel: Panel, start: int, instant: int) -> None:
     """Draw a panel on `axis`, and its band of two standard deviations on `strip`."""
+    spans = (lost_spans(body.frames) - [start, 0]) * 1e-9
     for one in (axis, strip):
         one.grid(True, linewidth=0.3)
+        if len(spans):
+            one.broken_barh(spans.tolist(), (0, 1), transform=one.get_xaxis_transform(), **LOST)
         one.axvline((instant - start) * 1e-9, color=GRAY, linestyle='--', linewidth=0.8)
         one.tick_params(labelsize=8)
     axis.ticklabel_format(useOffset=False)
     axis.set_ylabel(panel.label)
     for event in ((body.events - start) * 1e-9).tolist():
         axis.axvline(event, 0.9, 1.0, **EVENT)
-    share = len(panel.series.stamp) / len(body.stamp) if panel.series is not None else 0.0
+    share = len(panel.series.stamp) / len(body.frames) if panel.series is not None else 0.0
     if share < 0.9:
         percent = f'{share:.0%}' if share >= 0.01 else 'less than 1%'
         text = f'determined at {percent} of the instants' if share else 'undetermined'
@@ -118,7 +122,7 @@ def draw_panel(axis: Any, strip: Any, body: Body, panel: Panel, start: int, inst
         axis.set_yticks([])
         strip.set_yticks([])
         return
-    breaks = breaks_of(body, panel.series.stamp)
+    breaks = breaks_of(body.frames, panel.series.stamp)
     time, _ = broken((panel.series.stamp - start) * 1e-9, breaks)
     value, isolated = broken(panel.series.value, breaks)
     marker = {'marker': '.', 'markevery': isolated, 'markersize': 4, 'zorder': 3}

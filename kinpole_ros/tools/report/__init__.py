@@ -13,9 +13,15 @@ from kinpole_ros.linkage.theory import DeviationSummary
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import theory_of
 from kinpole_ros.settings import Settings
-from kinpole_ros.tools.report._page import pack, page
+from kinpole_ros.tools.report._page import intervals, pack, page
 from kinpole_ros.tools.report._prepare import Points, prepared
-from kinpole_ros.tools.report._record import Collector, Columns, Record, joints_of
+from kinpole_ros.tools.report._record import (
+    Collector,
+    Columns,
+    Record,
+    joints_of,
+    with_lost_frames,
+)
 from kinpole_ros.tools.report._result_bag import has_results, parse_status, read_record
 from kinpole_ros.tracking.plane import XY, plane_of
 
@@ -35,6 +41,7 @@ __all__ = [
 # More instants are no clearer on a screen. With more than three bodies there are fewer, which keeps
 # the page below about 4 MB.
 _MOST_INSTANTS, _MOST_POSES = 10_000, 30_000
+_LOST = 'lost: no result of these frames'
 
 
 def settings_for(settings: Settings, scene: str | None) -> Settings:
@@ -93,8 +100,10 @@ def report(
         if plane.axes is None:
             along = _axis_name(plane.basis[0], 'e1'), _axis_name(plane.basis[1], 'e2')
         record, theory = collector.record(along), result.scene_deviations
+    shown, is_lost = with_lost_frames(record)
     data = {
-        **pack(record),
+        **pack(shown),
+        'lost': intervals(np.where(is_lost, _LOST, '').astype(object)),
         'title': printable(Path(source or bag).resolve().name),
         'about': _about(record),
         'notes': notes,
@@ -126,5 +135,6 @@ def _about(record: Record) -> str:
     seconds = (record.stamp[-1] - record.stamp[0]) * 1e-9
     count = len(record.stamp)
     thinned = '' if count == record.total else f' of {record.total}'
-    rate = f' at {(record.total - 1) / seconds:.4g} Hz' if seconds > 0 else ''
-    return f'{count}{thinned} instants in {seconds:.4g} s{rate}'
+    rate = f' at {(record.total + record.lost - 1) / seconds:.4g} Hz' if seconds > 0 else ''
+    lost = f', {record.lost} frames lost' if record.lost else ''
+    return f'{count}{thinned} instants in {seconds:.4g} s{rate}{lost}'

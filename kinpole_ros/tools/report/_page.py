@@ -107,7 +107,7 @@ def _body(record: Record, body: str) -> Json:
         'outlines': [
             [start, [_rounded_point(z) for z in points]] for start, points in record.outlines[body]
         ],
-        'missing': _intervals(columns[body, 'missing']),
+        'missing': intervals(columns[body, 'missing']),
         'x': rounded(position.real, sigma),
         'y': rounded(position.imag, sigma),
         'angle': rounded(columns[body, 'angle'], columns[body, 'angle_sigma']),
@@ -129,7 +129,7 @@ def _body(record: Record, body: str) -> Json:
         if (body, f'{name}_theory') in columns
     }
     packed['withheld'] = {
-        name.removesuffix('_withheld'): _intervals(values)
+        name.removesuffix('_withheld'): intervals(values)
         for (subject, name), values in columns.items()
         if subject == body and name.endswith('_withheld')
     }
@@ -207,7 +207,7 @@ def _rounded_point(z: complex) -> list[float]:
     return [float(f'{z.real:.6g}'), float(f'{z.imag:.6g}')]
 
 
-def _intervals(reasons: np.ndarray) -> list[tuple[int, int, str]]:
+def intervals(reasons: np.ndarray) -> list[tuple[int, int, str]]:
     """Return [start, end) of each reason in instants, without those of ''."""
     changes: Sequence[int] = np.flatnonzero(reasons[1:] != reasons[:-1]).tolist()
     starts = [0, *(k + 1 for k in changes)]

@@ -13,6 +13,7 @@ import numpy as np
 
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import LinkageError
+from kinpole_ros.tools.plot import lost_count, lost_frames, usual_interval
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Vectors, measured_pairs
 
@@ -31,7 +32,7 @@ class Joint(NamedTuple):
 
 class Record(NamedTuple):
     """
-    T instants, `stamp` (T,) ns, of a recording of `total` instants.
+    T instants, `stamp` (T,) ns, of a recording of `total` instants, in which `lost` frames are not.
 
     `columns` has, of a body: `position` and `velocity` of its origin, complex, m; `angle`, rad;
     `missing`, the reason why it has no results ('' where it has); its rates, poles, `icr_velocity`
@@ -50,6 +51,7 @@ class Record(NamedTuple):
     outlines: dict[str, list[tuple[int, np.ndarray]]]
     along: tuple[str, str]
     events: Mapping[str, list[tuple[int, int]]] = MappingProxyType({})
+    lost: int = 0
 
 
 class Collector:
@@ -60,6 +62,7 @@ class Collector:
         self.total = 0
         self._most, self._step, self._count = most, 1, 0
         self._blocks: list[Columns] = []
+        self._stamps: list[np.ndarray] = []  # of all instants
         self._bodies: tuple[str, ...] = ()
         self._events: dict[str, list[tuple[int, int]]] = {}
 
@@ -71,6 +74,7 @@ class Collector:
         for event in estimate.events:
             own = self._events.setdefault(estimate.bodies[event.body], [])
             own.append((event.stamp, event.order))
+        self._stamps.append(estimate.stamp)
         columns = _estimate_columns(estimate)
         if self._theory is not None:
             for body, rates in theory_rates(self._theory, estimate).items():
@@ -94,7 +98,34 @@ class Collector:
             sizes[body] = float(np.nanmedian(size)) if np.isfinite(size).any() else float('nan')
             outlines[body] = list(_outlines(run, columns.pop((body, 'shape'))))
         about = self._bodies, columns, sizes, outlines, along, self._events
-        return Record(stamp, self.total, *about)
+        return Record(stamp, self.total, *about, lost_count(np.concatenate(self._stamps)))
+
+
+def with_lost_frames(record: Record) -> tuple[Record, np.ndarray]:
+    """
+    Return a record with rows of NaN where frames are lost, and which rows these are.
+
+    A gap begins and ends with such a row, so that no line crosses it and all of it can be marked.
+    """
+    lost = lost_frames(record.stamp, usual_interval(record.stamp))
+    gaps = np.flatnonzero(lost)
+    step = np.diff(record.stamp)[gaps] // (lost[gaps] + 1)
+    ends = np.stack((record.stamp[gaps] + step, record.stamp[gaps + 1] - step), axis=-1)
+    ends = ends[:, 0], ends[lost[gaps] > 1, 1]
+    at = np.concatenate((gaps, gaps[lost[gaps] > 1])) + 1
+    order = np.argsort(np.concatenate(ends))
+    at, stamps = at[order], np.concatenate(ends)[order]
+    columns = {
+        key: np.insert(values, at, '' if values.dtype == object else np.nan, axis=0)
+        for key, values in record.columns.items()
+    }
+    outlines = {
+        body: [(start + int(at.searchsorted(start, 'right')), markers) for start, markers in drawn]
+        for body, drawn in record.outlines.items()
+    }
+    is_lost = np.insert(np.zeros(len(record.stamp), bool), at, True)
+    stamp = np.insert(record.stamp, at, stamps)
+    return record._replace(stamp=stamp, columns=columns, outlines=outlines), is_lost
 
 
 def _concatenate(blocks: list[Columns]) -> Columns:

@@ -8,7 +8,7 @@ import numpy as np
 
 from kinpole_ros.bags import Truncated, read_messages, topics
 from kinpole_ros.messages import RECEIVED, RESTARTS, stamp_to_ns
-from kinpole_ros.tools.plot import Body, decode, read_results
+from kinpole_ros.tools.plot import Body, decode, lost_count, read_results
 from kinpole_ros.tools.report._record import Columns, Record
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
 
@@ -38,8 +38,8 @@ def read_record(
     are no results.
     """
     results = read_results(bag, progress, with_snap=True)
-    stamp = np.unique(np.concatenate([body.stamp for body in results.bodies]))
-    total, step = len(stamp), 1
+    stamp = np.unique(np.concatenate([body.frames for body in results.bodies]))
+    total, lost, step = len(stamp), lost_count(stamp), 1
     while len(stamp[::step]) > most(len(results.bodies)):
         step *= 2
     stamp = stamp[::step]
@@ -62,7 +62,7 @@ def read_record(
         body.name: list(zip(body.events.tolist(), body.event_orders.tolist(), strict=True))
         for body in results.bodies
     }
-    record = Record(stamp, total, names, columns, sizes, outlines, results.along, events)
+    record = Record(stamp, total, names, columns, sizes, outlines, results.along, events, lost)
     return record, notes + diagnostics.notes
 
 
@@ -93,7 +93,7 @@ def _add_body(columns: Columns, stamp: np.ndarray, body: Body, diagnostics: 'Dia
             columns[name, f'{key}_sigma'] = sigma.real
             continue
         covariance = _at(stamp, series.stamp, series.covariance)
-        if deviation is not None and len(deviation.stamp):
+        if not np.isfinite(covariance).any():
             covariance = np.zeros((len(stamp), 2, 2))
             covariance[:, 0, 0], covariance[:, 1, 1] = sigma.real**2, sigma.imag**2
         columns[name, f'{key}_covariance'] = covariance

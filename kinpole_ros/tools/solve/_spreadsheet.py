@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kinpole_ros.files import as_cell
 from kinpole_ros.mechanism import SceneError, Statics, holding, poles, transmission_angles
 from kinpole_ros.mechanism._equilibrium import why_no_reactions
 from kinpole_ros.tools.solve._solution import (
@@ -95,6 +96,6 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     """Write columns (T,) by name; cells that are not finite are empty."""
     with path.open('w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file)
-        writer.writerow(columns)
+        writer.writerow(map(as_cell, columns))
         for row in zip(*columns.values(), strict=True):
             writer.writerow([repr(float(cell)) if np.isfinite(cell) else '' for cell in row])

@@ -127,7 +127,7 @@ function makeCharts(element, page, data) {
 // One row for each quantity of a body that is withheld at times, colored by the reason.
 function makeWithheldChart(element, page, data) {
   const rows = data.bodies.flatMap((body) => WITHHELD.filter((name) => body[name]).map((name) => ({
-    body, label: `${QUANTITIES[name][2]} ${body.name}`, intervals: withheldIntervals(body, name),
+    body, label: `${QUANTITIES[name][2]} ${body.name}`, intervals: [...body.lost, ...withheldIntervals(body, name)],
   }))).filter(({ intervals }) => intervals.length);
   if (!rows.length) return [];
   const reasons = [...new Set(rows.flatMap(({ intervals }) => intervals.map(([, , text]) => text)))];
@@ -307,7 +307,7 @@ function visitColumns(data, value, first, last, x, visit, endLine) {
       k++;
       continue;
     }
-    if (k > first && data.t[k] - data.t[k - 1] > 2.5 * data.period) endLine();
+    if (k > first && isGap(data, k)) endLine();
     const column = Math.floor(x(data.t[k]));
     const start = k;
     k++;

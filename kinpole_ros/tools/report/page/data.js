@@ -39,7 +39,8 @@ function typed(columns) {
 function prepare(raw) {
   const data = { ...raw, t: numbers(raw.t), n: raw.t.length };
   data.bodies = raw.bodies.map((rawBody, b) => {
-    const body = { ...rawBody, color: COLORS[b % COLORS.length], theory: typed(rawBody.theory) };
+    const color = COLORS[b % COLORS.length];
+    const body = { ...rawBody, color, theory: typed(rawBody.theory), lost: raw.lost ?? [] };
     for (const name of ['x', 'y', 'angle', 'vx', 'vy']) body[name] = numbers(rawBody[name]);
     for (const name in QUANTITIES) if (rawBody[name]) body[name] = typed(rawBody[name]);
     if (body.icr_velocity) {
@@ -99,13 +100,16 @@ function* columnsIn(data) {
   }
 }
 
+// Whether lines stop before instant k. In a report, instants without values are where frames are lost.
+const isGap = (data, k) => data.live && data.t[k] - data.t[k - 1] > 2.5 * data.period;
+
 // [start, end, reason] of the instants at which a quantity of a body is withheld.
 const withheldIntervals = (body, name) => [...body.missing, ...(body.withheld[name] ?? [])];
 
 // Why a quantity is not determined at instant k; without an ICR its velocity is not either.
 function reasonAt(body, name, k) {
   const reason = (one) =>
-    withheldIntervals(body, one).find(([start, end]) => start <= k && k < end)?.[2];
+    [...body.lost, ...withheldIntervals(body, one)].find(([start, end]) => start <= k && k < end)?.[2];
   return reason(name) ?? reason('icr') ?? 'not determined';
 }
 

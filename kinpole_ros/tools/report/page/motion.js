@@ -80,7 +80,6 @@ function topSpeed(data, points) {
 
 // Tracks of markers and the fixed centrode in the plane, the moving centrode in the body.
 function motionPaths(data, body, step, extent) {
-  const isGap = (k) => data.t[k] - data.t[k - 1] > 2.5 * data.period;
   const cos = body.angle.map(Math.cos);
   const sin = body.angle.map(Math.sin);
   const markers = body.outlines[0]?.[1] ?? [];
@@ -89,7 +88,7 @@ function motionPaths(data, body, step, extent) {
       body.x.map((x, k) => x + cos[k] * u - sin[k] * v),
       body.y.map((y, k) => y + sin[k] * u + cos[k] * v),
       step,
-      isGap,
+      (k) => isGap(data, k),
     ),
   );
   const { icr } = body;
@@ -99,7 +98,7 @@ function motionPaths(data, body, step, extent) {
   const { y } = icr;
   const rate = body.angular_velocity.value;
   // A pole that goes through infinity comes back from the other side.
-  const breaksAt = (k) => isGap(k) || rate[k] * rate[k - 1] < 0
+  const breaksAt = (k) => isGap(data, k) || rate[k] * rate[k - 1] < 0
     || Math.hypot(x[k] - x[k - 1], y[k] - y[k - 1]) > extent / 2;
   const [dx, dy] = [x.map((value, k) => value - body.x[k]), y.map((value, k) => value - body.y[k])];
   const moving = thinPath(

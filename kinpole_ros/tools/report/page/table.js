@@ -121,18 +121,19 @@ function drawWithheld(element, data) {
     + 'withheld. A longer lag or window, more markers or a faster motion determine more.'));
 }
 
-// The share of the instants at which a quantity is determined, and the reasons for the others.
+// The share of the instants that are not lost at which a quantity is determined, and the reasons for the others.
 function shareCell(data, body, name) {
   const quantity = body[name];
   if (!quantity) return tag('td', 'not in the bag');
   const determined = (quantity.value ?? quantity.x).filter(isFinite).length;
-  const cell = tag('td', percent(determined, data.n));
+  const frames = data.n - body.lost.reduce((sum, [start, end]) => sum + end - start, 0);
+  const cell = tag('td', percent(determined, frames));
   const counts = {};
   for (const [start, end, reason] of withheldIntervals(body, name)) {
     counts[reason] = (counts[reason] ?? 0) + Math.min(end, data.n) - start;
   }
   for (const [reason, count] of Object.entries(counts).sort((a, b) => b[1] - a[1])) {
-    cell.append(tag('small', `${percent(count, data.n)} ${reason}`));
+    cell.append(tag('small', `${percent(count, frames)} ${reason}`));
   }
   return cell;
 }
