@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 # Keys of the diagnostics of the input, by the names of the tracker's counts. Where RECEIVED begins
 # again from 0, or RESTARTS goes up, a node was started again.
 RECEIVED, RESTARTS = 'frames received', 'starts anew'
-_COUNT_KEYS = {
+COUNT_KEYS = {
     'frames': RECEIVED,
     'repeated': 'frames with the stamp of the one before, left out',
     'late': 'frames that came late, after newer ones, left out',
@@ -333,7 +333,7 @@ def _input_status(
                 'ticks of that clock' if state.regularized else 'their stamps'
             ),
         }
-    values |= {key: tracker.counts[name] for name, key in _COUNT_KEYS.items()}
+    values |= {key: tracker.counts[name] for name, key in COUNT_KEYS.items()}
     return _status(name, level, message, values)
 
 

@@ -142,10 +142,11 @@ class FrameCounter:
             return self._accept(number, np.zeros((1, number), np.int64), np.zeros(1))
         self._extend(most)
         costs = self._costs + self._motion_costs()
+        costs -= costs.min()
         order = costs.argsort(kind='stable')[:MAX_HYPOTHESES]
-        order = order[costs[order] < costs[order[0]] + MAX_COST_DIFFERENCE]
+        order = order[costs[order] < MAX_COST_DIFFERENCE]
         losses = self._losses[order]
-        weights = np.exp(costs[order[0]] - costs[order])
+        weights = np.exp(-costs[order])
         error_probability = weights @ (losses != losses[0]) / weights.sum()
         certain = (error_probability < MAX_ERROR_PROBABILITY).nonzero()[0]
         accepted = max(int(certain[-1]) + 1 if len(certain) else 0, number - MAX_PENDING)

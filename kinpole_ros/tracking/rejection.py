@@ -5,28 +5,34 @@ C applies the rules that run for every frame (core/src/rejection.c), with the li
 rule that needs a search for a correction is in `correction` or `identity`, and takes its limits
 here.
 
-| what | verdict | rule | applied in |
-| --- | --- | --- | --- |
-| a frame | LATE | older than the newest, or by more than the clock's lateness | `judge_arrivals` |
-| a frame | REPEATED | the stamp, with a clock also the points, of the last one | `judge_arrivals` |
-| a frame | RESET | a step by more than a window, or two late frames in a row | `judge_arrivals` |
-| a marker | TOO_FAR | a coordinate not below `FARTHEST_MARKER` | `write_point` in C |
-| a marker | unknown | of a body of all markers that has `MOST_MARKERS` | `MarkerAssignment` |
-| a marker | ODD | off its place by `OUTLIER_SIGMAS` | `verdict_on_marker` in C |
-| a body | ODD | turned by more than a quarter since the frame before | `fit` in C |
-| a marker | NAME_DOUBTFUL | ODD, off by `YOUNG_OUTLIER` of the size | `verdict_on_marker` in C |
-| a marker | NEW_MARKER | no place on its body yet | `fit` in C |
-| a marker | LEFT_OUT, EXCHANGED | ODD, and the best correction says so | `correct_frame` |
-| a body | MIRRORED, DROPPED | ODD, fits mirrored, or with no correction | `correct_frame` |
-| a body | DROPPED | corrected, but its misfit is above `MAX_SQUARE_RATIO` | `correct_frame` |
-| a pose | NOT_SEEN | less than two markers, or all at one place | `fit` in C |
-| a pose | NOT_SEEN | its markers are too close: `MAX_ANGLE_NOISE` | `is_unsteady` in C |
-| a pose | OFF_PATH | off the cubic through its neighbors by `FAR` | `wrong_before_last` in C |
-| a pose | OFF_PATH | newest, and off all polynomials by `NEWEST_FACTOR` | `doubtful_newest` in C |
-| a pin | off | off its pin by `N_SIGMA` in more than two frames | `kinpole_holds_on_pin` in C |
-| a pin | dropped | off its pin by `N_SIGMA` in `CONFIRMING_FRAMES` in a row | `Pins.update` |
-| a result | TOO_NOISY | `MAX_ANGLE_NOISE` | `reasons_of` |
-| a result | NOISE_UNKNOWN | less than `MIN_SAMPLES` frames | `reasons_of` |
+| what | verdict | rule | applied in | counted as |
+| --- | --- | --- | --- | --- |
+| a frame | LATE | older than the newest, or than the clock allows | `judge_arrivals` | late |
+| a frame | REPEATED | as the last one | `judge_arrivals` | repeated |
+| a frame | RESET | a step over a window; two late in a row | `judge_arrivals` | resets |
+| a marker | TOO_FAR | not below `FARTHEST_MARKER` | `write_point` in C | markers_too_far |
+| a marker | OVERFLOW | more than `MOST_MARKERS` of a body | `_take_new` | markers_unknown |
+| a marker | ODD | off its place by `OUTLIER_SIGMAS` | `verdict_on_marker` in C | - |
+| a body | ODD | turned by more than a quarter in a frame | `fit` in C | - |
+| a marker | NAME_DOUBTFUL | ODD, by `YOUNG_OUTLIER` of the size | `verdict_on_marker` in C | - |
+| a marker | NEW_MARKER | no place on its body yet | `fit` in C | - |
+| a marker | LEFT_OUT | ODD, and its body fits without it | `correct_frame` | markers_left_out |
+| a marker | EXCHANGED | ODD, and fits elsewhere | `correct_frame` | markers_exchanged |
+| a body | MIRRORED | ODD, and fits mirrored | `correct_frame` | markers_mirrored |
+| a body | DROPPED | ODD, no correction fits | `correct_frame` | markers_of_misfits |
+| a body | DROPPED | corrected, above `MAX_SQUARE_RATIO` | `_correct_body` | markers_of_misfits |
+| a body | UNCERTAIN | points fit it in several ways | `match` | bodies_ambiguous |
+| a pose | NOT_SEEN | less than two markers, or all at one place | `fit` in C | a reason |
+| a pose | NOT_SEEN | its markers too close: `MAX_ANGLE_NOISE` | `is_unsteady` in C | a reason |
+| a pose | OFF_PATH | off its neighbors by `FAR` | `wrong_before_last` in C | a reason |
+| a pose | OFF_PATH | newest, off by `NEWEST_FACTOR` | `doubtful_newest` in C | a reason |
+| a pin | off | by `N_SIGMA` in more than two frames | `kinpole_holds_on_pin` in C | - |
+| a pin | dropped | off in `CONFIRMING_FRAMES` in a row | `Pins.update` | - |
+| a result | TOO_NOISY | `MAX_ANGLE_NOISE` | `reasons_of` | a reason |
+| a result | NOISE_UNKNOWN | less than `MIN_SAMPLES` frames | `reasons_of` | a reason |
+
+What is counted is a key of `Tracker.counts`, which diagnostics print. A verdict without a count
+leads to another one. A reason stands with the results that are missing for it.
 """
 
 from typing import NamedTuple
