@@ -7,6 +7,9 @@ from hypothesis import strategies as st
 from stretches import follow
 
 from kinpole_ros.planar import fit_pose
+from kinpole_ros.settings import settings_from
+from kinpole_ros.tracking import update
+from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.noise import white_noise
 from kinpole_ros.tracking.tracker import Tracker
@@ -211,3 +214,22 @@ def test_markers_at_one_place_at_first_do_not_spoil_the_shape(place: complex) ->
     tracker, _, angle = learned(points)
     assert np.isfinite(angle).tolist() == 10 * [False] + 50 * [True]
     assert shape_error(tracker, 4) < 1
+
+
+def test_the_history_is_bounded_in_bytes_however_many_frames_a_window_has(monkeypatch) -> None:
+    monkeypatch.setattr(update, 'MAX_HISTORY_BYTES', 2**20)
+    settings = settings_from({'body.markers': ['0', '1'], 'window': 1.0, 'lag': 0.0})
+    tracker, found = Tracker(settings), []
+    t = np.arange(20_000) * 1e-6
+    points = np.exp(1j * t[:, None]) * np.array([0.1, -0.1])
+    space = np.stack((points.real, points.imag, 0 * points.real), axis=-1)
+    stamps = 1_000_000_000 + np.arange(len(t)) * 1_000
+    for k in range(0, len(t), 2000):
+        part = slice(k, k + 2000)
+        frames = MarkerFrames(stamps[part], 'map', ('0', '1'), space[part])
+        found += tracker.add(frames, 1 if k + 2000 == len(t) else None)
+        tracker.learn_if_due()
+    columns = tracker.state.history.columns.values()
+    assert sum(column.nbytes for column in columns) < 3 * 2**20
+    # Results go on, from what is kept of the window.
+    assert len(found) and len(found[-1]) > 1000

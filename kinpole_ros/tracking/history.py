@@ -47,6 +47,11 @@ class History:
             'heights': np.zeros(both),
         }
 
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one row."""
+        return sum(column[0].nbytes for column in self.columns.values())
+
     def __len__(self) -> int:
         return self.end - self.first
 

@@ -9,8 +9,9 @@ from kinpole_ros.tracking.posed import learn_poses
 from kinpole_ros.tracking.state import MIN_HISTORY_FRAMES, State, restart_bodies
 from kinpole_ros.tracking.thresholds import MEMORY_FRAMES
 
-# The history has at least this many windows.
-MIN_HISTORY_WINDOWS = 4
+# The history has at least this many windows, and at most so many bytes, whatever the window: 25 s
+# of 20 bodies at 1 kHz. Results of a longer window are from what is kept of it.
+MIN_HISTORY_WINDOWS, MAX_HISTORY_BYTES = 4, 2**27
 # Frames between two updates: this share of all frames so far, and at most so many.
 UPDATE_SHARE, MAX_UPDATE_INTERVAL = 1 / 8, 128
 
@@ -105,7 +106,8 @@ def _drop_old_frames(state: State) -> None:
     """Drop frames that neither the window nor the next update needs."""
     history, fields = state.history, state.step.fields
     samples = int(fields.samples)
-    kept = max(MIN_HISTORY_FRAMES, MIN_HISTORY_WINDOWS * samples, samples)
+    most = max(MIN_HISTORY_FRAMES, MAX_HISTORY_BYTES // history.row_bytes)
+    kept = min(max(MIN_HISTORY_FRAMES, MIN_HISTORY_WINDOWS * samples), most)
     drop = len(history) - kept
     if drop > 0:
         history.drop(drop)
