@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "../include/joints.h"
+#include "../include/messages.h"
 #include "poles.h"
 
 /* Adds the angle or rate of a body `seconds` after an instant, by its Taylor series up to the

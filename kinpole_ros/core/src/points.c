@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "../include/points.h"
+#include "../include/messages.h"
 
 /* The unsigned integer in some bytes, at most 8. */
 static inline unsigned long long

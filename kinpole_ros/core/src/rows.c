@@ -9,7 +9,7 @@
 #include <string.h>
 
 #include "../include/codes.h"
-#include "../include/rows.h"
+#include "../include/messages.h"
 #include "poles.h"
 
 /* A message to be written: of instant `t`, and of the body with the element `at` of the motion. */

@@ -7,11 +7,8 @@
 #include "../include/call.h"
 #include "../include/codes.h"
 #include "../include/frames.h"
-#include "../include/joints.h"
+#include "../include/messages.h"
 #include "../include/motion.h"
-#include "../include/points.h"
-#include "../include/rows.h"
-#include "../include/slots.h"
 #include "../include/structs.h"
 
 enum { OF_VALUE = 0, OF_ARRAY = -1 };
