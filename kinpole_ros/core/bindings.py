@@ -235,6 +235,8 @@ def codes_of(enum: str) -> dict[str, int]:
 _read_structs()
 _PARTS = _read_list('kinpole_parts', _Description)
 _CODES = _read_list('kinpole_codes', _Codes)
+# Sizes of arrays that C and Python share: see codes.h.
+SIZES = codes_of('SIZES')
 
 _pointer = ctypes.POINTER
 _NUMBER, _ARRAY, _DATA = ctypes.c_longlong, ctypes.c_void_p, ctypes.c_char_p

@@ -368,7 +368,7 @@ class MarkerAssignment:
         slots = Slots(count=rows.size, points=points, **about)
         slots.bind('rows', np.ascontiguousarray(rows, np.int64))
         if self.plane is not None:
-            messages.has_axes = self.plane.axes is not None
+            slots.has_axes = self.plane.axes is not None
             slots.axes = self.plane.axes or (0, 0, 0)
             slots.basis = tuple(self.plane.basis.ravel().tolist())
         return slots

@@ -5,6 +5,8 @@
 #ifndef KINPOLE_MESSAGES_H
 #define KINPOLE_MESSAGES_H
 
+#include <stddef.h>
+
 #include "motion.h"
 #include "structs.h"
 
@@ -67,6 +69,29 @@ API void kinpole_read_messages(const MessageLayout *layout, const unsigned char 
     ARRAY(const unsigned char, determined)
 
 typedef STRUCT(ROW_FIELDS) Row;
+
+/* The doubles of messages, in their order there: of a pose with covariance, and of odometry. The frame of
+   /tf is the begin of a pose. */
+typedef struct {
+    double position[3], orientation[4], covariance[6][6];
+} PoseDoubles;
+
+typedef struct {
+    double linear[3], angular[3], covariance[6][6];
+} TwistDoubles;
+
+typedef struct {
+    PoseDoubles pose;
+    TwistDoubles twist;
+} OdometryDoubles;
+
+#define MESSAGE_DOUBLES(CODE)                                                    \
+    CODE(VECTOR_DOUBLES, 3)                                                      \
+    CODE(FRAME_DOUBLES, (int)(offsetof(PoseDoubles, covariance) / sizeof(double))) \
+    CODE(POSE_DOUBLES, (int)(sizeof(PoseDoubles) / sizeof(double)))              \
+    CODE(ODOMETRY_DOUBLES, (int)(sizeof(OdometryDoubles) / sizeof(double)))
+
+enum { MESSAGE_DOUBLES(DECLARE_CODE) };
 
 /* The rows e1, e2 and normal of the basis, and the variance of what the plane says nothing about. */
 typedef double Axis[3];

@@ -10,8 +10,6 @@
 #include "private.h"
 #include "samples.h"
 
-/* Derivatives by which samples are moved: as many as `slopes_of` of _models.py makes. */
-#define SLOPE_ORDERS 4
 
 /* The result at an instant: derivatives, their covariances, of the angle and of one coordinate, and
    the effective number of parameters of the motion of the angle. */

@@ -9,17 +9,16 @@
 
 #include <stddef.h>
 
+#include "../include/codes.h"
 #include "lanes.h"
 #include "private.h"
 #include "samples.h"
 
-/* Derivatives of order 0 to 4. */
-#define MAX_ORDERS 5
+/* Derivatives from order 0 on. */
+#define MAX_ORDERS (HIGHEST + 1)
 /* Sets of events: none, one of each order, and two. Columns of two events. */
 #define MAX_SETS (1 + STEP_ORDERS + 1)
 #define MAX_STEPS 6
-/* Orders of derivatives that may step: position, velocity and acceleration. */
-#define STEP_ORDERS 3
 
 /* The models of a window of `count` samples, as `models_of` of _models.py makes them. */
 typedef struct {

@@ -17,8 +17,6 @@
 
 /* A sample is on the grid if it is off by less than this part of the interval. */
 #define MAX_OFF_GRID 1e-4
-/* Samples of the shortest window, which still has every order; as in _models.py. */
-#define FEWEST_SAMPLES 7
 /* Samples that differ by more deviations of their noise are exact: about the largest amplitude. */
 #define EXACT_RATIO 1e7
 /* Low weights of a window above which its blocks are doubled: cost goes by their number squared. */
