@@ -160,23 +160,23 @@ class Motion(Struct):
 
 
 class Slots(Struct):
-    """Which rows of messages the slots of markers take: see slots.h."""
+    """Which rows of messages the slots of markers take: see messages.h."""
 
 
 class MessageLayout(Struct):
-    """Where stamps and points are in messages: see points.h."""
+    """Where stamps and points are in messages: see messages.h."""
 
 
 class Row(Struct):
-    """The messages of a topic: see rows.h."""
+    """The messages of a topic: see messages.h."""
 
 
 class Plane(Struct):
-    """The plane of the motion in space: see rows.h."""
+    """The plane of the motion in space: see messages.h."""
 
 
 class Joints(Struct):
-    """The joints of joint states: see joints.h."""
+    """The joints of joint states: see messages.h."""
 
 
 def _add_fields(struct: type[Struct], description: _Description) -> None:
@@ -235,6 +235,8 @@ def codes_of(enum: str) -> dict[str, int]:
 _read_structs()
 _PARTS = _read_list('kinpole_parts', _Description)
 _CODES = _read_list('kinpole_codes', _Codes)
+# Sizes of arrays that C and Python share: see codes.h.
+SIZES = codes_of('SIZES')
 
 _pointer = ctypes.POINTER
 _NUMBER, _ARRAY, _DATA = ctypes.c_longlong, ctypes.c_void_p, ctypes.c_char_p

@@ -17,13 +17,12 @@ instant, the poses of a body in a window around it become one result, which depe
 
 ================= ===============================================================================
 _models.py        2: processes, spectra, modes, and their derivatives, as tables for the library
-grid, cells       1: the usual interval, the cell of each frame, the size of the window, blocks
+window            1: the usual interval, the cell of each frame, the size of the window, blocks
 samples           1: first guesses of even samples
-models, sets      tables as the library sees them; columns of samples of low weight and of steps
-columns, evidence 3: corrections for columns, evidence and probabilities; the formulas
+models            tables as the library sees them; columns of samples of low weight and of steps
+evidence          3: corrections for columns, evidence and probabilities; the formulas
 screens, events   4: the search of steps
-mean              5: derivatives and covariances
-moving            uneven samples move along the estimated motion
+mean              5: derivatives and covariances; uneven samples move along the estimated motion
 derive            the order of these for one signal
 _poses.py         `derive_poses`: arrays to the library and back; keeps the tables
 _events.py        `find_events`: reports events some time after them, by polynomials

@@ -19,13 +19,15 @@ of one kind have one table.
 """
 
 from functools import lru_cache
+from math import factorial
 from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.core.bindings import SIZES
 from kinpole_ros.planar._plane import Real
 
-FEWEST_SAMPLES = 7
+FEWEST_SAMPLES = SIZES['FEWEST_SAMPLES']
 """Samples of the shortest window, which still has every order."""
 # Power of each spectrum and its shortest length, samples: a shorter one is like white noise.
 SPECTRA = ((2.0, 1.0), (1.4, 1.0), (1.0, 4.0))
@@ -47,8 +49,8 @@ _PARABOLA_AMPLITUDE = 2
 _MIN_MODE_SIGMA = 1e-2
 # Prior probability of all processes; low polynomials, the line, and rest have the other half.
 _PROCESS_PRIOR = 0.5
-# Models that the library evaluates side by side, its LANES.
-_LANES = 8
+# Models that the library evaluates side by side.
+_LANES = SIZES['LANES']
 # Singular values below this part of the largest are rounding.
 _ROUNDING = 1e-13
 # Squares of steps, of which a model leaves less than this part, are rounding.
@@ -299,14 +301,15 @@ def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
 
 def _step_squares(count: int, members: list[_Member], amplitudes: Real) -> Real:
     """
-    Return the squares b' P b (processes, amplitudes, 3, n) of steps b, with P as in screens.h.
+    Return the squares b' P b (processes, amplitudes, orders, n) of steps b, with P as in screens.h.
 
     A step of the motion, or of its first or second derivative, lies half a sample before each
     sample. Squares that are rounding are infinite, and so are those of rest, the last process.
     """
     time = np.arange(count)
     since = np.maximum(time - time[:, None] + 0.5, 0.0)
-    steps = np.concatenate((since > 0, since, since**2 / 2)).T
+    powers = (since**k / factorial(k) for k in range(1, SIZES['STEP_ORDERS']))
+    steps = np.concatenate((since > 0, *powers)).T
     square = (steps**2).sum(axis=0)
     _, root, lines = _half_window(count)
     opposite = steps[::-1][: len(root)]
@@ -355,9 +358,14 @@ def _derivatives(
 
 
 def slopes_of(count: int, block: int, exact: bool) -> Real:
-    """Return derivatives (4, panels, rows, _LANES), 1 to 4, of the modes at the first samples."""
+    """
+    Return derivatives (SLOPE_ORDERS, panels, rows, _LANES) of the modes at the first samples.
+
+    They are of order 1 and above.
+    """
     time, _, _ = _half_window(count)
-    lines, modes, _ = _derivatives(count, block, exact, time, range(1, 5))
+    orders = range(1, SIZES['SLOPE_ORDERS'] + 1)
+    lines, modes, _ = _derivatives(count, block, exact, time, orders)
     slopes = _fill_lanes(np.moveaxis(_rows(lines, modes, exact)[0], 0, 2))  # (K, rows, half)
     return slopes.reshape(*slopes.shape[:2], -1, _LANES).swapaxes(1, 2).ravel()
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.core.bindings import Call, Table, library
+from kinpole_ros.core.bindings import SIZES, Call, Table, library
 from kinpole_ros.derivatives._models import FLAT, models_of, slopes_of, stencils_of
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -138,8 +138,9 @@ def _check_arguments(
     shapes = [array.shape for array in (*poses[1:], *windows, left_out)]
     if shapes != [(frames, bodies)] * 5 + [(instants,)] * 3 + [(instants, bodies)]:
         raise ValueError(f'shapes do not fit to {frames} frames and noise {noise.shape}: {shapes}')
-    if not 0 <= order <= 4:
-        raise ValueError(f'order is {order}, but derivatives have order 0 to 4')
+    highest = SIZES['HIGHEST']
+    if not 0 <= order <= highest:
+        raise ValueError(f'order is {order}, but derivatives have order 0 to {highest}')
     if not 0 < window < np.inf:
         raise ValueError(f'window is {window} s, but a length is finite and more than 0')
     early = np.flatnonzero(poses.time[1:] <= poses.time[:-1])

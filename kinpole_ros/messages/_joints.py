@@ -19,7 +19,7 @@ _BYTES, _BYTES_OF_JOINT = 64, 48
 
 
 class _Joints(Joints):
-    """`Joints` of joints.h."""
+    """`Joints` of messages.h."""
 
     def __init__(
         self, joints: Mapping[str, tuple[str, str]], bodies: Sequence[str], is_deviation: bool

@@ -37,8 +37,12 @@ NORMAL, VECTOR, POINT, POSE, ODOMETRY, FRAME, STATE_POINTS = codes_of('MESSAGE_K
 RATE, RELATIVE_RATE, RELATIVE_CENTER, _GIVEN = (
     QUANTITIES[name] for name in ('RATE', 'RELATIVE_RATE', 'RELATIVE_CENTER', 'GIVEN')
 )
-# Doubles of a row, as in rows.c.
-_DOUBLES = {NORMAL: 3, VECTOR: 3, POINT: 3, POSE: 43, ODOMETRY: 85, FRAME: 7}
+_SIZES = codes_of('MESSAGE_DOUBLES')
+_DOUBLES = dict.fromkeys((NORMAL, VECTOR, POINT), _SIZES['VECTOR_DOUBLES']) | {
+    POSE: _SIZES['POSE_DOUBLES'],
+    ODOMETRY: _SIZES['ODOMETRY_DOUBLES'],
+    FRAME: _SIZES['FRAME_DOUBLES'],
+}
 # Rows are filled as integers, all of their fields at once.
 _ROW_FIELDS = len(bindings.Row._fields_)
 _GIVEN_FIELDS = slice(_ROW_FIELDS - 3, _ROW_FIELDS)

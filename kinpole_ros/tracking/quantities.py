@@ -4,7 +4,14 @@ from ctypes import byref
 
 import numpy as np
 
-from kinpole_ros.core.bindings import Motion, address_of, codes_of, library, pass_new_array
+from kinpole_ros.core.bindings import (
+    SIZES,
+    Motion,
+    address_of,
+    codes_of,
+    library,
+    pass_new_array,
+)
 from kinpole_ros.planar._plane import Complex, Real
 
 # What is computed: see codes.h. Poles have their order, 1 to 4, and FREE is added for a pole by the
@@ -86,7 +93,7 @@ def compute_quantity(what: int, motion: Motion) -> tuple[Complex, Real, np.ndarr
 
     """
     needed = _NEEDED.get(what, what % FREE)
-    if not 1 <= needed < motion.orders <= 5:
+    if not 1 <= needed < motion.orders <= SIZES['HIGHEST'] + 1:
         raise ValueError(f'expected derivatives up to order {needed}, got {motion.orders - 1}')
     arrays = _empty(motion.shape)
     library.kinpole_quantities(what, byref(motion), *map(pass_new_array, arrays))

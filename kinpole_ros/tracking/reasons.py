@@ -4,11 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from kinpole_ros.core.bindings import codes_of
 from kinpole_ros.tracking.values import Vectors
 
 # A denominator counts as known when it exceeds its standard deviation this many times. Beyond this
-# many body sizes a pole is as good as at infinity. Both as in poles.c.
-SIGNIFICANT, FARTHEST = 4.0, 1e3
+# many body sizes a pole is as good as at infinity.
+SIGNIFICANT, FARTHEST = codes_of('POLE_LIMITS').values()
 IN_NOISE, NO_ROTATION, AT_INFINITY = 'lost in its noise', 'no rotation', 'pole at infinity'
 # Reasons why a body with a determined ICR has no curvature of the centrode.
 PINNED = 'pinned: the ICR stands still'

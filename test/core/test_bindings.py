@@ -45,6 +45,7 @@ def test_a_field_keeps_its_array() -> None:
 
 def test_lists_of_headers_are_read() -> None:
     assert codes_of('UNUSUAL_BITS') == {'ODD': 1, 'NAME_DOUBTFUL': 2, 'NEW_MARKER': 4}
+    assert codes_of('MESSAGE_DOUBLES')['ODOMETRY_DOUBLES'] == 7 + 36 + 6 + 36
     lists = 'BODY_ARRAYS', 'TRACKING_STATE', 'NEW_FRAMES'
     arrays = [name for part in lists for name in fields_of(part)]
     assert len(set(arrays)) == len(arrays)

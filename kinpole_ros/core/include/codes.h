@@ -7,6 +7,18 @@
 
 #include "structs.h"
 
+/* The highest order of a derivative; models side by side in vectors; derivatives that may step, from the
+   position on; derivatives by which uneven samples move, from the first on; samples of the shortest window,
+   which still has every order. */
+#define SIZES(CODE)       \
+    CODE(HIGHEST, 4)      \
+    CODE(LANES, 8)        \
+    CODE(STEP_ORDERS, 3)  \
+    CODE(SLOPE_ORDERS, 4) \
+    CODE(FEWEST_SAMPLES, 7)
+
+enum { SIZES(DECLARE_CODE) };
+
 /* What `kinpole_derive` returns. */
 #define CALL_ENDS(CODE) \
     CODE(NO_MEMORY, -2) \
@@ -43,19 +55,39 @@ enum { UNUSUAL_BITS(DECLARE_CODE) };
 
 enum { REASONS(DECLARE_CODE) };
 
-/* What a quantity is. A pole of order 1 to 4 has its order, and FREE plus that order is the pole by the
-   motion alone; RATE plus its order is a derivative of the angle. VELOCITY is that of the ICR, CURVATURE
-   that of the centrode, and GIVEN a quantity that a row of messages has with it. */
+/* What a quantity is. A pole has its order, and FREE plus that order is the pole by the motion alone; RATE
+   plus its order is a derivative of the angle. VELOCITY is that of the ICR, CURVATURE that of the centrode,
+   and GIVEN a quantity that a row of messages has with it. */
 #define QUANTITIES(CODE)      \
+    CODE(POLE_1, 1)           \
+    CODE(POLE_2, 2)           \
+    CODE(POLE_3, 3)           \
+    CODE(POLE_4, 4)           \
     CODE(VELOCITY, 5)         \
     CODE(CURVATURE, 6)        \
     CODE(FREE, 10)            \
+    CODE(FREE_POLE_1, 11)     \
+    CODE(FREE_POLE_2, 12)     \
+    CODE(FREE_POLE_3, 13)     \
+    CODE(FREE_POLE_4, 14)     \
     CODE(RATE, 20)            \
+    CODE(RATE_1, 21)          \
+    CODE(RATE_2, 22)          \
+    CODE(RATE_3, 23)          \
+    CODE(RATE_4, 24)          \
     CODE(RELATIVE_RATE, 30)   \
     CODE(RELATIVE_CENTER, 31) \
     CODE(GIVEN, 32)
 
 enum { QUANTITIES(DECLARE_CODE) };
+
+/* A pole is determined if the turn of its order exceeds its standard deviation this many times, and if it
+   is no farther than so many body sizes. */
+#define POLE_LIMITS(CODE) \
+    CODE(SIGNIFICANT, 4)  \
+    CODE(FARTHEST, 1000)
+
+enum { POLE_LIMITS(DECLARE_CODE) };
 
 /* Bits of the flags of a quantity: it stands out of its noise; the ICR is seen to move. */
 #define QUANTITY_FLAGS(CODE) \

@@ -8,8 +8,6 @@
 #include "codes.h"
 #include "structs.h"
 
-#define HIGHEST 4
-
 /* Arrays of `count` elements, each a body at an instant; elements of two orders are `stride` apart. The
    stamps are of instants. See quantities.py. */
 #define MOTION_FIELDS(VALUE, BLOCK, ARRAY)   \

@@ -5,8 +5,8 @@
  * One instant of one body is a signal of an angle and two coordinates. Its result depends on the
  * poses in its window alone:
  *
- *   derive_signal    finds the grid, fills cells and blocks (grid.c, cells.c, samples.c)
- *   derive_uneven    fills missing samples, moves others to the even grid (moving.c)
+ *   derive_signal    finds the grid, fills cells and blocks (window.c, samples.c)
+ *   derive_uneven    fills missing samples, moves others to the even grid (samples.c, mean.c)
  *   derive_even      evaluates models (evidence.c), searches events (events.c), averages (mean.c)
  *   write_results    converts samples to seconds, and deviations of the noise to rad and m
  */
@@ -16,19 +16,16 @@
 #include <string.h>
 
 #include "../include/call.h"
-#include "cells.h"
+#include "window.h"
 #include "estimator.h"
 #include "events.h"
 #include "evidence.h"
-#include "grid.h"
 #include "lanes.h"
 #include "mean.h"
 #include "memory.h"
 #include "models.h"
-#include "moving.h"
 #include "numbers.h"
 #include "samples.h"
-#include "sets.h"
 
 /* The noise prior, in samples: a window has less information on its noise than the measurement. */
 #define NOISE_PRIOR_SAMPLES 300.0
@@ -276,7 +273,7 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sc
     return code;
 }
 
-PRIVATE void
+static void
 write_results(const Call *call, long long signal, long long now, const Estimate *estimate,
               const double (*scale)[MAX_ORDERS], double span)
 {
@@ -298,10 +295,10 @@ write_results(const Call *call, long long signal, long long now, const Estimate 
                 estimate ? estimate->covariance[1][k][j] * scale[1][k] * scale[1][j] : NAN;
         }
     }
-    span_and_freedom[0] = span, span_and_freedom[all] = estimate ? estimate->freedom[0] : NAN;
+    span_and_freedom[0] = span, span_and_freedom[all] = estimate ? estimate->freedom : NAN;
 }
 
-PRIVATE int
+static int
 derive_signal(Call *call, long long instant, long long body, const Grid *grid)
 {
     Cells cells;

@@ -8,14 +8,10 @@
 #define KINPOLE_ESTIMATOR
 
 #include "samples.c"
-#include "grid.c"
-#include "cells.c"
+#include "window.c"
 #include "models.c"
-#include "sets.c"
-#include "columns.c"
 #include "evidence.c"
 #include "mean.c"
-#include "moving.c"
 #include "screens.c"
 #include "events.c"
 #include "derive.c"

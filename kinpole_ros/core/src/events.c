@@ -11,7 +11,6 @@
 #include "numbers.h"
 #include "samples.h"
 #include "screens.h"
-#include "sets.h"
 
 /* Columns of an event: the step, its shift in time, and a step of the next derivative. */
 #define EVENT_COLUMNS 3

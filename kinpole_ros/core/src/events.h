@@ -27,7 +27,6 @@
 #include "models.h"
 #include "private.h"
 #include "samples.h"
-#include "sets.h"
 
 /* Search a window for up to two events, and evaluate the models with them. The first of `sets` has
    no events, and is evaluated already. `number` is the number of sets. */

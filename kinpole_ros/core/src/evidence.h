@@ -25,10 +25,18 @@
 #ifndef KINPOLE_EVIDENCE_H
 #define KINPOLE_EVIDENCE_H
 
+#include "lanes.h"
 #include "models.h"
 #include "private.h"
 #include "samples.h"
-#include "sets.h"
+
+/* Correct the derivatives (3, orders) of a group and their covariances for the columns. The effect
+   of a column of size 1 on the derivatives, by which its estimated size is subtracted, is what the
+   model makes of the column, less the derivatives of the step itself at the instant. `variance` is
+   that of the noise times the weight in the covariance. */
+PRIVATE void correct_for_columns(const Models *m, const Stencils *s, long long group, const Work *w,
+                                 const Set *set, const Lanes *variance, Lanes *derivatives,
+                                 Lanes *spread);
 
 /* Compute the coefficients of samples, and the residual sum of squares of each model. */
 PRIVATE void project_samples(const Models *m, const Samples *s, Work *w);

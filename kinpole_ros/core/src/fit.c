@@ -11,7 +11,6 @@
 #include "rejection.h"
 
 static const double ROUNDING = 4 * 2.220446049250313e-16, TINY = 2.2250738585072014e-308;
-static const double TURN = 6.283185307179586;
 
 /* Fits the pose of body `b` to its markers (n,), and writes the newest row; what is unusual. */
 static int

@@ -22,7 +22,7 @@ typedef struct {
 } Poses;
 
 /* A result is due this share of an interval before its frame is as old as the lag. */
-static const double EARLY = 0.75, TURN = 6.283185307179586;
+static const double EARLY = 0.75;
 
 static Number
 unit_at(double angle)

@@ -5,7 +5,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "../include/joints.h"
+#include "../include/messages.h"
+#include "numbers.h"
 #include "poles.h"
 
 /* Adds the angle or rate of a body `seconds` after an instant, by its Taylor series up to the
@@ -48,13 +49,12 @@ static long long
 write_joint_state(const Motion *m, const Joints *joints, long long t, long long stamp,
                   unsigned char *out)
 {
-    const long long second = 1000000000;
     double seconds = (double)(stamp - m->stamp[t]) * 1e-9;
     int listed = 0;
     memset(out, 0, joints->size);
     out[1] = 1; /* little endian */
-    unsigned char *start = out + 4, *at = put_integer(start, start, (int)(stamp / second));
-    at = put_integer(start, at, (int)(stamp % second));
+    unsigned char *start = out + 4, *at = put_integer(start, start, (int)(stamp / SECOND));
+    at = put_integer(start, at, (int)(stamp % SECOND));
     at = put_integer(start, at, 1) + 1; /* the empty frame_id */
     unsigned char *number = at + (-(at - start) & 3);
     at = number + 4;

@@ -5,11 +5,12 @@
 #ifndef KINPOLE_LANES_H
 #define KINPOLE_LANES_H
 
+#include "../include/codes.h"
+
 /* Doubles in a vector: estimator_avx2.c has 4. */
 #ifndef WIDTH
 #define WIDTH 2
 #endif
-#define LANES 8
 #define VECTORS (LANES / WIDTH)
 
 /* As wide as the vectors of the processor: compilers break up wider ones badly. */

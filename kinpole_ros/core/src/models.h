@@ -1,15 +1,24 @@
 /*
  * The models of a window, as _models.py makes them, and sums over their modes.
+ *
+ * A set has columns, samples of low weight and steps, with which all models are evaluated.
  */
 
 #ifndef KINPOLE_MODELS_H
 #define KINPOLE_MODELS_H
 
+#include <stddef.h>
+
+#include "../include/codes.h"
 #include "lanes.h"
 #include "private.h"
+#include "samples.h"
 
-/* Derivatives of order 0 to 4. */
-#define MAX_ORDERS 5
+/* Derivatives from order 0 on. */
+#define MAX_ORDERS (HIGHEST + 1)
+/* Sets of events: none, one of each order, and two. Columns of two events. */
+#define MAX_SETS (1 + STEP_ORDERS + 1)
+#define MAX_STEPS 6
 
 /* The models of a window of `count` samples, as `models_of` of _models.py makes them. */
 typedef struct {
@@ -47,12 +56,16 @@ typedef struct {
 PRIVATE void add_table_products(const Lanes *table, long long depth, const double *values,
                                 long long stride, long long columns, Lanes *out, long long step);
 
-/* Add to `out` (a, b) the sums over the modes r of a group's process of table[r] left[i][r]
-   right[j][r], for left (a, rows) and right (b, rows). Without `right` these are the pairs j <= i
-   of left. */
-PRIVATE void add_mode_products(const Models *m, const Lanes *table, long long group,
-                               const double *left, long long a, const double *right, long long b,
-                               double *terms, Lanes *out);
+/* Coefficients in the modes, (count, rows). */
+typedef struct {
+    const double *values;
+    long long count;
+} Columns;
+
+/* Add to `out`, of so many columns left and right, the sums over the modes r of a group's process of
+   table[r] left[i][r] right[j][r]. Without columns on the right these are the pairs j <= i of left. */
+PRIVATE void add_mode_products(const Models *m, const Lanes *table, long long group, Columns left,
+                               Columns right, double *terms, Lanes *out);
 
 /* Fold signals (columns, count) about the middle of the window: sums and differences (2, columns,
    half) of opposite samples. Even modes depend on sums only, odd ones on differences. */
@@ -61,5 +74,78 @@ PRIVATE void fold(const Models *m, double *const *signals, long long columns, do
 /* Compute the coefficients (columns, rows) of folded signals in the modes from `begin` to `end`. */
 PRIVATE void project(const Models *m, const double *folded, long long columns, long long begin,
                      long long end, double *coefficients);
+
+/* A step of the derivative of an `order` from 0 to 3, `place` samples after the first sample. */
+typedef struct {
+    double place;
+    int order;
+} Step;
+
+/* Quantities of the samples of a window that do not depend on events, and scratch memory. */
+typedef struct {
+    double prior_samples, total_weight[2], sum_of_squares[3];
+    double *coefficients; /* (3, rows), of the samples in the modes */
+    double *squares;      /* (3, rows), of the coefficients */
+    Lanes *residual;      /* (3, groups): residual sum of squares of each model */
+    double *terms;        /* scratch of sums over modes, and of folded signals */
+    Lanes *column_products; /* scratch (pairs + 3 columns): see `apply_columns` */
+    Lanes *column_effects;  /* scratch (2, orders, columns): see `correct_for_columns` */
+    Lanes *over_pivots;     /* scratch (orders + 1, columns), of `forward_substitute` */
+    Lanes *slopes;          /* scratch (2, SLOPE_ORDERS, 3, half / LANES), of `move_to_grid` */
+} Work;
+
+/* Models with columns: first `cells`, samples with a weight below 1, then `steps` of events. The
+   size of a column has a prior of zero mean and variance root^2 / weight. That of a step is the
+   estimated size squared, with a weight of 1. That of a sample of weight w is (1 - w) / w, so its
+   noise has the variance 1 / w. Weights and roots are by angle and position, (parts, columns), with
+   one part if these are equal. */
+typedef struct {
+    long long columns, cells, steps, parts, events;
+    long long *cell;       /* (cells): the samples */
+    Step step[MAX_STEPS];
+    double log_prior;      /* of the events */
+    double best_evidence[2];
+    double place_covariance[2][MAX_ORDERS][MAX_ORDERS]; /* from the unknown places of the events */
+    double *step_columns;  /* (steps, count) */
+    double *folded;        /* (2, steps, half): sums and differences of these, see `fold` */
+    double *coefficients;  /* (columns, rows), of the columns in the modes */
+    double *column_products; /* (pairs + 3 columns), of columns, and of samples with columns */
+    double *weight, *root;
+    Lanes *evidence, *variance, *probability, *covariance_weight; /* (2, groups) */
+    Lanes *derivatives;    /* (groups, 3, orders) */
+    Lanes *factors;        /* (groups, parts, pairs): L and 1 / D, see `factorize` */
+    Lanes *residuals;      /* (groups, 3, columns): of the samples at the columns, divided by L */
+    long long *is_used;    /* (groups) */
+} Set;
+
+/* The signal t^order / order! of a step, `since` samples after it. */
+static inline double
+step_value(int order, double since)
+{
+    static const double factorial[] = {1.0, 1.0, 2.0, 6.0};
+    double power = since > 0.0 ? 1.0 / factorial[order] : 0.0;
+    for (int k = 0; k < order; k++)
+        power *= since;
+    return power;
+}
+
+PRIVATE size_t size_of_set(const Models *m, long long orders, long long columns, long long steps,
+                           int parts);
+
+/* Lay out the arrays of a set, and return the end of their memory. */
+PRIVATE char * lay_out_set(const Models *m, long long orders, long long columns, long long steps,
+                           int parts, char *data, Set *set);
+
+/* Compute the column (count) of a step, for samples that are means of blocks. */
+PRIVATE void fill_step_column(const Step *step, long long count, long long block, double *column);
+
+/* Copy the coefficients of cells, which are unit vectors, from the basis. */
+PRIVATE void project_cells(const Models *m, Set *set);
+
+/* Compute the coefficients of the steps of a set in the modes of one process. */
+PRIVATE void project_steps(const Models *m, long long process, Set *set);
+
+/* Compute the products of columns with each other, (pairs), and with samples, (3, columns). */
+PRIVATE void find_column_products(const Models *m, const Samples *s, Set *set);
 
 #endif

@@ -7,6 +7,11 @@
 
 #include "../include/structs.h"
 
+/* A whole turn, rad. */
+#define TURN 6.283185307179586
+/* A second, ns. */
+#define SECOND 1000000000ll
+
 static inline double
 larger(double a, double b)
 {

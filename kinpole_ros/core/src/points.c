@@ -5,7 +5,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "../include/points.h"
+#include "../include/messages.h"
+#include "numbers.h"
 
 /* The unsigned integer in some bytes, at most 8. */
 static inline unsigned long long
@@ -40,7 +41,7 @@ static long long
 stamp_of(const MessageLayout *layout, const unsigned char *message)
 {
     const unsigned char *stamp = message + layout->stamp;
-    return (int)integer_at(stamp, 4, 0) * 1000000000ll + (long long)integer_at(stamp + 4, 4, 0);
+    return (int)integer_at(stamp, 4, 0) * SECOND + (long long)integer_at(stamp + 4, 4, 0);
 }
 
 /* Returns how many messages from message `first` on are of the layout, of `count` in all. */

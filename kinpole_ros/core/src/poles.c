@@ -84,9 +84,6 @@ curvature(const Number *z, const double *rate, Linear *out)
     out->value = cimag(g) * slowness;
 }
 
-/* A pole counts as determined where the turn of its order exceeds its standard deviation this many
-   times, and where it is no more than so many body sizes away. */
-static const double SIGNIFICANT = 4.0, FARTHEST = 1e3;
 /* An ICR moves if its speed exceeds its standard deviation this many times, and this share of the
    body size per rad. */
 static const double MOVING = 1.7, STILL = 1e-6;
@@ -237,10 +234,20 @@ kinpole_rate(const Motion *m, long long t, int order)
 Quantity
 kinpole_quantity(const Motion *m, long long t, int what)
 {
-    return what == CURVATURE ? curvature_at(m, t)
-        : what == VELOCITY   ? velocity_at(m, t)
-        : what > FREE        ? free_pole(m, t, what - FREE)
-                             : pole_at(m, t, what);
+    switch (what) {
+    case POLE_1: case POLE_2: case POLE_3: case POLE_4:
+        return pole_at(m, t, what);
+    case FREE_POLE_1: case FREE_POLE_2: case FREE_POLE_3: case FREE_POLE_4:
+        return free_pole(m, t, what - FREE);
+    case VELOCITY:
+        return velocity_at(m, t);
+    case CURVATURE:
+        return curvature_at(m, t);
+    case RATE_1: case RATE_2: case RATE_3: case RATE_4:
+        return kinpole_rate(m, t, what - RATE);
+    default:
+        return (Quantity){NAN, {NAN, NAN, NAN}, 0};
+    }
 }
 
 Quantity

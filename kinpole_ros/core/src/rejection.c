@@ -10,7 +10,6 @@
 enum { LONGEST = 3, LOOK_BACK = 4 * LONGEST, NODES = 4 };
 /* Poses off a pin in a window that are outliers at most. */
 enum { MAX_OFF_PIN = 2 };
-static const double TURN = 6.283185307179586;
 
 /* An angle in [-pi, pi]. */
 static double

@@ -9,8 +9,16 @@
 #include <string.h>
 
 #include "../include/codes.h"
-#include "../include/rows.h"
+#include "../include/messages.h"
+#include "numbers.h"
 #include "poles.h"
+
+/* The doubles of any message of one quantity. */
+typedef union {
+    double vector[3];
+    PoseDoubles pose;
+    OdometryDoubles odometry;
+} Doubles;
 
 /* A message to be written: of instant `t`, and of the body with the element `at` of the motion. */
 typedef struct {
@@ -37,8 +45,7 @@ quantity_of(const Task *task)
     case RELATIVE_CENTER:
         return kinpole_relative_center(m, other, task->at);
     default:
-        return row->what > RATE ? kinpole_rate(m, task->at, (int)row->what - RATE)
-                                : kinpole_quantity(m, task->at, (int)row->what);
+        return kinpole_quantity(m, task->at, (int)row->what);
     }
 }
 
@@ -65,33 +72,32 @@ turned(const Plane *plane, const double *spread, int c, int d)
         y[c] * y[d] * spread[2];
 }
 
-/* Writes a quantity, and returns the number of doubles; 0 where it is undetermined. */
+/* Writes a quantity, and returns the number of doubles; 0 if it is undetermined. */
 static int
-write_quantity(const Task *task, double *out)
+write_quantity(const Task *task, Doubles *out)
 {
     const Row *row = task->row;
     const Plane *plane = task->plane;
     Quantity q = quantity_of(task);
     if (!(q.flags & DETERMINED))
         return 0;
-    if (row->kind == NORMAL) {
-        in_space(plane, 0.0, row->is_deviation ? root_of(q.spread[0]) : creal(q.value), out);
-        return 3;
-    }
-    if (row->is_deviation) {
+    double height = row->kind == VECTOR ? 0.0 : task->motion->height[task->at];
+    if (row->kind == NORMAL)
+        in_space(plane, 0.0, row->is_deviation ? root_of(q.spread[0]) : creal(q.value), out->vector);
+    else if (row->is_deviation)
         for (int c = 0; c < 3; c++)
-            out[c] = root_of(turned(plane, q.spread, c, c));
-        return 3;
-    }
-    in_space(plane, q.value, row->kind == VECTOR ? 0.0 : task->motion->height[task->at], out);
-    if (row->kind != POSE)
-        return 3;
-    memset(out + 3, 0, 40 * sizeof *out);
-    out[6] = 1.0;
+            out->vector[c] = root_of(turned(plane, q.spread, c, c));
+    else
+        in_space(plane, q.value, height, out->vector);
+    if (row->kind != POSE || row->is_deviation)
+        return VECTOR_DOUBLES;
+    PoseDoubles pose = {.orientation = {[3] = 1.0}};
+    memcpy(pose.position, out->vector, sizeof pose.position);
     for (int c = 0; c < 3; c++)
         for (int d = 0; d < 3; d++)
-            out[7 + 6 * c + d] = turned(plane, q.spread, c, d);
-    return 43;
+            pose.covariance[c][d] = turned(plane, q.spread, c, d);
+    out->pose = pose;
+    return POSE_DOUBLES;
 }
 
 /* The frame of a body: where it is and how it moves. */
@@ -137,7 +143,8 @@ covariance_of(const Pose *pose, const double (*by)[2], double even, double (*cel
 
 /* Writes the covariance (6, 6) in space, as ROS orders it. */
 static void
-write_covariance(const Plane *plane, const Pose *pose, const double (*by)[2], double even, double *out)
+write_covariance(const Plane *plane, const Pose *pose, const double (*by)[2], double even,
+                 double (*out)[6])
 {
     const double(*e)[3] = plane->basis;
     double cells[3][3], turn[3][6] = {{0.0}};
@@ -155,127 +162,149 @@ write_covariance(const Plane *plane, const Pose *pose, const double (*by)[2], do
                 sum += plane->unmeasured * e[2][c] * e[2][d];
             else if (d >= 3)
                 sum += plane->unmeasured * (e[0][c - 3] * e[0][d - 3] + e[1][c - 3] * e[1][d - 3]);
-            out[6 * c + d] = out[6 * d + c] = sum;
+            out[c][d] = out[d][c] = sum;
         }
 }
 
 /* Writes where the frame of a body is, and for odometry its twist in that frame (REP-105). */
 static int
-write_pose(const Task *task, double *out)
+write_pose(const Task *task, Doubles *out)
 {
     Pose pose;
+    PoseDoubles *at = &out->odometry.pose;
+    TwistDoubles *twist = &out->odometry.twist;
     const Plane *plane = task->plane;
     if (!read_pose(task->motion, task->at, &pose))
         return 0;
-    in_space(plane, pose.origin, task->motion->height[task->at], out);
-    in_space(plane, 0.0, cimag(pose.half_turn), out + 3);
-    out[6] = creal(pose.half_turn);
+    in_space(plane, pose.origin, task->motion->height[task->at], at->position);
+    in_space(plane, 0.0, cimag(pose.half_turn), at->orientation);
+    at->orientation[3] = creal(pose.half_turn);
     if (task->row->kind == FRAME)
-        return 7;
+        return FRAME_DOUBLES;
     Number turn = pose.half_turn * pose.half_turn;
-    in_space(plane, pose.velocity * conj(turn), 0.0, out + 43);
-    in_space(plane, 0.0, pose.rate, out + 46);
+    in_space(plane, pose.velocity * conj(turn), 0.0, twist->linear);
+    in_space(plane, 0.0, pose.rate, twist->angular);
     /* The origin turns about the reference point, and the velocity of that point is seen from the
        body. */
     Number seen = task->motion->position[task->motion->stride + task->at] * conj(turn);
     Number arm = task->motion->reference[task->at];
     double by_pose[3][2] = {{cimag(pose.arm)}, {-creal(pose.arm)}, {1.0}};
     double by_twist[3][2] = {{cimag(seen), cimag(arm)}, {-creal(seen), -creal(arm)}, {0.0, 1.0}};
-    write_covariance(plane, &pose, by_pose, pose.of_position[0], out + 7);
-    write_covariance(plane, &pose, by_twist, pose.of_position[1], out + 49);
-    return 85;
+    write_covariance(plane, &pose, by_pose, pose.of_position[0], at->covariance);
+    write_covariance(plane, &pose, by_twist, pose.of_position[1], twist->covariance);
+    return ODOMETRY_DOUBLES;
 }
 
-/* Writes a vector of the plane with its covariance for `state`. */
-static void
-write_state_vector(Number value, double xx, double xy, double yy, double *out)
+/* A vector of the plane with its covariance, and a scalar, of the topic `state`. */
+typedef struct {
+    double x, y, xx, xy, yy;
+} StateVector;
+
+typedef struct {
+    double value, deviation;
+} StateScalar;
+
+/* The point of a body of the topic `state`, before its quantities: the place of its frame for viewers, which
+   quantities are determined, by bits, and its pose and velocity. See _state.py. */
+typedef struct {
+    float place[3];
+    unsigned determined;
+    StateVector position;
+    StateScalar angle;
+    StateVector velocity;
+} StatePoint;
+
+static StateVector
+state_vector(Number value, double xx, double xy, double yy)
 {
-    out[0] = creal(value), out[1] = cimag(value), out[2] = xx, out[3] = xy, out[4] = yy;
+    return (StateVector){creal(value), cimag(value), xx, xy, yy};
 }
 
-/* Writes position, angle and velocity of the frame of a body for `state`. An error d of the angle moves
-   the origin by -i d r, with r the arm, and changes its velocity by d w r; an error e of the rate w
-   changes the velocity by -i e r. */
+/* Fills in position, angle and velocity of the frame of a body. An error d of the angle moves the origin by
+   -i d r, with r the arm, and changes its velocity by d w r; an error e of the rate w changes the velocity
+   by -i e r. */
 static void
-write_state_pose(const Pose *pose, double angle, double *out)
+fill_state_pose(const Pose *pose, double angle, StatePoint *point)
 {
     double x = creal(pose->arm), y = cimag(pose->arm), w = pose->rate, cells[3][3];
     const double by_origin[3][2] = {{y}, {-x}}, by_velocity[3][2] = {{w * x, y}, {w * y, -x}};
     covariance_of(pose, by_origin, pose->of_position[0], cells);
-    write_state_vector(pose->origin, cells[0][0], cells[0][1], cells[1][1], out);
-    out[5] = angle, out[6] = root_of(pose->of_angle[0][0]);
+    point->position = state_vector(pose->origin, cells[0][0], cells[0][1], cells[1][1]);
+    point->angle = (StateScalar){angle, root_of(pose->of_angle[0][0])};
     covariance_of(pose, by_velocity, pose->of_position[1], cells);
-    write_state_vector(pose->velocity, cells[0][0], cells[0][1], cells[1][1], out + 7);
+    point->velocity = state_vector(pose->velocity, cells[0][0], cells[0][1], cells[1][1]);
 }
 
-/* Writes a quantity for `state`, and returns the number of doubles; all are 0 if it is undetermined. */
-static int
-write_state_quantity(const Quantity *q, int is_vector, double *out)
+/* Writes a quantity of a body, zeros if it is undetermined, and returns where it ends. The next bit of
+   `determined` says which it is. */
+static unsigned char *
+write_state_quantity(const Task *task, long long at, int what, unsigned *bit, unsigned *determined,
+                     unsigned char *out)
 {
-    int is_determined = q->flags & DETERMINED;
-    for (int k = 0; k < 5; k++)
-        out[k] = 0.0;
-    if (is_determined && is_vector)
-        write_state_vector(q->value, q->spread[0], q->spread[1], q->spread[2], out);
-    else if (is_determined)
-        out[0] = creal(q->value), out[1] = root_of(q->spread[0]);
-    return is_vector ? 5 : 2;
+    Quantity q = kinpole_quantity(task->motion, at, what);
+    StateVector vector = {0};
+    StateScalar scalar = {0};
+    int is_scalar = what > RATE || what == CURVATURE;
+    if (q.flags & DETERMINED) {
+        vector = state_vector(q.value, q.spread[0], q.spread[1], q.spread[2]);
+        scalar = (StateScalar){creal(q.value), root_of(q.spread[0])};
+        *determined |= *bit;
+    }
+    *bit *= 2;
+    size_t size = is_scalar ? sizeof scalar : sizeof vector;
+    memcpy(out, is_scalar ? (const void *)&scalar : &vector, size);
+    return out + size;
 }
 
-/* Writes the point of a body of the topic `state`, with derivatives up to an order, and returns its
-   bytes. See _state.py. */
-static long long
+/* Writes the point of a body of the topic `state`, with derivatives up to an order, and returns where it
+   ends. */
+static unsigned char *
 write_state_point(const Task *task, long long at, int order, unsigned char *out)
 {
-    const Motion *m = task->motion;
-    enum { POSE_FIELDS = 12, FIRST = 16 };
-    double doubles[POSE_FIELDS + 7 * HIGHEST + 7 + 3] = {0}, origin[3] = {0.0}, *next = doubles;
-    unsigned determined = 0, bit = 2;
+    StatePoint point = {0};
+    unsigned char *next = out + sizeof point;
+    unsigned bit = 2;
+    double origin[3] = {0.0}, most = 3.4028234663852886e38;
     Pose pose;
-    if (read_pose(m, at, &pose)) {
-        determined = 1;
-        in_space(task->plane, pose.origin, m->height[at], origin);
-        write_state_pose(&pose, m->angle[at], next);
+    if (read_pose(task->motion, at, &pose)) {
+        point.determined = 1;
+        in_space(task->plane, pose.origin, task->motion->height[at], origin);
+        fill_state_pose(&pose, task->motion->angle[at], &point);
     }
-    next += POSE_FIELDS;
-    /* Rates, poles, from order 2 on the velocity of the ICR, from order 3 on the curvature. */
-    int count = 2 * order + (order >= 2) + (order >= 3);
-    for (int k = 1; k <= count; k++, bit *= 2) {
-        int what = k - order <= order ? k - order : VELOCITY + k - 2 * order - 1;
-        Quantity q = k <= order ? kinpole_rate(m, at, k) : kinpole_quantity(m, at, what);
-        next += write_state_quantity(&q, k > order && what != CURVATURE, next);
-        determined |= q.flags & DETERMINED ? bit : 0;
-    }
-    for (int c = 0; c < 3; c++) {
-        double most = 3.4028234663852886e38;
-        float near = (float)fmin(fmax(origin[c], -most), most);
-        memcpy(out + 4 * c, &near, 4);
-    }
-    memcpy(out + 12, &determined, 4);
-    memcpy(out + FIRST, doubles, (next - doubles) * sizeof *doubles);
-    return FIRST + (next - doubles) * (long long)sizeof *doubles;
+    for (int c = 0; c < 3; c++)
+        point.place[c] = (float)fmin(fmax(origin[c], -most), most);
+    for (int k = 1; k <= order; k++)
+        next = write_state_quantity(task, at, RATE + k, &bit, &point.determined, next);
+    for (int k = 1; k <= order; k++)
+        next = write_state_quantity(task, at, k, &bit, &point.determined, next);
+    if (order >= 2)
+        next = write_state_quantity(task, at, VELOCITY, &bit, &point.determined, next);
+    if (order >= 3)
+        next = write_state_quantity(task, at, CURVATURE, &bit, &point.determined, next);
+    memcpy(out, &point, sizeof point);
+    return next;
 }
 
 /* Writes a message, and returns whether there is one. */
 static int
 write_message(const Task *task, unsigned char *out)
 {
-    const long long second = 1000000000;
     const Row *row = task->row;
     long long stamp = task->motion->stamp[task->t];
-    int time[] = {(int)(stamp / second), (int)(stamp % second)};
+    int time[] = {(int)(stamp / SECOND), (int)(stamp % SECOND)};
     memcpy(out, row->template, row->size);
     /* A list has its length before the header of its first item. */
     memcpy(out + (row->kind == FRAME ? 8 : 4), time, sizeof time);
     out += row->head;
     if (row->kind == STATE) {
         for (long long b = 0; b < task->bodies; b++)
-            out += write_state_point(task, task->t * task->bodies + b, (int)row->what, out);
+            out = write_state_point(task, task->t * task->bodies + b, (int)row->what, out);
         return 1;
     }
-    double values[85];
+    Doubles doubles;
+    const double *values = (const double *)&doubles;
     int is_pose = row->kind == ODOMETRY || row->kind == FRAME;
-    int count = is_pose ? write_pose(task, values) : write_quantity(task, values);
+    int count = is_pose ? write_pose(task, &doubles) : write_quantity(task, &doubles);
     for (int k = 0; k < count; k++)
         if (!isfinite(values[k]))
             return 0;

@@ -7,7 +7,6 @@
 #include "models.h"
 #include "numbers.h"
 #include "samples.h"
-#include "sets.h"
 
 /* Lengths of each spectrum that count as slow; slow models leave steps in the residuals. */
 #define SLOW_LENGTHS 2

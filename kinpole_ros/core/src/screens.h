@@ -9,7 +9,6 @@
 #include "models.h"
 #include "private.h"
 #include "samples.h"
-#include "sets.h"
 
 /* Samples between an event and the ends of the window, so that both sides are seen. */
 #define EDGE_SAMPLES 3

@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "../include/slots.h"
+#include "../include/messages.h"
 
 /* Writes a point, m, NaN for none; whether it is one that is too far. */
 static int

@@ -7,11 +7,8 @@
 #include "../include/call.h"
 #include "../include/codes.h"
 #include "../include/frames.h"
-#include "../include/joints.h"
+#include "../include/messages.h"
 #include "../include/motion.h"
-#include "../include/points.h"
-#include "../include/rows.h"
-#include "../include/slots.h"
 #include "../include/structs.h"
 
 enum { OF_VALUE = 0, OF_ARRAY = -1 };
@@ -60,6 +57,9 @@ static const Field joints_fields[] = DESCRIBE(JOINTS_FIELDS);
 #define PART(list, owner, fields) {#list, sizeof(owner), sizeof fields / sizeof *fields, fields}
 
 #define DESCRIBE_CODE(name, value) {#name, value},
+static const Code sizes[] = {SIZES(DESCRIBE_CODE)};
+static const Code pole_limits[] = {POLE_LIMITS(DESCRIBE_CODE)};
+static const Code message_doubles[] = {MESSAGE_DOUBLES(DESCRIBE_CODE)};
 static const Code call_ends[] = {CALL_ENDS(DESCRIBE_CODE)};
 static const Code loop_ends[] = {LOOP_ENDS(DESCRIBE_CODE)};
 static const Code unusual_bits[] = {UNUSUAL_BITS(DESCRIBE_CODE)};
@@ -108,6 +108,9 @@ const Codes *
 kinpole_codes(void)
 {
     static const Codes all[] = {
+        CODES(SIZES, sizes),
+        CODES(POLE_LIMITS, pole_limits),
+        CODES(MESSAGE_DOUBLES, message_doubles),
         CODES(CALL_ENDS, call_ends),
         CODES(LOOP_ENDS, loop_ends),
         CODES(UNUSUAL_BITS, unusual_bits),

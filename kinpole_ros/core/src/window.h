@@ -8,20 +8,29 @@
  * `off`. `fill_missing` and `move_by_neighbors` give the first guesses of even samples.
  */
 
-#ifndef KINPOLE_CELLS_H
-#define KINPOLE_CELLS_H
+#ifndef KINPOLE_WINDOW_H
+#define KINPOLE_WINDOW_H
 
 #include "../include/call.h"
-#include "grid.h"
 #include "private.h"
 #include "samples.h"
 
-/* Samples of the shortest window, which still has every order; as in _models.py. */
-#define FEWEST_SAMPLES 7
+/* A sample is on the grid if it is off by less than this part of the interval. */
+#define MAX_OFF_GRID 1e-4
 /* Samples that differ by more deviations of their noise are exact: about the largest amplitude. */
 #define EXACT_RATIO 1e7
 /* Low weights of a window above which its blocks are doubled: cost goes by their number squared. */
 #define MAX_LOW_WEIGHT 24
+
+/* The even cells of an instant. Arrays are by frame, the newest first. */
+typedef struct {
+    double interval; /* ns */
+    double *late;    /* intervals after the cell */
+    long long *cell; /* intervals after the instant */
+} Grid;
+
+/* Find the grid of an instant, from the frames of its window. */
+PRIVATE int find_grid(Call *call, long long instant, Grid *grid);
 
 /* The cells of one body, the newest first, in units of the noise, `unit`, rad and m. `count` is the
    number of cells, 0 if they are too few, and `ahead` how many are newer than the instant; empty
