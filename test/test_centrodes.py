@@ -13,7 +13,7 @@ from kinpole_ros.mechanism._centrodes import centrodes
 from kinpole_ros.mechanism._joint_kinds import Rolling, Slot
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
-from kinpole_ros.mechanism._pitch import write_pitch_curves
+from kinpole_ros.tools.solve._pitch import write_pitch_curves
 
 pytestmark = pytest.mark.filterwarnings('error')
 

@@ -120,23 +120,9 @@ def spring_loads(
     mechanism: Mechanism, values: Real, springs: Sequence[Spring | Torsion]
 ) -> list[Load]:
     """
-    Forces and torques of springs on the moving bodies, a load for each end that moves.
+    Forces (N) and torques (N m), each (T,), of springs on the bodies at variables (n, T).
 
-    Parameters
-    ----------
-    mechanism
-        The linkage.
-    values
-        Its variables (n, T), m and rad.
-    springs
-        Between points, N/m, or between bodies, N m/rad.
-
-    Returns
-    -------
-    list of Force or Torque
-        N and N m, each of shape (T,). NaN where the ends of one with a free length meet, and it has
-        no direction.
-
+    NaN where the ends of one with a free length meet, and it has no direction.
     """
     poses, loads = poses_of(mechanism.assembly, values), list[Load]()
     for spring in springs:
@@ -155,24 +141,7 @@ def spring_loads(
 
 
 def inertial_loads(mechanism: Mechanism, motion: Motion, masses: Sequence[Mass]) -> list[Load]:
-    """
-    D'Alembert's forces of masses: -m a at their centers, and torques -I α.
-
-    Parameters
-    ----------
-    mechanism
-        The linkage.
-    motion
-        Its motion at T instants, up to accelerations or higher.
-    masses
-        Masses, kg, with centers, m, and moments, kg m^2.
-
-    Returns
-    -------
-    list of Force or Torque
-        N and N m, each of shape (T,).
-
-    """
+    """D'Alembert's forces (T,) of masses, -m a at their centers, and torques -I α."""
     loads: list[Load] = []
     for mass in masses:
         b = mechanism.bodies.index(mass.body)
