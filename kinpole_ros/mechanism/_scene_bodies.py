@@ -180,14 +180,14 @@ def read_ends(
 
 def _slot(where: str, entry: dict[str, Any], points: Points) -> Slot:
     name, base, moving = read_ends(where, entry, points, 'slot', 'along')
-    return Slot(name, *base, quantity(f'{where}: along', entry['along'], 'angle'), *moving)
+    return Slot(name, *base, *moving, quantity(f'{where}: along', entry['along'], 'angle'))
 
 
 def _prismatic(where: str, entry: dict[str, Any], points: Points) -> Slot:
     name, base, moving = read_ends(where, entry, points, 'prismatic', 'along')
     along = quantity(f'{where}: along', entry['along'], 'angle')
     turned = quantity(f'{where}: turned', entry.get('turned', 0.0), 'angle')
-    return Slot(name, *base, along, *moving, turned)
+    return Slot(name, *base, *moving, along, turned)
 
 
 def _belt(where: str, entry: dict[str, Any], points: Points) -> Belt:
