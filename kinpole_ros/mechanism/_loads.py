@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import poses_of
-from kinpole_ros.mechanism._joint_kinds import GROUND, Pose
-from kinpole_ros.mechanism._loops import LinkageError
+from kinpole_ros.mechanism._joint_kinds import GROUND
+from kinpole_ros.mechanism._loops import LinkageError, weigh
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.planar import body_point_derivative
 from kinpole_ros.planar._plane import Complex, Real
@@ -99,21 +99,25 @@ def load_part(load: Load, part: slice) -> Load:
     return load._replace(**{name: value[part] for name, value in fields.items()})
 
 
-def generalized_forces(mechanism: Mechanism, loads: Sequence[Load], poses: dict[str, Pose]) -> Real:
-    """Forces x and y, and moments about the origins, of loads on the bodies: (loads, 3B, T)."""
-    bodies = mechanism.bodies
-    forces = np.zeros((len(loads), 3, len(bodies), len(poses[GROUND].angle)))
+def generalized_forces(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Real:
+    """
+    Forces x and y, and moments about the origins, (loads, 3B, T), of loads on the bodies.
+
+    At variables `values` (n, T).
+    """
+    bodies, angles = mechanism.bodies, weigh(mechanism.assembly.turns, values)
+    forces = np.zeros((len(loads), 3, *angles.shape))
     for row, load in zip(forces, loads, strict=True):
         if load.body == GROUND:
             continue
         b = bodies.index(load.body)
         if isinstance(load, Force):
             force = np.asarray(load.force, complex)
-            arm = load.point * poses[load.body].turn
-            row[0, b], row[1, b], row[2, b] = force.real, force.imag, (arm.conj() * force).imag
+            moment = (np.conj(load.point * np.exp(1j * angles[b])) * force).imag
+            row[0, b], row[1, b], row[2, b] = force.real, force.imag, moment
         else:
             row[2, b] = load.torque
-    return forces.reshape(len(loads), 3 * len(bodies), forces.shape[-1])
+    return forces.reshape(len(loads), 3 * len(bodies), values.shape[1])
 
 
 def spring_loads(
