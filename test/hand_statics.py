@@ -203,7 +203,7 @@ def _freed(
         bodies += carriages
         below = (joint.one, carriages[0])
         for slide, one, other, turn in zip(slides, below, carriages, (0.0, np.pi / 2), strict=True):
-            joints.append(Slot(slide, one, 0j, turn, other, 0j, 0.0))
+            joints.append(Slot(slide, one, 0j, other, 0j, turn, 0.0))
         seen = way * np.exp(-1j * poses[joint.one].angle)
         freed = [(seen.real, {slides[0]: 1.0}), (seen.imag, {slides[1]: 1.0})]
     turned = [poses[joint.one].angle] * (len(bodies) - len(old.bodies))
@@ -213,7 +213,7 @@ def _freed(
             angle = poses[other_joint.one].angle
             away = float(np.angle(1j * axis[m] * np.exp(-1j * angle))[0])
             slide, carriage = f'{m} off', f'{m} off carriage'
-            joints.append(Slot(slide, other_joint.one, 0j, away, carriage, 0j, 0.0))
+            joints.append(Slot(slide, other_joint.one, 0j, carriage, 0j, away, 0.0))
             joints[m] = other_joint.changed(one=carriage)
             bodies.append(carriage)
             turned.append(angle)

@@ -75,19 +75,19 @@ LINKAGES: dict[str, tuple[list[Joint], float]] = {
         [
             *four_bar()[:2],
             pin('B', 'coupler', 'slider', 0.35 + 0.02j),
-            Slot('slide', 'ground', 0.35 + 0.02j, 0.0, 'slider', 0.35 + 0.02j, 0.0),
+            Slot('slide', 'ground', 0.35 + 0.02j, 'slider', 0.35 + 0.02j, 0.0, 0.0),
         ],
         6.2,
     ),
     'pin in slot': (
-        [*four_bar()[:2], Slot('S', 'ground', 0.35 + 0.02j, 0.1, 'coupler', 0.35 + 0.02j)],
+        [*four_bar()[:2], Slot('S', 'ground', 0.35 + 0.02j, 'coupler', 0.35 + 0.02j, 0.1)],
         6.2,
     ),
     'quick return': (
         [
             pin('O', 'ground', 'crank', 0),
             pin('C', 'ground', 'lever', -0.3j),
-            Slot('S', 'lever', 0.1, 1.25, 'crank', 0.1),
+            Slot('S', 'lever', 0.1, 'crank', 0.1, 1.25),
         ],
         6.2,
     ),
@@ -267,8 +267,8 @@ def test_wheels_turn_about_their_point_of_contact() -> None:
 
 def test_two_slots_give_the_center_of_a_trammel() -> None:
     slots = [
-        Slot('X', 'ground', 0.4, 0.0, 'rod', 0.4),
-        Slot('Y', 'ground', 0.3j, np.pi / 2, 'rod', 0.3j),
+        Slot('X', 'ground', 0.4, 'rod', 0.4, 0.0),
+        Slot('Y', 'ground', 0.3j, 'rod', 0.3j, np.pi / 2),
     ]
     mechanism = linkage(slots, 'rod')
     values = mechanism.sweep(np.linspace(0, 6, 20)).values[0]

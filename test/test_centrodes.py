@@ -13,7 +13,7 @@ from kinpole_ros.mechanism._centrodes import centrodes
 from kinpole_ros.mechanism._joint_kinds import Rolling, Slot
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
-from kinpole_ros.mechanism._pitch import write_pitch_curves
+from kinpole_ros.tools.solve._pitch import write_pitch_curves
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -82,8 +82,8 @@ def test_crossed_short_cranks_coupler_has_hyperbolas() -> None:
 
 def test_cardan_circles() -> None:
     joints = [
-        Slot('X', 'ground', 0.4, 0.0, 'rod', 0.4),
-        Slot('Y', 'ground', 0.3j, np.pi / 2, 'rod', 0.3j),
+        Slot('X', 'ground', 0.4, 'rod', 0.4, 0.0),
+        Slot('Y', 'ground', 0.3j, 'rod', 0.3j, np.pi / 2),
     ]
     curves = centrodes(linkage(joints, 'rod'), 'ground', 'rod', 0.0, TURN)
     assert np.abs(curves.fixed) == pytest.approx(0.5, abs=1e-12)

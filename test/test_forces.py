@@ -10,12 +10,11 @@ from kinpole_ros.mechanism import (
     Motion,
     Scene,
     Statics,
-    inertial_loads,
     load_scene,
     poles,
-    spring_loads,
     transmission_angles,
 )
+from kinpole_ros.mechanism._loads import inertial_loads, spring_loads
 
 
 def acting(scene: Scene, motion: Motion) -> list[Load]:

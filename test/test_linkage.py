@@ -48,7 +48,7 @@ def slider_crank(crank: float, rod: float, offset: float = 0.0) -> list[Joint]:
     return [
         Revolute('O', G, 0j, 'crank', 0j),
         Revolute('A', 'crank', crank + 0j, 'rod', 0j),
-        Slot('piston', G, 1j * offset, 0.0, 'rod', rod + 0j),
+        Slot('piston', G, 1j * offset, 'rod', rod + 0j, 0.0),
     ]
 
 
@@ -196,7 +196,7 @@ def test_a_cylinder_a_planet_and_a_guide_are_as_exact(t: float) -> None:
         Revolute('O', G, 0j, 'arm', 0j),
         Revolute('P', 'arm', 0.3 + 0j, 'planet', 0j),
         Revolute('Q', 'planet', 0.05 + 0.02j, 'rod', 0j),
-        Slot('slide', G, -0.8 + 0.1j, 0.2, 'rod', 0.9 + 0j),
+        Slot('slide', G, -0.8 + 0.1j, 'rod', 0.9 + 0j, 0.2),
     ]
     ring = Rolling('roll', G, 0j, 'planet', 0j, 0.1, circle=0.2)
     with_arm = mechanism([*planet, ring], constant_rate(1.0, 0.2), 'arm', rod=2.8, slide=0.3)
@@ -207,7 +207,7 @@ def test_a_cylinder_a_planet_and_a_guide_are_as_exact(t: float) -> None:
     guided: list[Joint] = [
         *slider_crank(0.1, 0.4)[:2],
         Revolute('B', 'rod', 0.4 + 0j, 'block', 0j),
-        Slot('guide', G, 0.05j, 0.1, 'block', 0.02 + 0j, turned=0.5),
+        Slot('guide', G, 0.05j, 'block', 0.02 + 0j, 0.1, turned=0.5),
     ]
     agree(mechanism(guided, constant_rate(2.0, 0.3), 'crank', guide=0.4, block=0.6), t)
 
@@ -228,7 +228,7 @@ def quick_return(offset: float) -> list[Joint]:
     return [
         Revolute('O', G, 0j, 'crank', 0j),
         Revolute('C', G, -0.3j, 'lever', 0j),
-        Slot('slide', 'lever', 1j * offset, 0.1, 'crank', 0.1 + 0j),
+        Slot('slide', 'lever', 1j * offset, 'crank', 0.1 + 0j, 0.1),
     ]
 
 
@@ -471,8 +471,8 @@ def test_a_dead_point_names_the_loop_that_has_it() -> None:
         (slider_crank(0.1, 0.3), 'piston', {'crank': 1.2, 'rod': -0.3}, 0.2, 0.4, {'crank', 'rod'}),
         (
             [
-                Slot('a', G, 0j, np.pi / 2, 'rod', -0.15 + 0j),
-                Slot('b', G, 0j, 0.0, 'rod', 0.15 + 0j),
+                Slot('a', G, 0j, 'rod', -0.15 + 0j, np.pi / 2),
+                Slot('b', G, 0j, 'rod', 0.15 + 0j, 0.0),
             ],
             'b',
             {'rod': 0.8, 'a': -0.2},
@@ -571,10 +571,10 @@ def test_what_lies_in_memory_does_not_decide_whether_loops_close(
 ) -> None:
     # A trammel and behind it a rod whose slide is known last.
     joints: list[Joint] = [
-        Slot('up', G, 0j, np.pi / 2, 'bar', 0j),
-        Slot('right', G, 0j, 0.0, 'bar', 0.3 + 0j),
+        Slot('up', G, 0j, 'bar', 0j, np.pi / 2),
+        Slot('right', G, 0j, 'bar', 0.3 + 0j, 0.0),
         Revolute('A', 'bar', 0.1 + 0j, 'rod', 0j),
-        Slot('low', G, -0.2j, 0.0, 'rod', 0.5 + 0j),
+        Slot('low', G, -0.2j, 'rod', 0.5 + 0j, 0.0),
     ]
     motion = mechanism(joints, constant_rate(1.0, 0.4), 'bar', right=0.27, up=-0.12, low=0.58)
     empty = np.empty

@@ -65,7 +65,7 @@ def slider_crank(drive: str = 'crank') -> Mechanism:
         Revolute('O', GROUND, 0j, 'crank', 0j),
         Revolute('A', 'crank', 0.1, 'rod', 0j),
         Revolute('B', 'rod', 0.3, 'block', 0j),
-        Slot('slide', GROUND, 0j, 0.0, 'block', 0j, 0.0),
+        Slot('slide', GROUND, 0j, 'block', 0j, 0.0, 0.0),
     ]
     angle = np.arcsin(-0.1 * np.sin(0.5) / 0.3)
     slide = 0.1 * np.cos(0.5) + 0.3 * np.cos(angle)
@@ -261,11 +261,11 @@ def random_linkage(seed: int, turn: float = 0.0, scale: float = 1.0) -> Mechanis
             if kind == 0:
                 pin(second, y)
             else:
-                joints.append(Slot(f'j{len(joints)}', second, at, way(), y, at, 0.0))
+                joints.append(Slot(f'j{len(joints)}', second, at, y, at, way(), 0.0))
             continue
         bodies.append(x)
         if kind == 2:
-            joints.append(Slot(name, first, at, way(), x, at))
+            joints.append(Slot(name, first, at, x, at, way()))
             pin(second, x)
         elif kind == 3:
             far = place()
@@ -288,7 +288,7 @@ def random_linkage(seed: int, turn: float = 0.0, scale: float = 1.0) -> Mechanis
                 drives.append(name)
                 continue
             slot = place()
-            joints.append(Slot(f'j{len(joints)}', second, slot, way(), x, slot))
+            joints.append(Slot(f'j{len(joints)}', second, slot, x, slot, way()))
     return driven(bodies, joints, drives, start)
 
 
@@ -622,7 +622,7 @@ def test_a_rack_with_a_pressure_angle_presses_on_its_guide() -> None:
     pressure = 14.5 * DEGREE
     joints: list[Joint] = [
         Revolute('H', GROUND, 0.05j, 'pinion', 0j),
-        Slot('guide', GROUND, 0j, 0.0, 'rack', 0j, 0.0),
+        Slot('guide', GROUND, 0j, 'rack', 0j, 0.0, 0.0),
         Rolling('teeth', 'rack', 0j, 'pinion', 0j, 0.05, pressure=pressure),
     ]
     train = driven(['pinion', 'rack'], joints, ['guide'], {})
@@ -745,8 +745,8 @@ def test_seed_trebuchet() -> None:
     assert force == pytest.approx(-weight / other, rel=1e-12)
     assert force == pytest.approx(485.3033, rel=1e-6)
     joints: list[Joint] = [
-        Slot('r2', GROUND, 0j, -90 * DEGREE, 'bar', 0j),
-        Slot('r1', GROUND, 0j, 180 * DEGREE, 'bar', 2 + 0j),
+        Slot('r2', GROUND, 0j, 'bar', 0j, -90 * DEGREE),
+        Slot('r1', GROUND, 0j, 'bar', 2 + 0j, 180 * DEGREE),
     ]
     start = {'bar': 150 * DEGREE, 'r2': 1.0, 'r1': 2 * np.cos(30 * DEGREE)}
     trebuchet = driven(['bar'], joints, ['r2'], start)

@@ -13,12 +13,14 @@ import pytest
 from kinpole_ros.mechanism import (
     LinkageError,
     SceneError,
-    ToleranceSpread,
     _dimension_errors,
     load_scene,
+    transmission_angles,
+)
+from kinpole_ros.mechanism._dimension_errors import (
+    ToleranceSpread,
     propagate_tolerances,
     tolerances_of,
-    transmission_angles,
 )
 from kinpole_ros.tools import cli
 from kinpole_ros.tools.solve import tolerances

@@ -23,7 +23,7 @@ from kinpole_ros.linkage._linkage import (
     merged_pins,
     name_points,
 )
-from kinpole_ros.linkage._plane import unit_scale
+from kinpole_ros.linkage._motion_plane import unit_scale
 from kinpole_ros.linkage._poses import GROUND, GROUND_NUMBER, Pose, ground
 from kinpole_ros.linkage._record import Record, Stamps, gather
 from kinpole_ros.linkage._space import open_chains

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.linkage._joints import Joint, Rolling
-from kinpole_ros.linkage._plane import MotionPlane
+from kinpole_ros.linkage._motion_plane import MotionPlane
 from kinpole_ros.linkage._poses import GROUND, GROUND_NUMBER, Pose
 from kinpole_ros.linkage._record import Stamps
 from kinpole_ros.linkage._space import SpaceBodies

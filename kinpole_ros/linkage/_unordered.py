@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.linkage._follow import follow, stacked_shapes
-from kinpole_ros.linkage._plane import MotionPlane, fit_plane, space_noise, track_noise
+from kinpole_ros.linkage._motion_plane import MotionPlane, fit_plane, space_noise, track_noise
 from kinpole_ros.linkage._poses import Pose, fit_body, off_body, refine_groups
 from kinpole_ros.linkage._record import Record, UndiscoveredError
 from kinpole_ros.linkage._rigid import group

@@ -2,15 +2,8 @@
 
 from kinpole_ros.mechanism._centers import Centers, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, Poles, centrodes, poles
-from kinpole_ros.mechanism._dimension_errors import (
-    Tolerance,
-    ToleranceSpread,
-    propagate_tolerances,
-    tolerances_of,
-)
 from kinpole_ros.mechanism._equations import (
     Dimension,
-    Equation,
     Equations,
     Part,
 )
@@ -33,13 +26,10 @@ from kinpole_ros.mechanism._loads import (
     Spring,
     Torque,
     Torsion,
-    inertial_loads,
-    spring_loads,
 )
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
-from kinpole_ros.mechanism._pitch import write_pitch_curves
 from kinpole_ros.mechanism._polygon import Polygon, polygon
 from kinpole_ros.mechanism._scene import Scene, load_scene
 from kinpole_ros.mechanism._scene_file import (
@@ -64,7 +54,6 @@ __all__ = [
     'Centers',
     'Centrodes',
     'Dimension',
-    'Equation',
     'Equations',
     'Force',
     'Holder',
@@ -87,31 +76,24 @@ __all__ = [
     'Spring',
     'Statics',
     'Strut',
-    'Tolerance',
-    'ToleranceSpread',
     'Torque',
     'Torsion',
     'advantage',
     'centrodes',
     'explain',
     'holding',
-    'inertial_loads',
     'instant_centers',
     'load_scene',
     'marker_positions',
     'mobility',
     'poles',
     'polygon',
-    'propagate_tolerances',
     'quantity',
     'rotation_derivatives',
     'scene_names',
     'scene_text',
     'scenes_folder',
     'share_folder',
-    'spring_loads',
-    'tolerances_of',
     'transmission_angles',
     'undetermined',
-    'write_pitch_curves',
 ]

@@ -60,23 +60,23 @@ def constraint_rows(joint: Joint, one: Pose, other: Pose, anchor: Anchor | None 
     for k, tie in enumerate(form.ties):
         angles = {joint.one: one.angle, joint.other: other.angle}
         variables = {name: angle - first.get(name, 0.0) for name, angle in angles.items()}
-        own = form.variables[0] if chain.own is not None else None
-        if own is not None and chain.own is not None:
+        own = form.variables[0] if form.variables else ''
+        if chain.own is not None:
             variables[own] = chain.own - first[own]
         gap = sum(weight * variables[name] for name, weight in tie.weights.items()) - tie.value
-        if own is not None and own in tie.weights and not form.terms[0].slide:
+        if own in tie.weights and not form.terms[0].slide:
             # The direction of the hub is known but for whole turns; the angles tell how many.
             turns = -2 * np.pi * np.round(gap / (2 * np.pi * tie.weights[own]))
             variables[own] = variables[own] + turns
             gap = gap + tie.weights[own] * turns
         slope = np.zeros((len(gap), chain.slope.shape[-1]))
+        if own in tie.weights:
+            slope += tie.weights[own] * chain.own_slope
         for name, column in ((joint.one, ANGLE), (joint.other, OTHER_ANGLE)):
             slope[:, column] += tie.weights.get(name, 0.0)
-        if own is not None:
-            slope += tie.weights.get(own, 0.0) * chain.own_slope
         for column, changed in enumerate(slopes, POINTS):
             weights = changed.ties[k].weights
-            slope[:, column] += sum(weights[name] * variables[name] for name in weights)
+            slope[:, column] += sum(w * variables[name] for name, w in weights.items() if w)
             slope[:, column] -= changed.ties[k].value
         whole = 2 * np.pi * abs(tie.weights.get(joint.other, np.inf))
         values.append(((gap + whole / 2) % whole - whole / 2)[:, None])
@@ -130,33 +130,40 @@ def _chain(
         slope[:, column] = by
     between = other.position + joint.b * other_turn - one.position - joint.a * turn
     columns = {joint.one: (one.angle, ANGLE), joint.other: (other.angle, OTHER_ANGLE)}
-    last: tuple[float, Real, Real] | None = None
+    own: tuple[float, Real, dict[int, float]] | None = None
     for k, term in enumerate(form.terms):
-        # Derivatives of its length and direction.
-        by_length, by_angle = np.zeros((2, count, width))
-        for column, changed in enumerate(slopes, POINTS):
-            by_length[:, column] = changed.terms[k].length
-            by_angle[:, column] = changed.terms[k].offset
+        # Derivatives of its length and direction, by their columns.
+        by_size = {column: changed.terms[k] for column, changed in enumerate(slopes, POINTS)}
+        by_length = {column: by.length for column, by in by_size.items() if by.length}
+        by_angle = {column: by.offset for column, by in by_size.items() if by.offset}
         angle = np.full(count, term.offset)
         if term.turn in columns:
             angle += columns[term.turn][0]
-            by_angle[:, columns[term.turn][1]] += 1.0
+            by_angle[columns[term.turn][1]] = 1.0
         if term.slide or term.turn not in (*columns, GROUND):
-            last = term.length, angle, by_length if not term.slide else by_angle
+            own = term.length, angle, by_angle if term.slide else by_length
             continue
-        vector = term.length * np.exp(1j * angle)
-        between = between - vector
-        slope -= np.exp(1j * angle)[:, None] * (by_length + 1j * term.length * by_angle)
-    if last is None:
+        direction = np.exp(1j * angle)
+        between = between - term.length * direction
+        for column, by in by_length.items():
+            slope[:, column] -= by * direction
+        for column, by in by_angle.items():
+            slope[:, column] -= by * 1j * term.length * direction
+    if own is None:
         parts = np.stack((between.real, between.imag), axis=1)
         return _Chain(None, np.zeros(0), parts, np.stack((slope.real, slope.imag), axis=1))
-    length, angle, by_own = last
+    length, angle, by_own = own
     if form.terms[0].slide:
-        local = np.exp(-1j * angle) * between
-        by = np.exp(-1j * angle)[:, None] * slope - 1j * local[:, None] * by_own
-        return _Chain(local.real, by.real, local.imag[:, None], by.imag[:, None])
+        turned = np.exp(-1j * angle)
+        local = turned * between
+        slope *= turned[:, None]
+        for column, by in by_own.items():
+            slope[:, column] -= by * 1j * local
+        return _Chain(local.real, slope.real, local.imag[:, None], slope.imag[:, None])
     outward = length * between / np.abs(length * between)
     gap = (outward.conj() * between).real - length
-    by_gap = (outward.conj()[:, None] * slope).real - by_own
+    by_gap = (outward.conj()[:, None] * slope).real
+    for column, by in by_own.items():
+        by_gap[:, column] -= by
     direction = np.angle(outward) - angle
     return _Chain(direction, (slope / between[:, None]).imag, gap[:, None], by_gap[:, None])

@@ -79,30 +79,13 @@ def tolerances_of(
     scene: Scene, deviations: Mapping[str, float], play: Mapping[str, float]
 ) -> list[Tolerance]:
     """
-    The errors of a scene's dimensions by their names, and the play of its joints.
+    The errors that are not zero of a scene's dimensions by their names, and the play of its joints.
 
-    Parameters
-    ----------
-    scene
-        The scene.
-    deviations
-        Standard deviations, m or rad, by name: of a point (rocker.B), one coordinate of it
-        (rocker.B x), of a length or angle (r2.length), or of all of a body, vector or joint;
-        'length' and 'angle' are all of a kind. The last that names a dimension holds.
-    play
-        Play, m, by the name of the joint: radial of a pin, to either side of a slot or guide, half
-        the backlash of wheels that roll.
-
-    Returns
-    -------
-    list of Tolerance
-        The errors that are not zero.
-
-    Raises
-    ------
-    SceneError
-        For a name that is no dimension of the scene, or no joint that has play.
-
+    `deviations`, m or rad, are of a point (rocker.B), one coordinate of it (rocker.B x), a length
+    or angle (r2.length), or all of a body, vector or joint; 'length' and 'angle' are all of a kind.
+    The last that names a dimension holds. `play`, m, by the name of a joint is radial of a pin, to
+    either side of a slot or guide, half the backlash of wheels. Raises SceneError for a name that
+    is no dimension of the scene, or no joint that has play.
     """
     errors: dict[tuple[Path, int], Tolerance] = {}
     rows = {
@@ -153,30 +136,10 @@ def propagate_tolerances(
     """
     The effects of errors of dimensions on the motion of a linkage, with its drivers unchanged.
 
-    Parameters
-    ----------
-    scene
-        The scene.
-    errors
-        Errors (E) of its dimensions, independent of each other.
-    values, rates
-        Its variables (n, T), m and rad, and the rates of its drivers (d, T).
-    samples
-        The number of linkages with errors at random.
-    seed
-        Seed of the random numbers.
-
-    Returns
-    -------
-    ToleranceSpread
-        For each body its angle, angular velocity and ICR, for each point its position; rad, rad/s
-        and m.
-
-    Raises
-    ------
-    LinkageError
-        For a dimension that cannot change by itself, as the distance of two gears.
-
+    `values` (n, T), m and rad, are its variables, `rates` (d, T) those of its drivers. Quantities
+    are for each body its angle, angular velocity and ICR, for each point its position; rad, rad/s
+    and m. Raises LinkageError for a dimension that cannot change by itself, as the distance of two
+    gears.
     """
     count, rows = len(errors), scene.mechanism.driver_rows
     deviations = np.diag([error.deviation for error in errors]).reshape(count, count)

@@ -135,25 +135,20 @@ class _Dimensions:
 
 
 def equations_of_joints(
-    bodies: Sequence[str], joints: Sequence[Joint], entries: Mapping[int, dict[str, Any]]
+    bodies: Sequence[str], joints: Sequence[Joint], points: Mapping[int, tuple[str, str]]
 ) -> Equations:
     """
     The equations of bodies (without the ground) on joints.
 
-    The last joints are those of `entries`, which has them as the scene's file does, by their
-    numbers in its list; the first are pins.
+    The last joints are those of `points`, which has the names of their points `a` and `b` by their
+    numbers in the list of the scene's file; the first are pins.
     """
     rows = _Dimensions()
     equations = []
-    numbers = [-1] * (len(joints) - len(entries)) + list(entries)
+    numbers = [-1] * (len(joints) - len(points)) + list(points)
     for k, joint in zip(numbers, joints, strict=True):
-        if joint.is_span:
-            continue
-        names = [joint.name.partition('.')[0]] * 2
-        if k >= 0:
-            entry = entries[k]
-            kind = next(key for key in ('slot', 'prismatic', 'rolling') if key in entry)
-            names = [entry[key].partition('.')[2] for key in ('on', kind)]
+        pin = joint.name.partition('.')[0]
+        names = [name.partition('.')[2] for name in points[k]] if k >= 0 else [pin, pin]
         a, b = rows.point(joint.one, names[0], joint.a), rows.point(joint.other, names[1], joint.b)
         sizes = {
             key: rows.add(

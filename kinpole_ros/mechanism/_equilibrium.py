@@ -209,8 +209,8 @@ class Statics:
             raise LinkageError(reason)
         poses = poses_of(self.mechanism.assembly, self.values)
         motions = virtual_motions(self.mechanism, self.values, poses)
-        forces = generalized_forces(self.mechanism, self.loads, poses)
-        forces = _with_teeth(self.mechanism, motions, poses, forces)
+        forces = generalized_forces(self.mechanism, self.values, self.loads)
+        forces = _with_teeth(self.mechanism, self.values, poses, motions, forces)
         power = powers(forces, np.abs(forces), motions.rates)
         released = []
         for k, direction, row in motions.bearings:
@@ -246,13 +246,13 @@ class Statics:
 
 def _efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> _Efforts:
     """Efforts by the rates of the drivers."""
-    poses = poses_of(mechanism.assembly, values)
     motions, determined = driver_motions(mechanism, values)
-    forces = generalized_forces(mechanism, loads, poses)
+    forces = generalized_forces(mechanism, values, loads)
     share = 0.0 - powers(forces, np.abs(forces), motions)
     effort = without_rounding(share.sum(axis=0), np.abs(share).sum(axis=0))
     # Nothing but joints with teeth can lack more than the loops tell: what holds their hubs.
     if _has_teeth(mechanism) and not why_no_reactions(mechanism):
+        poses = poses_of(mechanism.assembly, values)
         determined = virtual_motions(mechanism, values, poses).determined
         share[..., ~determined] = np.nan
     return _Efforts(share, effort + 0.0 * motions.sum(axis=0), determined)
@@ -262,8 +262,8 @@ def _joint_forces(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> 
     """Reactions by the power of all loads in the motion in which each row gives way."""
     joints, poses = mechanism.assembly.joints, poses_of(mechanism.assembly, values)
     motions = virtual_motions(mechanism, values, poses)
-    forces = generalized_forces(mechanism, loads, poses)
-    forces = _with_teeth(mechanism, motions, poses, forces)
+    forces = generalized_forces(mechanism, values, loads)
+    forces = _with_teeth(mechanism, values, poses, motions, forces)
     force = 0.0 - powers(forces.sum(axis=0), np.abs(forces).sum(axis=0), motions.rates)
     components = np.zeros((3, *motions.axis.shape))
     for k, direction, row in motions.bearings:
@@ -283,7 +283,11 @@ def _joint_forces(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> 
 
 
 def _with_teeth(
-    mechanism: Mechanism, motions: VirtualMotions, poses: dict[str, Pose], forces: Real
+    mechanism: Mechanism,
+    values: Real,
+    poses: dict[str, Pose],
+    motions: VirtualMotions,
+    forces: Real,
 ) -> Real:
     """
     Generalized forces (loads, 3B, T), and those by which teeth separate each other.
@@ -299,7 +303,7 @@ def _with_teeth(
         if k is not None and direction == ALONG and joints[k].pressure is not None:
             at, axis = motions.contact[k], motions.axis[k]
             loads += separating_loads(joints[k], poses, at, axis, transmitted[row])
-    return np.concatenate((forces, generalized_forces(mechanism, loads, poses)))
+    return np.concatenate((forces, generalized_forces(mechanism, values, loads)))
 
 
 def _has_teeth(mechanism: Mechanism) -> bool:

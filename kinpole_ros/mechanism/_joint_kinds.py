@@ -11,7 +11,7 @@ has an answer in `Joint` that suits most kinds.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -106,12 +106,13 @@ class Rim(NamedTuple):
     is_wheel: bool = True
 
 
+@dataclass(frozen=True)
 class Joint:
     """
     A joint, and what most kinds of joints answer.
 
-    A kind is a frozen dataclass with at least these fields: its name, both bodies, and the points
-    where it is on them, complex, m, in their frames.
+    A kind is a frozen dataclass, which adds its own numbers to these fields: its name, both bodies,
+    and the points where it is on them, complex, m, in their frames.
     """
 
     name: str
@@ -119,16 +120,13 @@ class Joint:
     a: complex
     other: str
     b: complex
-    # The angle, rad, of teeth that push each other away, and the first value of its own variable.
-    pressure: float | None = None
-    start: float = 0.0
     # Strut and belt: the variables are the length NAME and the direction NAME.angle of a span that
     # may have any.
-    is_span = False
+    is_span: ClassVar[bool] = False
     # A belt only holds: its variables are not driven.
-    is_driven = True
+    is_driven: ClassVar[bool] = True
     # Whether pin, slot or teeth have play.
-    has_play = False
+    has_play: ClassVar[bool] = False
 
     def loop_form(self) -> LoopForm:
         """The chain of vectors from `a` to `b`, and its ties."""
@@ -159,24 +157,28 @@ class Joint:
         return abs(between), float(np.angle(between))
 
     @property
+    def pressure(self) -> float | None:
+        """The angle, rad, of teeth that push each other away."""
+        return None
+
+    @property
+    def start(self) -> float:
+        """Its own variable when all angles are zero."""
+        return 0.0
+
+    @property
     def is_carried(self) -> bool:
         """Whether one body has the hubs of both wheels of a belt, so that its loop never moves."""
         return False
 
     def changed(self, **fields: Any) -> Any:
         """The joint with other values of some fields."""
-        return replace(self, **fields)  # type: ignore[type-var]
+        return replace(self, **fields)
 
 
 @dataclass(frozen=True)
 class Revolute(Joint):
     """A pin through the point `a` of the body `one` and the point `b` of `other` (complex, m)."""
-
-    name: str
-    one: str
-    a: complex
-    other: str
-    b: complex
 
     has_play = True
 
@@ -203,12 +205,7 @@ class Slot(Joint):
     `turned`. The slide, from `a` on, is a variable with the name of the joint.
     """
 
-    name: str
-    one: str
-    a: complex
-    along: float
-    other: str
-    b: complex
+    along: float = 0.0
     turned: float | None = None
 
     has_play = True
@@ -253,11 +250,6 @@ class Rolling(Joint):
     force that they transmit; other joints then hold the hub at its distance.
     """
 
-    name: str
-    one: str
-    a: complex
-    other: str
-    b: complex
     radius: float
     along: float = 0.0
     circle: float = 0.0
@@ -326,12 +318,6 @@ class Strut(Joint):
     variable NAME.angle.
     """
 
-    name: str
-    one: str
-    a: complex
-    other: str
-    b: complex
-
     is_span = True
 
     def loop_form(self) -> LoopForm:
@@ -359,11 +345,6 @@ class Belt(Joint):
     zero. A `carrier` is a body that has both hubs: it turns the strand and keeps its length.
     """
 
-    name: str
-    one: str
-    a: complex
-    other: str
-    b: complex
     radii: tuple[float, float]
     length: float
     direction: float

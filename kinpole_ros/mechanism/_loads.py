@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import poses_of
-from kinpole_ros.mechanism._joint_kinds import GROUND, Pose
-from kinpole_ros.mechanism._loops import LinkageError
+from kinpole_ros.mechanism._joint_kinds import GROUND
+from kinpole_ros.mechanism._loops import LinkageError, weigh
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.planar import body_point_derivative
 from kinpole_ros.planar._plane import Complex, Real
@@ -99,44 +99,34 @@ def load_part(load: Load, part: slice) -> Load:
     return load._replace(**{name: value[part] for name, value in fields.items()})
 
 
-def generalized_forces(mechanism: Mechanism, loads: Sequence[Load], poses: dict[str, Pose]) -> Real:
-    """Forces x and y, and moments about the origins, of loads on the bodies: (loads, 3B, T)."""
-    bodies = mechanism.bodies
-    forces = np.zeros((len(loads), 3, len(bodies), len(poses[GROUND].angle)))
+def generalized_forces(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Real:
+    """
+    Forces x and y, and moments about the origins, (loads, 3B, T), of loads on the bodies.
+
+    At variables `values` (n, T).
+    """
+    bodies, angles = mechanism.bodies, weigh(mechanism.assembly.turns, values)
+    forces = np.zeros((len(loads), 3, *angles.shape))
     for row, load in zip(forces, loads, strict=True):
         if load.body == GROUND:
             continue
         b = bodies.index(load.body)
         if isinstance(load, Force):
             force = np.asarray(load.force, complex)
-            arm = load.point * poses[load.body].turn
-            row[0, b], row[1, b], row[2, b] = force.real, force.imag, (arm.conj() * force).imag
+            moment = (np.conj(load.point * np.exp(1j * angles[b])) * force).imag
+            row[0, b], row[1, b], row[2, b] = force.real, force.imag, moment
         else:
             row[2, b] = load.torque
-    return forces.reshape(len(loads), 3 * len(bodies), forces.shape[-1])
+    return forces.reshape(len(loads), 3 * len(bodies), values.shape[1])
 
 
 def spring_loads(
     mechanism: Mechanism, values: Real, springs: Sequence[Spring | Torsion]
 ) -> list[Load]:
     """
-    Forces and torques of springs on the moving bodies, a load for each end that moves.
+    Forces (N) and torques (N m), each (T,), of springs on the bodies at variables (n, T).
 
-    Parameters
-    ----------
-    mechanism
-        The linkage.
-    values
-        Its variables (n, T), m and rad.
-    springs
-        Between points, N/m, or between bodies, N m/rad.
-
-    Returns
-    -------
-    list of Force or Torque
-        N and N m, each of shape (T,). NaN where the ends of one with a free length meet, and it has
-        no direction.
-
+    NaN where the ends of one with a free length meet, and it has no direction.
     """
     poses, loads = poses_of(mechanism.assembly, values), list[Load]()
     for spring in springs:
@@ -155,24 +145,7 @@ def spring_loads(
 
 
 def inertial_loads(mechanism: Mechanism, motion: Motion, masses: Sequence[Mass]) -> list[Load]:
-    """
-    D'Alembert's forces of masses: -m a at their centers, and torques -I α.
-
-    Parameters
-    ----------
-    mechanism
-        The linkage.
-    motion
-        Its motion at T instants, up to accelerations or higher.
-    masses
-        Masses, kg, with centers, m, and moments, kg m^2.
-
-    Returns
-    -------
-    list of Force or Torque
-        N and N m, each of shape (T,).
-
-    """
+    """D'Alembert's forces (T,) of masses, -m a at their centers, and torques -I α."""
     loads: list[Load] = []
     for mass in masses:
         b = mechanism.bodies.index(mass.body)

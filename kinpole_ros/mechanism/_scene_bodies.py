@@ -2,10 +2,10 @@
 
 import re
 from cmath import phase
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
 from math import pi, remainder
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,24 +37,14 @@ from kinpole_ros.mechanism._scene_values import (
 
 _Point = tuple[str, complex]  # body, and position in its frame, m
 _WORD = re.compile(r'\w[\w-]*')
-_KEYS = {
-    'slot': ('slot', 'on', 'along', 'name'),
-    'prismatic': ('prismatic', 'on', 'along', 'turned', 'name'),
-    'rolling': ('rolling', 'radius', 'on', 'along', 'circle', 'start', 'pressure', 'name'),
-    'strut': ('strut', 'name'),
-    'belt': ('belt', 'radii', 'length', 'direction', 'name'),
-    'geneva': ('geneva', 'on', 'slots', 'pin', 'slot'),
-    'cam': ('cam', 'moves', 'of', 'angles', 'lift', 'law'),
-}
-_EXAMPLES = {
-    'slot': '{slot: rod.B, on: ground.O, along: 0 deg}',
-    'prismatic': '{prismatic: block.Q, on: ground.O, along: 90 deg, turned: 0 deg}',
-    'rolling': '{rolling: wheel.H, radius: 0.1, on: ground.O, along: 0 deg}',
-    'strut': '{strut: [ground.D, lift.E], name: cylinder}',
-    'belt': '{belt: [motor.H, fan.K], radii: [3 cm, 9 cm], name: belt}',
-    'geneva': '{geneva: wheel.W, on: crank.O, slots: 4}',
-    'cam': '{cam: shaft, moves: valve, angles: [0 deg, 90 deg, 360 deg], lift: [0, 1 cm, 0]}',
-}
+
+
+class Form(NamedTuple):
+    """How a scene states a joint or a follower: its keys, an example, and what reads them."""
+
+    keys: tuple[str, ...]
+    example: str
+    read: Callable[..., Any]
 
 
 def read_bodies(bodies: Any, joints: Any) -> tuple[Assembly, Points, Equations]:
@@ -66,18 +56,20 @@ def read_bodies(bodies: Any, joints: Any) -> tuple[Assembly, Points, Equations]:
     named = _bodies(bodies)
     points = {f'{body}.{name}': (body, z) for body, own in named.items() for name, z in own.items()}
     if joints is not None and not isinstance(joints, list):
-        raise SceneError(f"'joints' is no list: write each as - {_EXAMPLES['slot']}")
+        example = FORMS['slot'].example
+        raise SceneError(f"'joints' is no list: write each as - {example}")
     all_joints: list[Joint] = [*_pins(named)]
     taken = {*named, *(pin.name for pin in all_joints)}
-    entries: dict[int, dict[str, Any]] = {}
+    names: dict[int, tuple[str, str]] = {}
     followers: dict[str, dict[str, Any]] = {}
     for k, entry in enumerate(joints or []):
         where = f"'joints: {k + 1}'"
         if isinstance(entry, dict) and ('cam' in entry or 'geneva' in entry):
             followers[where] = entry
             continue
-        entries[k] = entry
         joint = _joint(where, entry, points)
+        if not joint.is_span:
+            names[k] = entry['on'], next(entry[kind] for kind in FORMS if kind in entry)
         if joint.name in taken and 'name' not in entry:
             # The hub of a wheel is often a pin as well.
             joint = _renamed(joint, taken)
@@ -87,11 +79,12 @@ def read_bodies(bodies: Any, joints: Any) -> tuple[Assembly, Points, Equations]:
     _refuse_short_links(named, all_joints)
     moving = [body for body in named if body != GROUND]
     laws = [
-        (_geneva if 'geneva' in entry else _cam)(where, entry, points, all_joints)
+        FORMS['geneva' if 'geneva' in entry else 'cam'].read(where, entry, points, all_joints)
         # A Geneva wheel may carry a cam.
         for where, entry in sorted(followers.items(), key=lambda item: 'cam' in item[1])
     ]
-    equations = equations_of_joints(moving, all_joints, entries)
+    measured = [joint for joint in all_joints if not joint.is_span]
+    equations = equations_of_joints(moving, measured, names)
     return assemble(moving, all_joints, laws), points, equations
 
 
@@ -148,41 +141,58 @@ def _pins(bodies: dict[str, dict[str, complex]]) -> list[Revolute]:
 
 
 def _joint(where: str, entry: Any, points: Points) -> Joint:
-    kind = next((kind for kind in _KEYS if isinstance(entry, dict) and kind in entry), None)
+    kind = next((kind for kind in FORMS if isinstance(entry, dict) and kind in entry), None)
     if kind is None:
-        kinds = ', '.join(_KEYS)
-        raise SceneError(f'{where} is {entry!r}: give one of {kinds}, as {_EXAMPLES["slot"]}')
-    refuse_unknown(where, entry, _KEYS[kind])
+        raise SceneError(
+            f'{where} is {entry!r}: give one of {", ".join(FORMS)}, as ' + FORMS['slot'].example
+        )
+    refuse_unknown(where, entry, FORMS[kind].keys)
     where = f"{where[:-1]}, {kind}'"
     name = entry.get('name')
     if name is not None and not (isinstance(name, str) and _WORD.fullmatch(name)):
         raise SceneError(f'{where}: name is {name!r}: give letters, digits, _ and -')
-    if kind in ('strut', 'belt'):
-        need(where, entry, (kind, 'name'), _EXAMPLES[kind])
-        ends = entry[kind]
-        if not isinstance(ends, list) or len(ends) != 2:
-            raise SceneError(f'{where} is {ends!r}: give its two ends, as {_EXAMPLES[kind]}')
-        first, last = (named_point(where, end, points) for end in ends)
-        _refuse_one_body(where, first[0], last[0])
-        strut = Strut(str(name), *first, *last)
-        return strut if kind == 'strut' else _belt(where, entry, strut, ends, points)
-    need(where, entry, ('on',) + (('radius',) if kind == 'rolling' else ()), _EXAMPLES[kind])
+    joint: Joint = FORMS[kind].read(where, entry, points)
+    return joint
+
+
+def _strut(where: str, entry: dict[str, Any], points: Points, kind: str = 'strut') -> Strut:
+    example = FORMS[kind].example
+    need(where, entry, (kind, 'name'), example)
+    ends = entry[kind]
+    if not isinstance(ends, list) or len(ends) != 2:
+        raise SceneError(f'{where} is {ends!r}: give its two ends, as {example}')
+    first, last = (named_point(where, end, points) for end in ends)
+    _refuse_one_body(where, first[0], last[0])
+    return Strut(str(entry['name']), *first, *last)
+
+
+def read_ends(
+    where: str, entry: dict[str, Any], points: Points, kind: str, size: str
+) -> tuple[str, _Point, _Point]:
+    """The name of a joint, its point `on` a body, and the one that slides or rolls there."""
+    need(where, entry, ('on', 'radius')[: 1 + (size == 'radius')], FORMS[kind].example)
     moving = named_point(where, entry[kind], points)
     base = named_point(f'{where}: on', entry['on'], points)
     _refuse_one_body(where, base[0], moving[0])
-    name = name or str(entry[kind]).rpartition('.')[2]
-    if kind == 'rolling':
-        return _rolling(where, entry, name, base, moving)
-    need(where, entry, ('along',), _EXAMPLES[kind])
+    need(where, entry, (size,), FORMS[kind].example)
+    return entry.get('name') or str(entry[kind]).rpartition('.')[2], base, moving
+
+
+def _slot(where: str, entry: dict[str, Any], points: Points) -> Slot:
+    name, base, moving = read_ends(where, entry, points, 'slot', 'along')
+    return Slot(name, *base, *moving, quantity(f'{where}: along', entry['along'], 'angle'))
+
+
+def _prismatic(where: str, entry: dict[str, Any], points: Points) -> Slot:
+    name, base, moving = read_ends(where, entry, points, 'prismatic', 'along')
     along = quantity(f'{where}: along', entry['along'], 'angle')
-    if kind == 'slot':
-        return Slot(name, *base, along, *moving)
     turned = quantity(f'{where}: turned', entry.get('turned', 0.0), 'angle')
-    return Slot(name, *base, along, *moving, turned)
+    return Slot(name, *base, *moving, along, turned)
 
 
-def _belt(where: str, entry: dict[str, Any], ends: Strut, names: list[str], points: Points) -> Belt:
-    need(where, entry, ('radii',), _EXAMPLES['belt'])
+def _belt(where: str, entry: dict[str, Any], points: Points) -> Belt:
+    ends, names = _strut(where, entry, points, 'belt'), entry['belt']
+    need(where, entry, ('radii',), FORMS['belt'].example)
     radii = entry['radii']
     if not isinstance(radii, list | tuple) or len(radii) != 2:
         raise SceneError(f'{where}: radii is {radii!r}: give both radii as [3 cm, 9 cm]')
@@ -218,9 +228,9 @@ def _geneva(
     where: str, entry: dict[str, Any], points: Points, _joints: Sequence[Joint]
 ) -> Follower:
     """The wheel's angle over the crank's, whose pin runs into its slots without shock."""
-    refuse_unknown(where, entry, _KEYS['geneva'])
+    refuse_unknown(where, entry, FORMS['geneva'].keys)
     where = f"{where[:-1]}, geneva'"
-    need(where, entry, ('on', 'slots'), _EXAMPLES['geneva'])
+    need(where, entry, ('on', 'slots'), FORMS['geneva'].example)
     wheel, _ = named_point(where, entry['geneva'], points)
     crank, _ = named_point(f'{where}: on', entry['on'], points)
     _refuse_one_body(where, crank, wheel)
@@ -244,9 +254,9 @@ def _geneva(
 
 
 def _cam(where: str, entry: dict[str, Any], points: Points, joints: Sequence[Joint]) -> Follower:
-    refuse_unknown(where, entry, _KEYS['cam'])
+    refuse_unknown(where, entry, FORMS['cam'].keys)
     where = f"{where[:-1]}, cam'"
-    need(where, entry, ('moves', 'angles', 'lift'), _EXAMPLES['cam'])
+    need(where, entry, ('moves', 'angles', 'lift'), FORMS['cam'].example)
     bodies = list(dict.fromkeys(body for body, _ in points.values()))
     slides = [s for joint in joints if not joint.is_span for s in joint.loop_form().free_slides]
     turning = [body for body in bodies if body != GROUND]
@@ -277,7 +287,8 @@ def _cam(where: str, entry: dict[str, Any], points: Points, joints: Sequence[Joi
     return Follower(where, moved, of, seen, cam(angles, lifts, law))
 
 
-def _rolling(where: str, entry: dict[str, Any], name: str, base: _Point, hub: _Point) -> Rolling:
+def _rolling(where: str, entry: dict[str, Any], points: Points) -> Rolling:
+    name, base, hub = read_ends(where, entry, points, 'rolling', 'radius')
     radius = positive(f'{where}: radius', entry['radius'], 'length')
     pressure = None
     if 'pressure' in entry:
@@ -335,3 +346,37 @@ def _refuse_short_links(bodies: dict[str, dict[str, complex]], joints: list[Join
                     f"'bodies: {body}': '{names[near]}' and '{names[far]}' are at the same place "
                     'but for rounding, a link of length 0: move one, or give them one name'
                 )
+
+
+# By the key that each has alone. A joint that is no span has its point `a` in `on`.
+FORMS = {
+    'slot': Form(
+        ('slot', 'on', 'along', 'name'), '{slot: rod.B, on: ground.O, along: 0 deg}', _slot
+    ),
+    'prismatic': Form(
+        ('prismatic', 'on', 'along', 'turned', 'name'),
+        '{prismatic: block.Q, on: ground.O, along: 90 deg, turned: 0 deg}',
+        _prismatic,
+    ),
+    'rolling': Form(
+        ('rolling', 'radius', 'on', 'along', 'circle', 'start', 'pressure', 'name'),
+        '{rolling: wheel.H, radius: 0.1, on: ground.O, along: 0 deg}',
+        _rolling,
+    ),
+    'strut': Form(('strut', 'name'), '{strut: [ground.D, lift.E], name: cylinder}', _strut),
+    'belt': Form(
+        ('belt', 'radii', 'length', 'direction', 'name'),
+        '{belt: [motor.H, fan.K], radii: [3 cm, 9 cm], name: belt}',
+        _belt,
+    ),
+    'geneva': Form(
+        ('geneva', 'on', 'slots', 'pin', 'slot'),
+        '{geneva: wheel.W, on: crank.O, slots: 4}',
+        _geneva,
+    ),
+    'cam': Form(
+        ('cam', 'moves', 'of', 'angles', 'lift', 'law'),
+        '{cam: shaft, moves: valve, angles: [0 deg, 90 deg, 360 deg], lift: [0, 1 cm, 0]}',
+        _cam,
+    ),
+}

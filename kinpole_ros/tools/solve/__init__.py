@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism import SceneError, centrodes, load_scene, scene_text, write_pitch_curves
+from kinpole_ros.mechanism import SceneError, centrodes, load_scene, scene_text
+from kinpole_ros.tools.solve._pitch import write_pitch_curves
 from kinpole_ros.tools.solve._solution import (
     Solution,
     at_rate,

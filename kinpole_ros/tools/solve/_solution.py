@@ -18,11 +18,10 @@ from kinpole_ros.mechanism import (
     Scene,
     SceneError,
     advantage,
-    inertial_loads,
     instant_centers,
     quantity,
-    spring_loads,
 )
+from kinpole_ros.mechanism._loads import inertial_loads, spring_loads
 from kinpole_ros.planar import body_point_derivative
 
 # At a limit rates are infinite, so a range starts this fraction of its length inside.

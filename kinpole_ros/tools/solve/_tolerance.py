@@ -7,14 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.mechanism import (
-    Scene,
-    SceneError,
+from kinpole_ros.mechanism import Scene, SceneError, load_scene, quantity
+from kinpole_ros.mechanism._dimension_errors import (
     Tolerance,
     ToleranceSpread,
-    load_scene,
     propagate_tolerances,
-    quantity,
     tolerances_of,
 )
 from kinpole_ros.tools.solve._solution import (

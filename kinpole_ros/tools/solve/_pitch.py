@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.files import whole_file
-from kinpole_ros.mechanism._centrodes import Centrodes
-from kinpole_ros.mechanism._loops import LinkageError
+from kinpole_ros.mechanism import Centrodes, LinkageError
 from kinpole_ros.planar._plane import Complex
 
 # In sizes of the linkage: a drawing ends here; ends of a curve nearer than this meet.
