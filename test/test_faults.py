@@ -225,7 +225,6 @@ class Rig(Peer):
         """Good frames until there are enough results of `since` and after, which are right."""
 
         def send_and_count() -> bool:
-            # A node that had no core for a while has told the newest only.
             self.send_next(publisher, kind)
             heard = [self.heard(f'/{self.name}/rod/{topic}') for topic in CHECKED]
             return all(sum(stamp_of(m) >= since for m in found) >= 5 for found in heard)
@@ -840,9 +839,6 @@ def test_failures_with_nothing_between_for_too_long_end_the_node(
     assert failing.survived == node_module._MAX_FAILURES
 
 
-DROPPED = 'messages dropped, since the node or the network could not keep up'
-
-
 def crowd(count: int = 100) -> Callable[[int, int], bytes]:
     """Frames k of `count` markers on one turning body as bytes, with a stamp: cheap to make."""
     marks = np.arange(3.0 * count).reshape(count, 3) + 0.123
@@ -853,6 +849,7 @@ def crowd(count: int = 100) -> Callable[[int, int], bytes]:
     def frame(k: int, stamp: int) -> bytes:
         turned = PIVOT + flat * np.exp(1j * TURN * k / 1000)
         points = np.stack((turned.real, turned.imag, 0 * turned.real), axis=-1)
+        points[:, :2] += 1e-4 * _noise.normal(size=(count, 2))
         made = np.frombuffer(data, np.uint8).copy()
         made[places] = points.view(np.uint8).reshape(count, 24)
         made[8:16] = np.array(divmod(stamp, 10**9), '<u4').view(np.uint8)
@@ -861,7 +858,7 @@ def crowd(count: int = 100) -> Callable[[int, int], bytes]:
     return frame
 
 
-def test_a_flood_is_told_of_and_the_newest_wins(tmp_path: FilePath) -> None:
+def test_a_flood_is_told_of_and_forgotten(tmp_path: FilePath) -> None:
     """100 markers at 1 kHz and more, for a node with one core that it shares with the sender."""
     frame = crowd()
     rig = Rig('flooded', '/flood')
@@ -881,7 +878,7 @@ def test_a_flood_is_told_of_and_the_newest_wins(tmp_path: FilePath) -> None:
                     rig.stamp += 1_000_000
                     publisher.publish(frame(int(rig.frame), rig.stamp))
 
-            rig.diagnosed(send, WARN, 'cannot keep up', DROPPED)
+            rig.diagnosed(send, WARN, 'slower than the stream', None)
             rig.forget_heard()
             # At a pace that can be borne it is right again.
             start = rig.stamp

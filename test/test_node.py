@@ -958,7 +958,7 @@ def test_what_pages_show_is_computed_30_times_a_second_and_after_all_else_is_sen
     assert view.topic == VIEW
     monkeypatch.setattr('kinpole_ros.ros.node.time.monotonic', lambda: now)
     frames = MarkerFrames(np.zeros(1, np.int64), 'world', ('a',), np.zeros((1, 1, 3)))
-    monkeypatch.setattr(node.source, 'take', lambda *_: ([frames], 1, 0))
+    monkeypatch.setattr(node.source, 'take', lambda *_: ([frames], 0))
     monkeypatch.setattr(node, '_tracker', Scripted(node.settings))
     for read, order in (([], None), ([Output('odom', Odometry, 1, build)], 1)):
         asked.clear()

@@ -37,19 +37,16 @@ from kinpole_ros.ros.private import RCLError, wrap_service
 from kinpole_ros.ros.publishers import NO_EVENTS, ResultPublishers
 from kinpole_ros.ros.source import MarkerSource, publishers_of
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.parameters import ParameterError, Settings
 from kinpole_ros.tracking.tracker import Tracker
 
 _DIAGNOSTICS_INTERVAL = 1.0  # s
 _DISCOVERY_INTERVAL = 0.1  # s: how often subscribers and publishers are looked up
-# With so many messages waiting the node is behind: only the newest frame is published.
-_BEHIND = 25
 # The node ends after so many failures, for so long (s), without a success between them.
 _MAX_FAILURES, _MAX_FAILING = 100, 10.0
 _MAX_STAMP = 2**31 * 10**9 - 1  # ns
 # Faults that are over when they were not noted again in the time of one diagnostics.
-_PASSING_FAULTS = frozenset({'message', 'failure', 'clock'})
+_PASSING_FAULTS = frozenset({'message', 'failure', 'clock', 'behind'})
 
 
 class KinpoleNode(ParameterNode):
@@ -218,18 +215,15 @@ class KinpoleNode(ParameterNode):
             self._tracker.counts['restarts'] += 1
 
     def _on_markers(self, message: bytes, info: Mapping[str, Any]) -> None:
-        """Process this message and all that wait: a node that is behind loses the oldest first."""
+        """Process this message and those that wait, and publish all results in order."""
         self._is_processing = True
         now = time.monotonic()
         displays = self.results.due_displays(now)
         order = self.results.highest_order(displays)
         needs_events = self.results.need_events
-        results, messages, lost = self.source.take(message, info)
+        results, lost = self.source.take(message, info)
         self._tracker.counts['dropped'] += lost
         last: Estimate | None = None
-        # Without results, messages on /tf had no frames of these bodies.
-        if results and messages >= _BEHIND and not self.source.is_reliable:
-            results = self._keep_newest(results)
         for frames in results:
             if isinstance(frames, MessageError):
                 self._tracker.counts['unreadable'] += 1
@@ -243,23 +237,6 @@ class KinpoleNode(ParameterNode):
             self.results.publish_displays(displays, last, now)
         self._tracker.learn_if_due()
         self._is_processing = False
-
-    def _keep_newest(
-        self, results: list[MarkerFrames | MessageError]
-    ) -> list[MarkerFrames | MessageError]:
-        """Add all but the newest frame to the window; return that frame, and errors before it."""
-        *earlier, last = results
-        for frames in (f for f in earlier if not isinstance(f, MessageError)):
-            self._add_unpublished(frames)
-        if not isinstance(last, MessageError) and len(last.stamps) > 1:
-            self._add_unpublished(part_of(last, slice(-1)))
-            last = part_of(last, slice(-1, None))
-        return [*(f for f in earlier if isinstance(f, MessageError)), last]
-
-    def _add_unpublished(self, frames: MarkerFrames) -> None:
-        self._stamps.extend(frames.stamps.tolist())
-        self._tracker.add(frames, None)
-        self._tracker.counts['unpublished'] += len(frames.stamps)
 
     def _note(self, key: str, text: str) -> None:
         """Keep a fault for the diagnostics, and log it when it begins; without text it is over."""
