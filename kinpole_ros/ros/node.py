@@ -8,8 +8,10 @@ topics of results that have subscribers, and the diagnostics.
 import gc
 import sys
 import time
+import traceback
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -65,6 +67,8 @@ class KinpoleNode(ParameterNode):
         self._diagnostics = self._make_diagnostics()
         self.results = ResultPublishers(self)
         self._is_processing = False
+        # Failures of the processing without a success between.
+        self._failures = 0
         # Stamps and newest estimate of the frames since the last diagnostics.
         self._stamps: list[int] = []
         self._latest: Estimate | None = None
@@ -237,6 +241,7 @@ class KinpoleNode(ParameterNode):
             self.results.publish_displays(displays, last, now)
         self._tracker.learn_if_due()
         self._is_processing = False
+        self._failures = 0
 
     def _note(self, key: str, text: str) -> None:
         """Keep a fault for the diagnostics, and log it when it begins; without text it is over."""
@@ -286,16 +291,17 @@ class KinpoleNode(ParameterNode):
         self._note('duplicates', text)
 
     def recover(self, error: Exception) -> None:
-        """Note an error that no callback caught; while processing markers, restart the tracker."""
+        """Note an error that no callback caught; the tracker forgets as little as helps."""
         outcome = 'goes on'
         if self._is_processing:
             self._is_processing = False
-            self._tracker.reset()
-            self._latest = None
-            outcome = 'starts anew'
+            outcome = self._tracker.recover(self._failures)
+            self._failures += 1
         self._tracker.counts['failures'] += 1
-        text = ' '.join(str(error).split())
-        self._note('failure', f'the node failed ({type(error).__name__}: {text}) and {outcome}')
+        *_, place = traceback.extract_tb(error.__traceback__)
+        cause = f'{type(error).__name__}: {" ".join(str(error).split())}'
+        where = f'{Path(place.filename).name}:{place.lineno}'
+        self._note('failure', f'the node failed ({cause}, {where}) and {outcome}')
 
 
 def _change_if_possible(change: Callable[..., Any], request: Any, response: Any) -> Any:

@@ -19,10 +19,15 @@ from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import note_gap
 from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.result_layout import COUNT, DEFORMED
-from kinpole_ros.tracking.state import new_totals, start, widen
+from kinpole_ros.tracking.state import new_totals, restart_bodies, start, widen
 from kinpole_ros.tracking.summary import TrackerSummary
 from kinpole_ros.tracking.timeline import TimedFrames, Timeline
-from kinpole_ros.tracking.update import learn_if_due, update_clock, update_if_due
+from kinpole_ros.tracking.update import (
+    drop_old_frames,
+    learn_if_due,
+    update_clock,
+    update_if_due,
+)
 
 
 class Tracker(TrackerSummary):
@@ -39,6 +44,24 @@ class Tracker(TrackerSummary):
     def reset(self) -> None:
         """Forget all frames and everything learned from them."""
         self._start(self.state.posed)
+
+    def recover(self, failures: int) -> str:
+        """
+        Make up for an exception of `add`, whose frames are lost; return in words what else is.
+
+        That is nothing at first, then what is known of one body after the other, and at last all.
+        `failures` is the number of failures before, with no success between.
+        """
+        if failures > len(self.bodies):
+            self.reset()
+            return 'starts anew'
+        if failures:
+            number = failures - 1
+            restart_bodies(self.state, np.arange(len(self.bodies)) == number)
+            return f'starts anew with {self.bodies[number]}'
+        drop_old_frames(self.state)
+        self.state.step.bind(self.state.bodies, self.state.history)
+        return 'goes on without that frame'
 
     def _start(self, posed: bool, before: Timeline | None = None) -> None:
         """Start from nothing, but with the clock of the timeline `before` a jump of the stamps."""

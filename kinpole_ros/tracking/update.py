@@ -46,7 +46,7 @@ def _update(state: State) -> bool:
         1, min(int(state.frame_count * UPDATE_SHARE), MAX_UPDATE_INTERVAL)
     )
     if state.assignment.plane is None:
-        _drop_old_frames(state)
+        drop_old_frames(state)
         return False
     count_new_frames(state)
     if state.posed:
@@ -57,7 +57,7 @@ def _update(state: State) -> bool:
         state.pins.forget(restarts)
     state.pins.update(bodies, history, min(state.new_frames, len(history)), state.posed)
     state.new_frames = state.counted_frames = 0
-    _drop_old_frames(state)
+    drop_old_frames(state)
     bodies.hub = find_hubs(bodies, history, window, bodies.hub)
     bodies.jump_scale = path_scale(history)
     if not state.posed:
@@ -100,7 +100,7 @@ def count_new_frames(state: State) -> None:
         state.space.add(state.assignment.plane.in_space(markers, heights))
 
 
-def _drop_old_frames(state: State) -> None:
+def drop_old_frames(state: State) -> None:
     """Drop frames that neither the window nor the next update needs."""
     history, fields = state.history, state.step.fields
     samples = int(fields.samples)
