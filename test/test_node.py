@@ -358,7 +358,7 @@ class TestOneNode:
 
     def test_bad_values_set_live_are_refused_with_the_reason(self, shared: Peer) -> None:
         refused = {
-            'window': (-1.0, 'Parameter window out of range Min: 1e-06, Max: 3600.0'),
+            'window': (-1.0, 'Parameter window out of range Min: 1e-06, Max: 60.0'),
             'method': ('poses', "parameter method is 'poses'; it must be one of pose, landmarks"),
             'lag': (0.5, 'parameter lag is 0.5 s; it must be less than window, 0.3 s'),
             'plane': ('zz', "parameter plane is 'zz'; it must be one of xy, yz, zx"),
