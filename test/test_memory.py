@@ -3,7 +3,6 @@
 import threading
 
 import pytest
-import rclpy
 from rclpy.serialization import serialize_message
 from test_faults import Rig, message, rod
 from test_node import LIMIT
@@ -11,24 +10,7 @@ from test_node import LIMIT
 import kinpole_ros.ros.listener as listen_module
 from kinpole_ros.bags import BagError
 from kinpole_ros.messages import MARKER_TYPES
-from kinpole_ros.ros.node import KinpoleNode
 from kinpole_ros.ros.source import MAX_MESSAGE_BYTES
-
-
-@pytest.mark.parametrize('given', [None, 7])
-def test_the_default_depth_bounds_memory_and_can_be_overridden(given: int | None) -> None:
-    words = ['-p', 'marker_type:=marker_array']
-    if given is not None:
-        words += ['-p', f'qos_overrides./markers.subscription.depth:={given}']
-    rclpy.init(args=['kinpole', '--ros-args', *words])
-    node = KinpoleNode()
-    try:
-        (markers,) = (each for each in node.subscriptions if each.topic_name == '/markers')
-        depth = markers.qos_profile.depth
-        assert depth == given if given else 0 < depth * MAX_MESSAGE_BYTES <= 64 << 20
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
 
 
 @pytest.mark.parametrize(

@@ -358,7 +358,7 @@ class TestOneNode:
 
     def test_bad_values_set_live_are_refused_with_the_reason(self, shared: Peer) -> None:
         refused = {
-            'window': (-1.0, 'Parameter window out of range Min: 1e-06, Max: 3600.0'),
+            'window': (-1.0, 'Parameter window out of range Min: 1e-06, Max: 60.0'),
             'method': ('poses', "parameter method is 'poses'; it must be one of pose, landmarks"),
             'lag': (0.5, 'parameter lag is 0.5 s; it must be less than window, 0.3 s'),
             'plane': ('zz', "parameter plane is 'zz'; it must be one of xy, yz, zx"),
@@ -958,7 +958,7 @@ def test_what_pages_show_is_computed_30_times_a_second_and_after_all_else_is_sen
     assert view.topic == VIEW
     monkeypatch.setattr('kinpole_ros.ros.node.time.monotonic', lambda: now)
     frames = MarkerFrames(np.zeros(1, np.int64), 'world', ('a',), np.zeros((1, 1, 3)))
-    monkeypatch.setattr(node.source, 'take', lambda *_: ([frames], 1, 0))
+    monkeypatch.setattr(node.source, 'take', lambda *_: ([frames], 0))
     monkeypatch.setattr(node, '_tracker', Scripted(node.settings))
     for read, order in (([], None), ([Output('odom', Odometry, 1, build)], 1)):
         asked.clear()

@@ -53,7 +53,6 @@ COUNT_KEYS = {
     'bodies_ambiguous': 'bodies left out of a frame, since points fit them in several ways',
     'unreadable': 'messages that could not be read',
     'dropped': 'messages dropped, since the node or the network could not keep up',
-    'unpublished': 'results left out, since the node could not keep up',
     'failures': 'failures of the node itself',
 }
 

@@ -44,7 +44,7 @@ _SHAPE_FAULTS = {
         'that its markers are seen'
     ),
 }
-_MILD_TROUBLES = ('clock', 'other types', 'sources', 'duplicates')  # figures still come
+_MILD_TROUBLES = ('behind', 'clock', 'other types', 'sources', 'duplicates')  # figures still come
 _STAMP_FIX = 'see that the driver sets header.stamp to the time of capture, in s and ns'
 
 
@@ -286,8 +286,6 @@ def input_faults(
             f'{dropped} messages dropped: the node or the network cannot keep up; send fewer '
             'frames, or read fewer results'
         )
-    if unpublished := since.get('unpublished'):
-        texts.append(f'{unpublished} results left out: the node cannot keep up; read fewer results')
     texts += identity_lines(tracker, since)
     if since.get('restarts'):
         texts.append('another publisher sends the markers: the window starts anew')

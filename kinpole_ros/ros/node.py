@@ -8,8 +8,10 @@ topics of results that have subscribers, and the diagnostics.
 import gc
 import sys
 import time
+import traceback
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -38,18 +40,15 @@ from kinpole_ros.ros.publishers import NO_EVENTS, ResultPublishers
 from kinpole_ros.ros.source import MarkerSource, publishers_of
 from kinpole_ros.settings import ParameterError, Settings
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.tracker import Tracker
 
 _DIAGNOSTICS_INTERVAL = 1.0  # s
 _DISCOVERY_INTERVAL = 0.1  # s: how often subscribers and publishers are looked up
-# With so many messages waiting the node is behind: only the newest frame is published.
-_BEHIND = 25
 # The node ends after so many failures, for so long (s), without a success between them.
 _MAX_FAILURES, _MAX_FAILING = 100, 10.0
 _MAX_STAMP = 2**31 * 10**9 - 1  # ns
 # Faults that are over when they were not noted again in the time of one diagnostics.
-_PASSING_FAULTS = frozenset({'message', 'failure', 'clock'})
+_PASSING_FAULTS = frozenset({'message', 'failure', 'clock', 'behind'})
 
 
 class KinpoleNode(ParameterNode):
@@ -68,6 +67,8 @@ class KinpoleNode(ParameterNode):
         self._diagnostics = self._make_diagnostics()
         self.results = ResultPublishers(self)
         self._is_processing = False
+        # Failures of the processing without a success between.
+        self._failures = 0
         # Stamps and newest estimate of the frames since the last diagnostics.
         self._stamps: list[int] = []
         self._latest: Estimate | None = None
@@ -218,18 +219,15 @@ class KinpoleNode(ParameterNode):
             self._tracker.counts['restarts'] += 1
 
     def _on_markers(self, message: bytes, info: Mapping[str, Any]) -> None:
-        """Process this message and all that wait: a node that is behind loses the oldest first."""
+        """Process this message and those that wait, and publish all results in order."""
         self._is_processing = True
         now = time.monotonic()
         displays = self.results.due_displays(now)
         order = self.results.highest_order(displays)
         needs_events = self.results.need_events
-        results, messages, lost = self.source.take(message, info)
+        results, lost = self.source.take(message, info)
         self._tracker.counts['dropped'] += lost
         last: Estimate | None = None
-        # Without results, messages on /tf had no frames of these bodies.
-        if results and messages >= _BEHIND and not self.source.is_reliable:
-            results = self._keep_newest(results)
         for frames in results:
             if isinstance(frames, MessageError):
                 self._tracker.counts['unreadable'] += 1
@@ -243,23 +241,7 @@ class KinpoleNode(ParameterNode):
             self.results.publish_displays(displays, last, now)
         self._tracker.learn_if_due()
         self._is_processing = False
-
-    def _keep_newest(
-        self, results: list[MarkerFrames | MessageError]
-    ) -> list[MarkerFrames | MessageError]:
-        """Add all but the newest frame to the window; return that frame, and errors before it."""
-        *earlier, last = results
-        for frames in (f for f in earlier if not isinstance(f, MessageError)):
-            self._add_unpublished(frames)
-        if not isinstance(last, MessageError) and len(last.stamps) > 1:
-            self._add_unpublished(part_of(last, slice(-1)))
-            last = part_of(last, slice(-1, None))
-        return [*(f for f in earlier if isinstance(f, MessageError)), last]
-
-    def _add_unpublished(self, frames: MarkerFrames) -> None:
-        self._stamps.extend(frames.stamps.tolist())
-        self._tracker.add(frames, None)
-        self._tracker.counts['unpublished'] += len(frames.stamps)
+        self._failures = 0
 
     def _note(self, key: str, text: str) -> None:
         """Keep a fault for the diagnostics, and log it when it begins; without text it is over."""
@@ -309,16 +291,17 @@ class KinpoleNode(ParameterNode):
         self._note('duplicates', text)
 
     def recover(self, error: Exception) -> None:
-        """Note an error that no callback caught; while processing markers, restart the tracker."""
+        """Note an error that no callback caught; the tracker forgets as little as helps."""
         outcome = 'goes on'
         if self._is_processing:
             self._is_processing = False
-            self._tracker.reset()
-            self._latest = None
-            outcome = 'starts anew'
+            outcome = self._tracker.recover(self._failures)
+            self._failures += 1
         self._tracker.counts['failures'] += 1
-        text = ' '.join(str(error).split())
-        self._note('failure', f'the node failed ({type(error).__name__}: {text}) and {outcome}')
+        *_, place = traceback.extract_tb(error.__traceback__)
+        cause = f'{type(error).__name__}: {" ".join(str(error).split())}'
+        where = f'{Path(place.filename).name}:{place.lineno}'
+        self._note('failure', f'the node failed ({cause}, {where}) and {outcome}')
 
 
 def _change_if_possible(change: Callable[..., Any], request: Any, response: Any) -> Any:

@@ -14,7 +14,7 @@ from kinpole_ros.tracking.estimate import Estimate
 
 # Results kept for a reliable reader that is slow, such as a recorder on a busy machine: messages
 # that wait are taken at once, so results come in bunches. A reader that asks for less gets less.
-_DEPTH = 1000
+_DEPTH = 2000
 # The callbacks of rclpy only log, and cost 6 us a publisher in each wait.
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 _ACKNOWLEDGMENT_WAIT = 0.1  # s; ms suffice, but a reader of Fast DDS may acknowledge after 3 s

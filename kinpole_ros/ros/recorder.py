@@ -24,7 +24,7 @@ from kinpole_ros.ros.private import received_at, take
 
 _FLUSH_INTERVAL = 1.0  # s: what a kill may lose of a recording
 _DISCOVERY_INTERVAL = 0.1  # s
-_DEPTH = 1000  # messages
+_DEPTH = 2000  # messages of a topic: 2 s at 1 kHz
 _PATIENCE = 5.0  # s without a topic, after which a recorder warns
 
 

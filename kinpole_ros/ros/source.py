@@ -1,12 +1,19 @@
 """The topic of the markers: found in the graph, subscribed to, read, and watched for faults."""
 
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import chain
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.qos import (
+    QoSCompatibility,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -20,13 +27,22 @@ from kinpole_ros.messages import (
     reader_of,
 )
 from kinpole_ros.ros.executor import SubscriptionGroup
-from kinpole_ros.ros.private import has_known_node, sequence_number, take
+from kinpole_ros.ros.private import has_known_node, received_at, sequence_number, take
 from kinpole_ros.settings import ParameterError, Settings
 from kinpole_ros.tracking.frame import MarkerFrames
 
-# Messages that wait while others are read: a stall of 50 ms at 1 kHz. The middleware keeps the
-# memory of the largest ones, so the depth bounds it.
-SUBSCRIPTION_DEPTH = 50
+# Messages that wait in the middleware: 2 s at 4 kHz, as 20 markers at 200 Hz make that come as one
+# message each. It is less where so many of the largest messages are more than MAX_WAITING_BYTES:
+# 2 s at 1 kHz of 65 kB, and at 60 Hz of the largest that are read.
+SUBSCRIPTION_DEPTH = 8192
+MAX_WAITING_BYTES = 1 << 27
+# Messages that are processed at once: a failure costs no more, and all else has its turn between.
+_BATCH = 64
+_UPDATE_INTERVAL = 1.0  # s between looks for publishers, once one is followed
+# s. A node is behind if messages have waited for more than _LATE for _PATIENCE. If one has waited
+# for _TOO_LATE all that are late are dropped: one gap costs less than many, of which each makes
+# another kind of window.
+_LATE, _PATIENCE, _TOO_LATE = 0.05, 0.7, 5.0
 # Larger messages are not read: 4,000 markers of a MarkerArray, or 65,000 points of a PointCloud2.
 MAX_MESSAGE_BYTES = 1 << 20
 
@@ -53,8 +69,11 @@ class MarkerSource:
         self._subscription: Any = None
         self.group = SubscriptionGroup()
         self._kind = ''
-        # Whether the parameters ask for reliable delivery.
-        self.is_reliable = False
+        self._update_due = 0.0
+        self._depth, self._largest_size = SUBSCRIPTION_DEPTH, 0
+        # Since when all messages are taken late; None while they are in time.
+        self._behind_since: float | None = None
+        self._is_skipping = False
         self._publishers: set[bytes] = set()
         # The number that the publisher gave to the last message.
         self._number: int | None = None
@@ -79,12 +98,15 @@ class MarkerSource:
 
     def close(self) -> None:
         """Unsubscribe; the next `update` may subscribe again."""
+        self._unsubscribe()
+        self._kind = ''
+        self._publishers = set()
+        self._update_due = 0.0
+
+    def _unsubscribe(self) -> None:
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
-        self._subscription = None
-        self._kind = ''
-        self._number = None
-        self._publishers = set()
+        self._subscription = self._number = self._behind_since = None
 
     def restart(self, settings: Settings) -> None:
         """Forget the messages so far, and read markers by these settings."""
@@ -102,9 +124,11 @@ class MarkerSource:
         """
         Subscribe once the type of the markers is known, and note the faults of the publishers.
 
-        Returns whether other publishers have replaced all earlier ones, whose markers may differ.
-        Raises ParameterError for a QoS that cannot be used.
+        When subscribed it does so once a second. Returns whether other publishers have replaced all
+        earlier ones, whose markers may differ. Raises ParameterError for a QoS that cannot be used.
         """
+        if time.monotonic() < self._update_due:
+            return False
         offers = self._node.get_publishers_info_by_topic(self.topic)
         is_replaced = self._note_publishers({bytes(offer.endpoint_gid) for offer in offers})
         published = {offer.topic_type for offer in offers}
@@ -118,6 +142,14 @@ class MarkerSource:
         if kinds and self._kind not in kinds:
             self.close()
             self._subscribe(kinds[0])
+        elif self.is_subscribed and (
+            self._highest_depth() < self._depth == self._subscription.qos_profile.depth
+        ):
+            # A depth that the user has set stays.
+            self._unsubscribe()
+            self._subscribe(self._kind)
+        if self._publishers and self.is_subscribed:
+            self._update_due = time.monotonic() + _UPDATE_INTERVAL
         if is_replaced and self._kind:
             self._reader = reader_of(self._kind, self._settings)
         self._note_other_types(published)
@@ -140,11 +172,22 @@ class MarkerSource:
                 fault += ', or marker_type must be tf and <body>.markers name its frame'
         return matching if is_auto else readable, fault
 
+    def _highest_depth(self) -> int:
+        """Return the depth that bounds the bytes that wait, a power of two."""
+        depth = SUBSCRIPTION_DEPTH
+        while depth > 1 and depth * self._largest_size > MAX_WAITING_BYTES:
+            depth //= 2
+        return depth
+
     def _subscribe(self, kind: str) -> None:
         # First, as it may not go with the parameters.
         self._reader = reader_of(kind, self._settings)
         # As most drivers publish; a frame that is late is not worth waiting for.
-        qos = QoSProfile(depth=SUBSCRIPTION_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._depth = self._highest_depth()
+        qos = QoSProfile(depth=self._depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        policies = [QoSPolicyKind.HISTORY, QoSPolicyKind.RELIABILITY]
+        if self._depth == SUBSCRIPTION_DEPTH:
+            policies.append(QoSPolicyKind.DEPTH)
         overrides = f'qos_overrides.{self.topic}.subscription'
         try:
             self._subscription = self._node.create_subscription(
@@ -154,16 +197,14 @@ class MarkerSource:
                 qos,
                 callback_group=self.group,
                 event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                qos_overriding_options=QoSOverridingOptions(policies),
                 raw=True,
             )
-            reliability = self._node.get_parameter(f'{overrides}.reliability').value
         except Exception as error:  # rclpy raises many types, some without a text
             raise ParameterError(
                 f'parameters {overrides} cannot be used '
                 f'({str(error) or type(error).__name__}); correct them or leave them out'
             ) from None
-        self.is_reliable = reliability == 'reliable'
         self._kind = kind
         bodies = ', '.join(self._settings.bodies)
         self._node.get_logger().info(f'follows {bodies} on {self.topic} ({INPUT_TYPE_NAMES[kind]})')
@@ -205,31 +246,56 @@ class MarkerSource:
 
     def take(
         self, message: bytes, info: Mapping[str, Any]
-    ) -> tuple[list[MarkerFrames | MessageError], int, int]:
+    ) -> tuple[list[MarkerFrames | MessageError], int]:
         """
-        Read this message and those that wait, SUBSCRIPTION_DEPTH of them at most.
+        Read this message and those that wait, some of them at most; the rest waits on.
 
-        Returns the results, the number of messages, and how many more were lost on the way. A
-        message that is too large is released before the next one is taken.
+        Returns the results, and how many messages were lost, on the way or since they are too old.
+        A message that is too large is released before the next one is taken.
         """
         small: list[bytes] = []
         refused: list[MarkerFrames | MessageError] = []
         numbers: list[int | None] = []
-        waiting = take(self._subscription, SUBSCRIPTION_DEPTH - 1)
+        now, waited, lost = time.time_ns(), 0.0, 0
+        waiting = take(self._subscription, _BATCH - 1)
         for data, details in chain([(message, info)], waiting):
             numbers.append(sequence_number(details))
-            if len(data) > MAX_MESSAGE_BYTES:
+            self._largest_size = max(self._largest_size, len(data))
+            age = (now - (received_at(details) or now)) * 1e-9
+            waited = max(waited, age)
+            self._is_skipping = age > (_LATE if self._is_skipping else _TOO_LATE)
+            if self._is_skipping:
+                lost += 1
+            elif len(data) > MAX_MESSAGE_BYTES:
                 refused.append(MessageError(describe_excess(self.topic, len(data))))
             else:
                 small.append(data)
+        self._note_wait(waited)
         # Errors first, so that the last result is the newest frame.
-        return [*refused, *self._reader.read(small)], len(numbers), self._count_lost(numbers)
+        return [*refused, *self._reader.read(small)], lost + self._count_lost(numbers)
+
+    def _note_wait(self, seconds: float) -> None:
+        """Note where messages have been waiting for long, over more than a stall."""
+        now = time.monotonic()
+        if seconds < _LATE:
+            self._behind_since = None
+        elif self._behind_since is None:
+            self._behind_since = now
+        elif now - self._behind_since > _PATIENCE:
+            self._note(
+                'behind',
+                f'the node is slower than the stream: frames wait {seconds:.1f} s; send fewer '
+                'frames, or read fewer results',
+            )
 
     def _count_lost(self, numbers: Iterable[int | None]) -> int:
         """Count the messages missing between these, where one publisher numbers them."""
         lost = 0
         for number in numbers:
             if number and self._number is not None:
+                if number <= self._number:
+                    # Another publisher, or the same one started again.
+                    self._update_due = 0.0
                 if len(self._publishers) == 1:
                     lost += max(0, number - self._number - 1)
                 elif number <= self._number:

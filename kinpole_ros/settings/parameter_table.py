@@ -215,7 +215,7 @@ PARAMETERS: Mapping[str, Parameter] = {
         _body_names,
         'a list of different names of letters, digits and _',
     ),
-    'window': _range(0.3, 'Length of past data that results are computed from.', 1e-6, 3600.0, 's'),
+    'window': _range(0.3, 'Length of past data that results are computed from.', 1e-6, 60.0, 's'),
     'lag': _range(
         0.1,
         'Delay of the output behind the newest sample. Half a window gives the most accurate '

@@ -23,7 +23,7 @@ from kinpole_ros.tracking.result_layout import COUNT, DEFORMED
 from kinpole_ros.tracking.state import new_totals, start, widen
 from kinpole_ros.tracking.summary import TrackerSummary
 from kinpole_ros.tracking.timeline import TimedFrames, Timeline
-from kinpole_ros.tracking.update import learn_if_due, update_clock, update_if_due
+from kinpole_ros.tracking.update import learn_if_due, recover, update_clock, update_if_due
 
 
 class Tracker(TrackerSummary):
@@ -40,6 +40,17 @@ class Tracker(TrackerSummary):
     def reset(self) -> None:
         """Forget all frames and everything learned from them."""
         self._start(self.state.assignment.posed)
+
+    def recover(self, failures: int) -> str:
+        """
+        Make up for an exception of `add`, whose frames are lost; return in words what else is.
+
+        All starts again if that of no body helped: see `recover` of update.py.
+        """
+        if failures > len(self.bodies):
+            self.reset()
+            return 'starts anew'
+        return recover(self.state, failures)
 
     def _start(self, posed: bool, before: Timeline | None = None) -> None:
         """Start from nothing, but with the clock of the timeline `before` a jump of the stamps."""

@@ -47,7 +47,7 @@ def _update(state: State) -> bool:
         1, min(int(state.frame_count * UPDATE_SHARE), MAX_UPDATE_INTERVAL)
     )
     if state.assignment.plane is None:
-        _drop_old_frames(state)
+        drop_old_frames(state)
         return False
     count_new_frames(state)
     new = state.frame_count - state.learned_count
@@ -59,7 +59,7 @@ def _update(state: State) -> bool:
         state.pins.forget(restarts)
     state.pins.update(bodies, history, min(new, len(history)), state.assignment.posed)
     state.learned_count = state.frame_count
-    _drop_old_frames(state)
+    drop_old_frames(state)
     bodies.hub = find_hubs(bodies, history, window, bodies.hub)
     bodies.jump_scale = path_scale(history)
     if not state.assignment.posed:
@@ -88,6 +88,22 @@ def _find_deformed(state: State) -> None:
     )
 
 
+def recover(state: State, failures: int) -> str:
+    """
+    Make up for a frame that failed; return in words what is lost.
+
+    That is the frame alone at first, then what is known of one body after the other. `failures` is
+    the number of failures before, with no success between.
+    """
+    if failures:
+        names, number = list(state.settings.bodies), failures - 1
+        restart_bodies(state, np.arange(len(names)) == number)
+        return f'starts anew with {names[number]}'
+    drop_old_frames(state)
+    state.step.bind(state.bodies, state.pins, state.history)
+    return 'goes on without that frame'
+
+
 def count_new_frames(state: State) -> None:
     """Count hidden markers since the last update, and measure how the motion lies in space."""
     new = min(state.frame_count - state.counted_count, len(state.history))
@@ -102,7 +118,7 @@ def count_new_frames(state: State) -> None:
         state.space.add(state.assignment.plane.in_space(markers, heights))
 
 
-def _drop_old_frames(state: State) -> None:
+def drop_old_frames(state: State) -> None:
     """Drop frames that neither the window nor the next update needs."""
     history, fields = state.history, state.step.fields
     samples = int(fields.samples)
