@@ -19,11 +19,13 @@ from kinpole_ros.messages import (
     ROS_TYPE_NAMES,
     MarkerReader,
     MessageError,
+    marker_arrays,
     ns_to_stamp,
     read_markers,
     stamp_to_ns,
     to_message,
 )
+from kinpole_ros.messages import _cdr as cdr
 
 # One warning is not ours: rclpy's parser of interfaces imports a module of Python that is to go.
 pytestmark = [
@@ -620,3 +622,23 @@ def test_a_stamp_before_the_beginning_of_time_is_refused(kind: str) -> None:
         header.stamp.sec = -1
     with pytest.raises(MessageError, match=r'header\.stamp is -1 s'):
         read_one(message)
+
+
+@given(
+    names=st.lists(st.text('aé_ 1中', max_size=9), max_size=6),
+    frame_id=st.sampled_from(['', 'world', 'läb', 'lab_1']),
+    seed=st.integers(0, 2**32 - 1),
+    share=st.sampled_from([0.0, 0.3, 1.0]),
+)
+@settings(max_examples=60, deadline=None)
+def test_arrays_of_markers_are_the_bytes_of_the_messages(names, frame_id, seed, share) -> None:
+    generator = np.random.default_rng(seed)
+    stamps = np.sort(generator.integers(0, 2**31 * 10**9, 5))
+    points = generator.normal(size=(5, len(names), 3)) * 10.0 ** generator.integers(-9, 9)
+    points[generator.random(points.shape) < share / 3] = np.nan
+    points[generator.random(points.shape) < share / 9] = np.inf
+    expected = [
+        cdr.serialize_message(to_message('marker_array', stamp, frame_id, names, frame))
+        for stamp, frame in zip(stamps.tolist(), points, strict=True)
+    ]
+    assert marker_arrays(stamps, frame_id, names, points) == expected

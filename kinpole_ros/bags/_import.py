@@ -12,8 +12,9 @@ from kinpole_ros.bags._files import BagError, in_place_of
 from kinpole_ros.bags._reader import Progress
 from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.bags.formats import Options, Points, read_points, shown
-from kinpole_ros.messages import INPUT_TYPES, TF, poses_data, to_message
+from kinpole_ros.messages import INPUT_TYPES, TF, marker_arrays, poses_data
 
+_BLOCK_BYTES = 1 << 20  # of messages in memory at a time
 _LONGEST = 2.0**31  # s; the seconds of a ROS stamp are an int32
 
 
@@ -200,16 +201,26 @@ def _write(
     stamps: np.ndarray,
     progress: Progress | None,
 ) -> None:
-    step = math.ceil(len(stamps) / 200)
-    rows = zip(map(int, stamps), read.points, strict=True)
+    # Some 300 bytes a marker, and at most some 200 calls of `progress`.
+    rows = max(1, min(math.ceil(len(stamps) / 200), _BLOCK_BYTES // (300 * len(read.names) + 1)))
+    due = 0.0
     with in_place_of(output) as part, BagWriter(part, name=output) as bag:
-        for count, (stamp, row) in enumerate(rows, start=1):
-            bag.write(topic, to_message('marker_array', stamp, frame_id, read.names, row), stamp)
+        for start in range(0, len(stamps), rows):
+            block = slice(start, start + rows)
+            times = stamps[block].tolist()
+            data = marker_arrays(stamps[block], frame_id, read.names, read.points[block])
+            columns = [(topic, INPUT_TYPES['marker_array'], times, data)]
             if read.poses is not None:
-                data = poses_data('tf', stamp, frame_id, read.bodies, read.poses[count - 1])
-                bag.write_raw(TF, INPUT_TYPES['tf'], data, stamp)
-            if progress is not None and (count % step == 0 or count == len(stamps)):
-                progress(count / len(stamps))
+                tf = [
+                    poses_data('tf', stamp, frame_id, read.bodies, poses)
+                    for stamp, poses in zip(times, read.poses[block], strict=True)
+                ]
+                columns.append((TF, INPUT_TYPES['tf'], times, tf))
+            bag.write_many(columns)
+            done = min(1.0, (start + rows) / len(stamps))
+            if progress is not None and done >= min(due, 1.0):
+                due = done + 1 / 200
+                progress(done)
 
 
 def _stamps(path: Path, read: Points, rate: float | None) -> tuple[np.ndarray, list[str]]:

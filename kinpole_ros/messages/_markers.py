@@ -10,6 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from kinpole_ros.messages._cdr import (
+    ALIGNMENT,
+    HEAD,
+    LITTLE,
+    serialize_message,
+    stamp_bytes,
+)
 from kinpole_ros.messages._cloud import cloud_ids, cloud_points, make_cloud
 from kinpole_ros.messages._types import (
     END_OF_TIME,
@@ -156,6 +163,66 @@ def to_message(
             ]
         )
     raise ValueError(f"kind '{kind}' is unknown: use one of {', '.join(MARKER_TYPES)}")
+
+
+def marker_arrays(
+    stamps: np.ndarray, frame_id: str, names: Sequence[str], points: np.ndarray
+) -> list[bytes]:
+    """
+    Return the messages that `to_message` makes MarkerArrays of, serialized, without its objects.
+
+    Parameters
+    ----------
+    stamps : ndarray
+        Stamps (T,), ns.
+    frame_id : str
+        Frame of the points.
+    names : sequence of str
+        Names of the n markers.
+    points : ndarray
+        Positions (T, n, 3), m; a marker with a coordinate that is not finite is left out.
+
+    Returns
+    -------
+    list of bytes
+        T messages in CDR.
+    """
+    messages = [b''] * len(stamps)
+    seen = np.isfinite(points).all(axis=-1)
+    masks, group = np.unique(seen, axis=0, return_inverse=True)
+    for number, mask in enumerate(masks):
+        rows = np.flatnonzero(group.reshape(-1) == number)
+        markers = np.flatnonzero(mask)
+        data = bytearray(LITTLE.ljust(HEAD, b'\0') + len(markers).to_bytes(4, 'little'))
+        starts, positions = [], []
+        for k in markers.tolist():
+            data += bytes(-len(data) % 4)
+            block, position = _marker_block(frame_id, names[k], k, (len(data) - HEAD) % ALIGNMENT)
+            starts.append(len(data))
+            positions.append(len(data) + position)
+            data += block
+        table = np.tile(np.frombuffer(data, np.uint8), (len(rows), 1))
+        if starts:
+            stamp_at = np.array(starts)[:, None] + np.arange(8)
+            table[:, stamp_at] = stamp_bytes(stamps[rows])[:, None]
+            point_at = np.array(positions)[:, None] + np.arange(24)
+            shown = points[rows[:, None], markers].astype('<f8')
+            table[:, point_at] = shown.view(np.uint8)
+        for row, message in zip(rows.tolist(), table, strict=True):
+            messages[row] = message.tobytes()
+    return messages
+
+
+@lru_cache(maxsize=20_000)
+def _marker_block(frame_id: str, name: str, number: int, phase: int) -> tuple[bytes, int]:
+    """Return a marker that begins at `phase` modulo 8, and where its position is."""
+    corner = Point(x=1.0 / 3.0, y=2.0 / 3.0, z=4.0 / 3.0)
+    header = Header(frame_id=frame_id)
+    marker = _sphere(header, name, number, type=Marker.SPHERE, pose=Pose(position=corner))
+    # Alone it begins at the first field, in an array behind the length of that.
+    message = marker if phase == 0 else MarkerArray(markers=[marker])
+    block = serialize_message(message)[HEAD + phase :]
+    return block, block.index(np.array((corner.x, corner.y, corner.z), '<f8').tobytes())
 
 
 def _read_marker_array(

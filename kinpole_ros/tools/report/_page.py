@@ -72,7 +72,7 @@ def _read(name: str) -> str:
 def _embedded(data: Json) -> str:
     """Return data as it is in the page: JSON, deflated, in base64."""
     text = json.dumps(data, separators=(',', ':'), allow_nan=False)
-    return base64.b64encode(zlib.compress(text.encode(), 9)).decode()
+    return base64.b64encode(zlib.compress(text.encode())).decode()
 
 
 def pack(record: Record) -> Json:
