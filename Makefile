@@ -85,8 +85,8 @@ lint: .venv/test-$(READY)  ## style and types
 	@$(RUN) -m mypy
 
 # Tests of compiled code: messages, hostile frames, derivatives.
-SANITIZED := core/test_bindings core/test_compiled core/test_hostile_frames test_marker_messages \
-  test_marker_reader test_pose_input test_quantities test_serialization test_state test_wrong_frames
+SANITIZED := core/test_bindings core/test_compiled core/test_hostile_frames tracking/test_pose_input tracking/test_quantities test_marker_messages \
+  test_marker_reader test_serialization test_state test_wrong_frames
 SANITIZERS := undefined,float-cast-overflow
 sanitize: .venv/test-$(READY)  ## tests of the compiled library under the sanitizers of gcc, for addresses and undefined behavior
 	@CC=gcc CFLAGS='-O1 -g -fsanitize=address,$(SANITIZERS) -fno-sanitize-recover=$(SANITIZERS) -fno-omit-frame-pointer' \
@@ -109,7 +109,7 @@ fuzz: .venv/test-$(READY)  ## read 10,000 corrupted bags, corrupted captures, an
 	@OPENBLAS_NUM_THREADS=1 $(RUN) test/fuzz_kills.py
 	@PYTHONPATH=. OPENBLAS_NUM_THREADS=1 $(RUN) test/fuzz_rigs.py
 	@HYPOTHESIS_PROFILE=fuzz PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 OPENBLAS_NUM_THREADS=1 \
-	  $(RUN) $(PYTEST) $$(grep -rl '^@given' test)
+	  $(RUN) $(PYTEST) $$(grep -rl --include='test_*.py' '^@given' test)
 
 # One resolution for all commands, so that they can share .venv; for Python 3.10 to 3.14.
 UV := .venv/bin/uv pip compile setup.py - --universal --python-version 3.10 --generate-hashes \

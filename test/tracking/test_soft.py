@@ -18,7 +18,7 @@ from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.tracker import Tracker
 
 # Measured walks stay where they are: see the README beside them for what they are.
-WALK = Path(__file__).parents[2] / 'shared' / 'data' / 'gait' / 'walk1.trc'
+WALK = Path(__file__).parents[3] / 'shared' / 'data' / 'gait' / 'walk1.trc'
 RATE = 200  # Hz
 ORDERS = 4
 KITE = np.array([0.09 + 0.02j, -0.03 + 0.1j, -0.08 - 0.05j, 0.05 - 0.06j])
