@@ -14,6 +14,7 @@ from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.tracking.names import BY_SHAPE, UNCERTAIN
 from kinpole_ros.tracking.placing import OTHERS, RENAMED
 from kinpole_ros.tracking.plane import FIT, Plane, PlaneSetting, as_parameter
+from kinpole_ros.tracking.rejection import HELD
 from kinpole_ros.tracking.space import SpaceReport
 from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.tracker import Tracker
@@ -96,6 +97,11 @@ def identity_lines(tracker: Tracker, counts: Mapping[str, int]) -> Iterator[str]
         yield (
             f'{renamed} markers had names that no body has{examples}, and are matched by shape; '
             'fix: see to the labels of the tracker'
+        )
+    if held := counts.get(HELD):
+        yield (
+            f'{held} poses repeated the one before to the last bit, which measured ones never do, '
+            'and are taken as not seen; fix: let the tracker send nothing of a body that it lost'
         )
     by_shape = tracker.settings.marker_identity == 'shape'
     if (frames := counts.get(BY_SHAPE)) and not by_shape:

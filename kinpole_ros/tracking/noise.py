@@ -9,7 +9,8 @@ variance, Baugh 1971).
 
 import numpy as np
 
-from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.planar._plane import ROUNDING, Complex, Real
+from kinpole_ros.tracking.rejection import MAX_REPEAT_CHANCE
 from kinpole_ros.tracking.statistics import (
     OUTLIER_RATIO,
     OUTLIER_SHARE,
@@ -269,3 +270,36 @@ def _pooled_variance(values: Complex, shape: Complex, which: np.ndarray) -> floa
     squares = float((residual.real**2 + residual.imag**2)[enough].sum())
     variance = squares / degrees if degrees > 0 else np.inf
     return variance + ROUNDED_SQUARE * float(spread[np.isfinite(spread)].max(initial=0.0))
+
+
+def never_repeats(markers: Complex, white: Real, degrees: int | None) -> np.ndarray:
+    """
+    Return which bodies (B,) have so much noise that no two frames have the same markers.
+
+    Two normal deviates are rounded to one number with the probability q / (2 sqrt(pi) sigma), where
+    q is the resolution. That is the smallest distance between two different coordinates.
+
+    Parameters
+    ----------
+    markers : (N, B, n) complex
+        Markers in the plane, m, NaN for those not seen.
+    white : (B,) float
+        Noise of a coordinate that is independent from frame to frame, m, NaN if unknown.
+    degrees : int or None
+        Degrees of freedom of the markers of a body; None for two of each marker.
+
+    """
+    markers = markers[..., :MAX_MARKERS]
+    chance = np.ones(len(white))
+    for b in np.flatnonzero(white > 0).tolist():
+        own = markers[:, b]
+        seen = np.count_nonzero(~np.isnan(own), axis=0)
+        if not (seen > 1).any():
+            continue
+        farthest = float(np.nanmax(np.abs(own)))
+        steps = np.concatenate([np.diff(np.sort(part.ravel())) for part in (own.real, own.imag)])
+        steps = steps[steps > ROUNDING * farthest]
+        if len(steps):
+            once = min(float(steps.min()) / (2 * np.sqrt(np.pi) * white[b]), 1.0)
+            chance[b] = once ** (degrees or 2 * np.count_nonzero(seen))
+    return chance < MAX_REPEAT_CHANCE

@@ -4,8 +4,10 @@ import numpy as np
 
 from kinpole_ros.tracking.center import find_hubs
 from kinpole_ros.tracking.deformation import deformed_freedom
-from kinpole_ros.tracking.learn import freedom_of, learn, path_scale
+from kinpole_ros.tracking.learn import MISFIT_FRAMES, freedom_of, learn, path_scale
+from kinpole_ros.tracking.noise import never_repeats
 from kinpole_ros.tracking.posed import learn_poses
+from kinpole_ros.tracking.rejection import HELD
 from kinpole_ros.tracking.state import MIN_HISTORY_FRAMES, State, restart_bodies
 from kinpole_ros.tracking.thresholds import MEMORY_FRAMES
 
@@ -60,6 +62,11 @@ def _update(state: State) -> bool:
     state.pins.update(bodies, history, min(new, len(history)), state.assignment.posed)
     state.learned_count = state.frame_count
     drop_old_frames(state)
+    bodies.never_repeats = never_repeats(
+        history['markers'][-MISFIT_FRAMES:],
+        bodies.noise if state.assignment.posed else bodies.white,
+        3 if state.assignment.posed else None,
+    )
     bodies.hub = find_hubs(bodies, history, window, bodies.hub)
     bodies.jump_scale = path_scale(history)
     if not state.assignment.posed:
@@ -111,6 +118,10 @@ def count_new_frames(state: State) -> None:
     if not new or state.assignment.plane is None:
         return
     markers, heights = (state.history[name][-new:] for name in ('markers', 'heights'))
+    held = state.step.tracks['held']
+    if held.any():
+        state.totals.counts[HELD] += int(held.sum())
+        held[:] = 0
     seen = np.count_nonzero(~np.isnan(markers[..., 0] if state.assignment.posed else markers))
     lacking = state.assignment.count * new - seen
     state.totals.counts['markers_not_seen'] += int(lacking)

@@ -163,6 +163,7 @@ def tilted_poses() -> Stream:
     t, rng, tilt = np.arange(FRAMES) / RATE, np.random.default_rng(13), 0.3
     angle = np.stack((2 * np.pi * t, 0.5 * np.sin(3 * t)), 1) + 1e-3 * rng.normal(size=(FRAMES, 2))
     place = np.stack((0.2 * np.exp(2j * np.pi * t), 0.3 * np.exp(1j * t)), 1)
+    place = place + 1e-4 * (rng.normal(size=(FRAMES, 2, 2)) @ (1, 1j))
     cosine, sine = np.cos(angle), np.sin(angle)
     x = np.stack((cosine, sine, 0 * cosine), -1)
     y = np.stack((-sine * np.cos(tilt), cosine * np.cos(tilt), 0 * cosine + np.sin(tilt)), -1)

@@ -1,9 +1,11 @@
 """Each verdict has a name, a count, and a text that diagnostics print; none drops in silence."""
 
 import re
+from collections.abc import Callable
 
 import numpy as np
-from rig_streams import FRAMES, PARAMETERS, frames, markers
+import pytest
+from rig_streams import FRAMES, PARAMETERS, Stream, frames, markers, tilted_poses, usual
 
 from kinpole_ros.messages._diagnostics import COUNT_KEYS
 from kinpole_ros.settings import settings_from
@@ -100,3 +102,39 @@ def test_points_of_any_size_and_resolution_stop_nothing() -> None:
         given = given._replace(stamps=(given.stamps + late)[kept], points=given.points[kept])
         tracker = track(given, stamps='arrival')
         assert tracker.state.frame_count > 300
+
+
+@pytest.mark.parametrize('make', [usual, tilted_poses], ids=['markers', 'poses'])
+@pytest.mark.parametrize('held_frames', [2, 12, 60])
+def test_a_pose_that_is_held_is_not_seen(make: Callable[[], Stream], held_frames: int) -> None:
+    stream = make()
+    [given] = stream.parts
+    part = slice(300, 300 + held_frames)
+    given.points[part, :] = given.points[299]
+    if given.axes is not None:
+        given.axes[part] = given.axes[299]
+    tracker = Tracker(settings_from(stream.parameters))
+    [estimate] = tracker.add(given, 2)
+    assert tracker.counts['poses_held'] == 2 * held_frames
+    seen = estimate.missing == ''
+    inside = np.isin(estimate.stamp, given.stamps[part])
+    assert inside.sum() == held_frames and not seen[inside].any()
+    # Its rate is right before and after.
+    t = (estimate.stamp - 1_000_000_000) * 1e-9
+    truth = np.stack((np.full(len(t), 2 * np.pi), 1.5 * np.cos(3 * t)), axis=1)
+    rate = estimate.rate(1)
+    off = np.abs(rate.value - truth) / np.sqrt(rate.variance)
+    assert np.mean(off[seen] > 4) < 0.005
+
+
+def test_a_body_at_rest_is_seen_whatever_the_resolution() -> None:
+    rng = np.random.default_rng(7)
+    for resolution, noise in ((1e-3, 2e-4), (1e-3, 4e-4), (1e-4, 2e-4), (1e-12, 0.0)):
+        points = markers(7, 0.0)
+        # Moving, then at rest, then moving again.
+        points[250:400] = points[250]
+        points[400:] = points[250:350]
+        points += noise * (rng.normal(size=(*points.shape, 2)) @ (1, 1j))
+        points = resolution * (np.round(points / resolution))
+        tracker = track(frames(points), 97)
+        assert not tracker.counts['poses_held'], (resolution, noise)

@@ -81,7 +81,8 @@
     ARRAY(double, pin_variance)          \
     ARRAY(double, tilt_turn)             \
     ARRAY(long long, pin_since)          \
-    ARRAY(unsigned char, reason)
+    ARRAY(unsigned char, reason)         \
+    ARRAY(unsigned char, never_repeats)
 
 /* Of each body, and last of the whole frame: number of gaps of a window or more; begin and length, ns, of
    the latest and of the longest. */
@@ -91,6 +92,7 @@ enum { OUTAGE_TIMES, OUTAGE_LATEST, OUTAGE_LONGEST = 3, OUTAGE_FIELDS = 5 };
 #define TRACKING_STATE(VALUE, BLOCK, ARRAY) \
     ARRAY(unsigned char, unusual)           \
     ARRAY(long long, wrong)                 \
+    ARRAY(long long, held)                  \
     ARRAY(long long, newest)                \
     ARRAY(long long, seen_last)             \
     ARRAY(long long, outages)               \

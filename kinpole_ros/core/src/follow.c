@@ -150,6 +150,8 @@ take_frame(Frames *f)
     for (long long b = 0; b < f->bodies; b++)
         if (!isnan(f->angle[row * f->bodies + b]))
             note_seen(f, b, f->stamp[row]);
+        else
+            f->held[b] += kinpole_is_held(f, b, points + b * f->width);
     f->frame++, f->until_update--;
     return DONE;
 }

@@ -172,6 +172,25 @@ kinpole_follow_paths(const Frames *f)
     }
 }
 
+/* Whether the markers (n,) of a body repeat those of the row before to the last bit, while measured ones
+   never do: the tracker holds the last pose of a body that it has lost. */
+int
+kinpole_is_held(const Frames *f, long long b, const Number *points)
+{
+    long long newest = f->end - 1, seen = 0;
+    if (!f->never_repeats[b] || newest <= f->first)
+        return 0;
+    const Number *before = f->markers + ((newest - 1) * f->bodies + b) * f->width;
+    for (long long k = 0; k < f->width; k++) {
+        if (isnan(creal(points[k])))
+            continue;
+        if (points[k] != before[k])
+            return 0;
+        seen++;
+    }
+    return seen > 1;
+}
+
 /* Whether a body was on its pin in all frames of the window but two at most. */
 int
 kinpole_holds_on_pin(const Frames *f, long long oldest, long long b)

@@ -28,6 +28,8 @@ is_unsteady(const Frames *f, long long b, double spread)
 
 /* Leaves out the poses that the newest row shows to be off their paths; see `wrong` and `newest`. */
 void kinpole_follow_paths(const Frames *f);
+/* Whether the markers (n,) of body `b` are held by the tracker, which lost it. */
+int kinpole_is_held(const Frames *f, long long b, const Number *points);
 /* Whether a body was on its pin in all frames from row `oldest` on, but for outliers. */
 int kinpole_holds_on_pin(const Frames *f, long long oldest, long long b);
 /* Why a body has no result for row `now`, as far as its pose says. */
