@@ -25,7 +25,7 @@ from kinpole_ros.mechanism import (
     share_folder,
 )
 
-SCENES = Path(__file__).resolve().parents[1] / 'config' / 'scenes'
+SCENES = Path(__file__).resolve().parents[2] / 'config' / 'scenes'
 BODIES = [
     ('cardan', 'rod'),
     ('four_bar', 'crank'),

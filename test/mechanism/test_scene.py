@@ -24,7 +24,7 @@ from kinpole_ros.mechanism._loads import Force, Holder, Torque
 from kinpole_ros.mechanism._scene_values import quantity, vector
 from kinpole_ros.mechanism._start import mobility
 
-SCENES = Path(__file__).resolve().parents[1] / 'config' / 'scenes'
+SCENES = Path(__file__).resolve().parents[2] / 'config' / 'scenes'
 NAMES = sorted(path.stem for path in SCENES.glob('*.yaml'))
 
 
@@ -485,7 +485,7 @@ def test_rack_and_pinion(tmp_path: Path) -> None:
 
 
 def test_the_scenes_of_the_docs_can_be_used(tmp_path: Path) -> None:
-    text = (Path(__file__).parents[1] / 'docs' / 'scenes.md').read_text(encoding='utf-8')
+    text = (Path(__file__).parents[2] / 'docs' / 'scenes.md').read_text(encoding='utf-8')
     blocks = re.findall(r'```yaml\n(.*?)```', text, re.DOTALL)
     scenes = [block for block in blocks if 'ros__parameters' not in block]
     assert len(scenes) == 3
