@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 # each other than they compute: 207 us per frame of replay on 2 busy cores, against 60.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
-# Commands that SIGTERM, and SIGHUP of a closed terminal, end like Ctrl-C, so that they remove incomplete results, and a player says
-# goodbye to its subscribers.
+# Commands that SIGTERM, and SIGHUP of a closed terminal, end like Ctrl-C, so that they remove
+# incomplete results, and a player says goodbye to its subscribers.
 _CLEAN_UP = ('replay', 'simulate', 'solve', 'tolerance', 'discover', 'plot', 'import', 'play')
 # Commands that start ROS, which installs its own signal handlers.
 _START_ROS = (['node'], ['view'], ['record'])
