@@ -4,12 +4,15 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import rclpy
 from conftest import stamp_of, write_config
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from test_faults import LAG, STEP, Rig, message, rod
 from test_node import LIMIT, complaints, process
@@ -17,7 +20,7 @@ from test_node import LIMIT, complaints, process
 from kinpole_ros.messages import MARKER_TYPES
 from kinpole_ros.ros import source as source_module
 from kinpole_ros.ros.node import KinpoleNode
-from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.settings import Settings
 
 SETTINGS = Settings(bodies={'rod': ('0', '1', '2', '3')}, marker_identity='index')
 OMEGA = 'rod/angular_velocity'
@@ -138,6 +141,40 @@ def test_the_bytes_that_wait_are_bounded_and_the_depth_can_be_overridden(
         for _ in range(2):
             node.source.update()
             assert depth() == given if given else 50 <= depth() <= 100
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def test_publishers_are_looked_for_once_a_second_or_when_another_one_seems_to_send(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    offer = SimpleNamespace(
+        endpoint_gid=b'1',
+        topic_type='visualization_msgs/msg/MarkerArray',
+        qos_profile=QoSProfile(depth=1),
+    )
+    asked, now = [], 100.0
+    clock = SimpleNamespace(monotonic=lambda: now, time_ns=time.time_ns)
+    monkeypatch.setattr(source_module, 'time', clock)
+    rclpy.init(args=['kinpole'])
+    node = KinpoleNode()
+    look = lambda topic: asked.append(now) or [offer]  # noqa: E731
+    monkeypatch.setattr(node, 'get_publishers_info_by_topic', look)
+    try:
+        # It finds the publisher, and then knows it.
+        for _ in range(21):
+            node._discover()
+            now += 0.1
+        assert len(asked) <= 4
+        for number in (5, 6):
+            node.source.take(b'', {'publication_sequence_number': number})
+        asked.clear()
+        node._discover()
+        assert asked == []
+        node.source.take(b'', {'publication_sequence_number': 1})
+        node._discover()
+        assert len(asked) == 1
     finally:
         node.destroy_node()
         rclpy.try_shutdown()

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -46,6 +46,7 @@ from kinpole_ros.messages import (
     stamp_to_ns,
     to_message,
 )
+from kinpole_ros.ros import player as player_module
 from kinpole_ros.ros.node import KinpoleNode
 from kinpole_ros.ros.player import headers, play
 from kinpole_ros.settings import NODE_PARAMETERS, PARAMETERS, Settings
@@ -688,6 +689,64 @@ def unheard(tmp_path: Path) -> Path:
 def test_play_says_to_what_nobody_listens(unheard: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert play(unheard, wait=0.1) == 3
     assert 'nobody listens to /unheard' in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(('asked', 'begins'), [(None, 2.5), (1, 1.0), (2, 1.5), (3, 10.0)])
+def test_play_begins_when_the_subscribers_asked_for_are_there_or_no_more_come(
+    monkeypatch: pytest.MonkeyPatch, asked: int | None, begins: float
+) -> None:
+    now, said = 0.0, []
+
+    def sleep(seconds: float) -> None:
+        nonlocal now
+        now += seconds
+
+    # One comes after a second, and another half a second later.
+    source = SimpleNamespace(get_subscription_count=lambda: (now >= 0.999) + (now >= 1.499))
+    node = SimpleNamespace(
+        context=SimpleNamespace(ok=lambda: True),
+        get_logger=lambda: SimpleNamespace(info=said.append, warning=said.append),
+    )
+    clock = SimpleNamespace(monotonic=lambda: now, sleep=sleep)
+    monkeypatch.setattr('kinpole_ros.ros.player.time', clock)
+    player_module._wait_for_subscribers(cast(Any, node), {'/m': cast(Any, source)}, 10.0, asked)
+    assert now == pytest.approx(begins, abs=0.02)
+    assert said == [f'the first messages go to the subscribers: {1 + (begins > 1)} of /m']
+
+
+def test_play_refuses_a_number_of_subscribers_below_one(unheard: Path) -> None:
+    with pytest.raises(BagError, match='--subscribers is 0; it must be 1 or more'):
+        play(unheard, subscribers=0)
+
+
+def test_play_says_once_that_the_pace_is_not_held(
+    unheard: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(player_module, '_MAX_BEHIND', 0.0)
+    assert play(unheard, speed=1e9, wait=0.0) == 3
+    assert capfd.readouterr().err.count('the pace asked for is not held: 0.0 s behind') == 1
+
+
+def test_a_loop_reads_each_message_once(simulated: Bag, monkeypatch: pytest.MonkeyPatch) -> None:
+    bag = simulated('four_bar', rate=100, duration=0.1)
+    read: list[bytes] = []
+
+    def deserialize(data: bytes, kind: type) -> Any:
+        read.append(data)
+        return deserialize_message(data, kind)
+
+    def publish(publisher: Publisher, message: Any) -> None:
+        published.extend([message] * (publisher.topic_name == '/markers'))
+        if len(published) == 35:
+            raise KeyboardInterrupt
+
+    published: list[Any] = []
+    monkeypatch.setattr(player_module, 'deserialize_message', deserialize)
+    monkeypatch.setattr(Publisher, 'publish', publish)
+    with pytest.raises(KeyboardInterrupt):
+        play(bag, ['/markers'], speed=50.0, wait=0.0, loop=True)
+    assert len(read) == 10
+    assert all(isinstance(message, bytes) for message in published)
 
 
 def test_a_topic_to_be_played_may_lack_its_slash(unheard: Path) -> None:

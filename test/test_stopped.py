@@ -111,11 +111,11 @@ def test_replay_killed_on_the_way_leaves_the_results_of_before(bag: Path, tmp_pa
     def parts() -> list[Path]:
         return [part for part in tmp_path.glob('out.mcap.*.part') if part not in left]
 
-    for stop in (signal.SIGKILL, signal.SIGTERM):
+    for stop in (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP):
         with kinpole('replay', bag, '--output', result, '--csv', table) as process:
             until(lambda: any(part.stat().st_size > 200_000 for part in parts()))
             process.send_signal(stop)
-            assert process.wait(30) in (-signal.SIGKILL, 128 + signal.SIGTERM)
+            assert process.wait(30) in (-signal.SIGKILL, 128 + stop)
         assert result.read_bytes() == b'before'
         assert not table.exists()
         # What a kill leaves can be read; what can end by itself leaves nothing of that either.
@@ -230,6 +230,38 @@ def test_a_recorder_that_is_behind_when_told_to_stop_records_all_that_has_come(
         assert process.wait(30) == 0
     assert len(readable(path)) == 1000
     assert recorder_of(path) == RECORDER
+
+
+@pytest.mark.parametrize('ignored', [False, True])
+def test_a_closed_terminal_ends_a_recording_well_unless_nohup_keeps_it(
+    tmp_path: Path, ignored: bool
+) -> None:
+    path = tmp_path / 'live.mcap'
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
+    try:
+        with publisher() as source, kinpole('record', '--output', path, '--topic', TOPIC) as told:
+            until(lambda: source.get_subscription_count() > 0, 15)
+            source.publish(String(data='before'))
+            until(lambda: len(readable(path)) == 1)
+            told.send_signal(signal.SIGHUP)
+            if ignored:
+                source.publish(String(data='after'))
+                until(lambda: len(readable(path)) == 2)
+                told.send_signal(signal.SIGINT)
+            assert told.wait(15) == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert len(list(read_messages(path))) == 1 + ignored
+
+
+def test_little_is_imported_before_ctrl_c_is_handled() -> None:
+    code = 'import sys; known = {*sys.modules}; import kinpole_ros.tools.cli; '
+    code += 'print(*{*sys.modules} - known)'
+    words = [sys.executable, '-c', code]
+    new = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=60).stdout.split()
+    assert 'kinpole_ros.tools.cli' in new
+    # `contextlib` and what it needs are imported before where the package is not a plain folder.
+    assert not {*new} & {'typing', 'collections.abc', 'argparse', 'pathlib', 'numpy', 'rclpy'}
 
 
 def test_a_recorder_names_what_it_cannot_record_and_what_nobody_publishes(

@@ -357,7 +357,7 @@ def step_until(live: Live, condition: Callable[[], Any]) -> None:
 def test_what_is_no_message_is_told_of_and_what_follows_is_shown(results) -> None:
     watcher = Scripted()
     live, told = live_of(watcher)
-    assert told.rigs[-1]['waiting'].startswith('/kinpole runs, and has no results yet')
+    assert told.rigs[-1]['waiting'].startswith(f'waiting for data on /kinpole/{VIEW}: ')
     arrived = watcher.newest[f'/kinpole/{VIEW}']
     good = sent_to_pages(results)[0]
     for data in (b'', good[:40], b'\0\1' + bytes(30)):
@@ -495,6 +495,15 @@ def await_motion(page: Any) -> None:
 
 def seconds(page: Any) -> float:
     return float(page.locator('#clock').inner_text().split()[2].replace('−', '-'))
+
+
+def test_page_says_that_it_is_connecting_until_it_hears_of_a_node(browser) -> None:
+    feed = Feed()
+    with served(feed) as address, opened(browser, address) as page:
+        page.locator('#about', has_text='connecting').wait_for()
+        feed.put('rig', json.dumps({'waiting': 'waiting for data on /kinpole/view'}))
+        page.locator('#about', has_text='waiting for data on').wait_for()
+        assert not page.locator('main').is_visible()
 
 
 def test_page_waits_for_a_node_shows_it_and_asks_for_no_more(browser, results, watcher) -> None:

@@ -24,6 +24,8 @@ from rclpy.subscription import Subscription
 
 from kinpole_ros.ros.private import PreparedWait, RCLError, call
 
+_HANGUP = getattr(signal, 'SIGHUP', signal.SIGTERM)  # Windows has none
+_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, _HANGUP)
 _MAX_DOMAIN = 232  # beyond, DDS has no ports
 # s. Timers, services and other subscriptions are served after the first message that comes when
 # this has passed, since then most time is left before the next one; without a message, at once.
@@ -34,22 +36,24 @@ _MAX_CALLBACKS = 10  # of services and other subscriptions before the next messa
 
 def start_ros(words: Sequence[str]) -> Callable[[], bool]:
     """
-    Start rclpy with these words; return a function that says whether SIGINT or SIGTERM has come.
+    Start rclpy with these words; return a function that says whether a request to stop has come.
 
-    Raises RCLError where ROS cannot start.
+    That is SIGINT, SIGTERM, or SIGHUP of a closed terminal, unless nohup has it ignored. Raises
+    RCLError where ROS cannot start.
     """
     check_domain()
     rclpy.init(args=list(words), signal_handler_options=SignalHandlerOptions.NO)
     received: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, _: received.append(number))
+    for number in _STOP_SIGNALS:
+        if number != _HANGUP or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, lambda number, _: received.append(number))
     atexit.register(_ignore_signals)
     return lambda: bool(received)
 
 
 def _ignore_signals() -> None:
     """Ignore signals while the interpreter ends: they would kill it and change the exit status."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in _STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 

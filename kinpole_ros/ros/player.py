@@ -6,6 +6,7 @@ In a loop the stamps of each pass follow those of the one before.
 
 import math
 import re
+import struct
 import time
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,12 +17,13 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_msgs.msg import Header
 
@@ -32,7 +34,11 @@ from kinpole_ros.ros.private import RCLError
 
 _POLL_INTERVAL = 0.01  # s, while waiting for subscribers
 _ACKNOWLEDGMENT_WAIT = Duration(seconds=0.1)
+_SETTLED = 1.0  # s in which subscribers stay the same, after which all are taken to be there
+_MAX_BEHIND = 0.5  # s behind the pace, after which a player says so
 _DEPTH = 1000  # messages
+# A stamp in serialized messages: s and ns; and s of one that is looked for.
+_STAMP, _MARK = struct.Struct('<iI'), 0x5EEDC0D
 
 
 def play(
@@ -43,7 +49,7 @@ def play(
     progress: Callable[[float], None] | None = None,
     loop: bool = False,
     clock: float | None = None,
-    subscribers: int = 1,
+    subscribers: int | None = None,
 ) -> int:
     """
     Publish the messages of a bag at the pace at which they were recorded, times `speed`.
@@ -65,9 +71,9 @@ def play(
         the one before by one interval.
     clock : float, optional
         Hz: publish the time of the bag on /clock so often, for nodes with use_sim_time.
-    subscribers : int
-        How many subscribers of each topic to wait for. At the end it waits until reliable ones have
-        all messages.
+    subscribers : int, optional
+        How many subscribers of each topic to wait for; by default until there are some, and no more
+        come for a second. At the end it waits until reliable ones have all messages.
 
     Returns
     -------
@@ -77,12 +83,14 @@ def play(
     Raises
     ------
     BagError
-        As reading does, and for a speed or clock that is not more than 0.
+        As reading does, and for a speed, clock or number of subscribers that is not more than 0.
     """
     if not (math.isfinite(speed) and speed > 0):
         raise BagError(f'--speed is {speed}; it must be more than 0')
     if clock is not None and not (math.isfinite(clock) and clock > 0):
         raise BagError(f'--clock is {clock}; it must be more than 0 Hz')
+    if subscribers is not None and subscribers < 1:
+        raise BagError(f'--subscribers is {subscribers}; it must be 1 or more')
     types = topics(bag)
     if clock is not None:
         types.pop('/clock', None)
@@ -103,7 +111,7 @@ def play(
             raise BagError(f'{bag}: {reason}; name other topics with --topic') from None
         _wait_for_subscribers(node, publishers, wait, subscribers)
         pace = _Pace(speed, clocks, clock)
-        count = _publish(bag, publishers, pace, progress, loop, context.ok)
+        count = _publish(bag, publishers, pace, progress, loop, node)
         for publisher in publishers.values():
             # Step by step, so that Ctrl-C ends it where a reader no longer reads.
             while not publisher.wait_for_all_acked(_ACKNOWLEDGMENT_WAIT):
@@ -130,16 +138,26 @@ def _make_publishers(node: Node, types: Mapping[str, str], is_strict: bool) -> d
 
 
 def _wait_for_subscribers(
-    node: Node, publishers: Mapping[str, Publisher], wait: float, subscribers: int
+    node: Node, publishers: Mapping[str, Publisher], wait: float, subscribers: int | None
 ) -> None:
-    deadline = time.monotonic() + wait
-    while time.monotonic() < deadline and node.context.ok():
-        if all(p.get_subscription_count() >= subscribers for p in publishers.values()):
+    """Wait until all topics have subscribers, at most `wait` s, and log how many."""
+    now = time.monotonic()
+    deadline, since, counts = now + wait, now, [0]
+    while now < deadline and node.context.ok():
+        found = [publisher.get_subscription_count() for publisher in publishers.values()]
+        if found != counts:
+            since, counts = now, found
+        if all(count >= (subscribers or 1) for count in counts) and (
+            subscribers is not None or now - since >= _SETTLED
+        ):
             break
         time.sleep(_POLL_INTERVAL)
+        now = time.monotonic()
     if node.context.ok():
-        counts = {name: p.get_subscription_count() for name, p in publishers.items()}
-        if unheard := [name for name, count in counts.items() if not count]:
+        named = {name: p.get_subscription_count() for name, p in publishers.items()}
+        if heard := [f'{count} of {name}' for name, count in named.items() if count]:
+            node.get_logger().info(f'the first messages go to the subscribers: {", ".join(heard)}')
+        if unheard := [name for name, count in named.items() if not count]:
             node.get_logger().warning(f'nobody listens to {", ".join(unheard)}')
 
 
@@ -149,19 +167,27 @@ def _publish(
     pace: '_Pace',
     progress: Callable[[float], None] | None,
     loop: bool,
-    is_running: Callable[[], bool],
+    node: Node,
 ) -> int:
     """Publish the messages; return their number."""
     shift = LoopShift()
     count = 0
-    while is_running():
+    is_late = False
+    while node.context.ok():
         count_before = count
-        for message in read_messages(bag, list(publishers), progress):
-            pace.wait(message.log_time + shift.log_offset)
-            if not is_running():
+        for number, message in enumerate(read_messages(bag, list(publishers), progress)):
+            behind = pace.wait(message.log_time + shift.log_offset)
+            if not node.context.ok():
                 break
+            if behind > _MAX_BEHIND and not is_late:
+                is_late = True
+                node.get_logger().warning(
+                    f'the pace asked for is not held: {behind:.1f} s behind; lower --speed, or see '
+                    'what else takes the processor'
+                )
             publisher = publishers[message.topic]
-            publisher.publish(shift.shifted(message, publisher.msg_type) if loop else message.data)
+            data = shift.shifted(number, message, publisher.msg_type) if loop else message.data
+            publisher.publish(data)
             count += 1
         if not loop or count == count_before:
             break
@@ -184,8 +210,8 @@ class _Pace:
         self._start = time.monotonic()
         self._first: int | None = None
 
-    def wait(self, log_time: int) -> None:
-        """Wait until a message of this log time, ns, is due."""
+    def wait(self, log_time: int) -> float:
+        """Wait until a message of this log time, ns, is due; return by how much it is late, s."""
         first = self._first = log_time if self._first is None else self._first
         while True:
             passed = time.monotonic() - self._start
@@ -196,7 +222,7 @@ class _Pace:
                 self._clocks.publish(ClockMessage(clock=ns_to_stamp(now)))
                 self._clock_due = passed + self._period
             if remaining <= 0:
-                return
+                return -remaining
             time.sleep(min(remaining, self._period))
 
 
@@ -227,13 +253,16 @@ class LoopShift:
     """
     Shifts the stamps of the messages of a bag in all loops but the first.
 
-    In the first loop the times of the messages are noted. From them follows how much later each
-    loop begins than the one before, by the stamps of headers and by log times.
+    In the first loop the times of the messages are noted, and the places of their stamps. From the
+    times follows how much later each loop begins than the one before, by the stamps of headers and
+    by log times.
     """
 
     def __init__(self) -> None:
         self._stamps: dict[str, array[int]] = {}
         self._log_times: dict[str, array[int]] = {}
+        # Of each message: its bytes if they are not those of the bag, and places of its stamps.
+        self._prepared: list[tuple[bytes, list[tuple[int, int]]]] = []
         self._loops = 0
         self._stamp_length = self._log_length = 0
 
@@ -249,28 +278,41 @@ class LoopShift:
             self._log_length = _loop_length(self._log_times)
         self._loops += 1
 
-    def shifted(self, message: BagMessage, cls: type) -> Any:
-        """Return what to publish: the bytes, or a message with the stamps of this loop."""
-        read = _read(message.data, cls)
+    def shifted(self, number: int, message: BagMessage, cls: type) -> bytes:
+        """Return a message, the one of this number in the loop, with the stamps of this loop."""
         if not self._loops:
-            self._note_times(message, read)
+            self._prepare(message, cls)
             return message.data
-        if read is None:
-            return message.data
-        for header in headers(read):
-            stamp = stamp_to_ns(header.stamp)
-            # 0 means no stamp, unless the clock of the bag begins at 0.
-            if stamp or not message.log_time:
-                header.stamp = ns_to_stamp(stamp + self._loops * self._stamp_length)
-        return read
+        data, places = self._prepared[number]
+        shifted = bytearray(data or message.data)
+        for place, stamp in places:
+            ns = stamp + self._loops * self._stamp_length
+            _STAMP.pack_into(shifted, place, *divmod(ns, 10**9))
+        return bytes(shifted)
 
-    def _note_times(self, message: BagMessage, read: Any) -> None:
+    def _prepare(self, message: BagMessage, cls: type) -> None:
+        """Note the times of a message, and the places of its stamps."""
         self._log_times.setdefault(message.topic, array('q')).append(message.log_time)
-        stamps = (stamp_to_ns(header.stamp) for header in headers(read))
-        # A header inside may have no stamp, as that of the texture of a marker.
-        stamp = min(filter(None, stamps), default=0)
-        if stamp or not message.log_time:
-            self._stamps.setdefault(message.topic, array('q')).append(stamp)
+        read = _read(message.data, cls)
+        # 0 means no stamp, as of the texture of a marker, unless the clock of the bag begins at 0.
+        stamped = [h for h in headers(read) if stamp_to_ns(h.stamp) or not message.log_time]
+        stamps = [stamp_to_ns(header.stamp) for header in stamped]
+        if not stamps:
+            self._prepared.append((b'', []))
+            return
+        self._stamps.setdefault(message.topic, array('q')).append(min(stamps))
+        marks = [Time(sec=_MARK, nanosec=k) for k in range(len(stamps))]
+        for header, mark in zip(stamped, marks, strict=True):
+            header.stamp = mark
+        marked = serialize_message(read)
+        places = [marked.index(_STAMP.pack(_MARK, k)) for k in range(len(stamps))]
+        as_read = all(
+            message.data[place : place + _STAMP.size] == _STAMP.pack(*divmod(stamp, 10**9))
+            for place, stamp in zip(places, stamps, strict=True)
+        )
+        # Other encoders may order the bytes otherwise, or leave some out.
+        data = b'' if as_read and len(message.data) == len(marked) else marked
+        self._prepared.append((data, list(zip(places, stamps, strict=True))))
 
 
 def _loop_length(times: Mapping[str, Sequence[int]]) -> int:

@@ -8,28 +8,27 @@ import io
 import os
 import signal
 import sys
-from collections.abc import Sequence
 from contextlib import contextmanager, nullcontext
-from typing import TYPE_CHECKING
 
 # Other modules are imported in functions: until `main` runs, Ctrl-C ends in a traceback.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from types import FrameType
 
 # The matrix products are small. With other processes running, the threads of a BLAS wait longer for
 # each other than they compute: 207 us per frame of replay on 2 busy cores, against 60.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
-# Commands that SIGTERM ends like Ctrl-C, so that they remove incomplete results, and a player says
-# goodbye to its subscribers.
+# Commands that SIGTERM, and SIGHUP of a closed terminal, end like Ctrl-C, so that they remove
+# incomplete results, and a player says goodbye to its subscribers.
 _CLEAN_UP = ('replay', 'simulate', 'solve', 'tolerance', 'discover', 'plot', 'import', 'play')
 # Commands that start ROS, which installs its own signal handlers.
 _START_ROS = (['node'], ['view'], ['record'])
 _INTERRUPTED = 130
 
 
-def main(args: Sequence[str] | None = None) -> int:
+def main(args: 'Sequence[str] | None' = None) -> int:
     """
     Run one subcommand and return the exit status.
 
@@ -95,7 +94,7 @@ def _run(words: list[str]) -> int:
 
             return run_node(['kinpole', *words[1:]])
         options = parse_words(words)
-        with _clean_up_on_sigterm() if options.command in _CLEAN_UP else nullcontext():
+        with _clean_up_when_stopped() if options.command in _CLEAN_UP else nullcontext():
             return COMMANDS[options.command].run(options)
     except KeyboardInterrupt:
         return _INTERRUPTED
@@ -114,18 +113,22 @@ def _run(words: list[str]) -> int:
 
 
 @contextmanager
-def _clean_up_on_sigterm() -> 'Iterator[None]':
-    """Turn SIGTERM into SystemExit, so that context managers end in good order."""
+def _clean_up_when_stopped() -> 'Iterator[None]':
+    """Turn SIGTERM and SIGHUP into SystemExit, so that context managers end in good order."""
     import threading
 
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    numbers = {signal.SIGTERM, getattr(signal, 'SIGHUP', signal.SIGTERM)}
+    # As nohup has SIGHUP.
+    used = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+    before = [signal.signal(number, lambda number, _: sys.exit(128 + number)) for number in used]
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in zip(used, before, strict=True):
+            signal.signal(number, handler)
 
 
 def _open_closed_streams() -> None:

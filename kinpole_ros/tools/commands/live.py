@@ -42,6 +42,11 @@ def view(options: argparse.Namespace) -> int:
     option('--speed X', 'play X times as fast as it was recorded (1)', float, 1.0),
     flag('--loop', 'repeat until Ctrl-C; the stamps increase from loop to loop'),
     option(
+        '--subscribers N',
+        'begin when each topic has N subscribers (when those found stay the same for 1 s)',
+        int,
+    ),
+    option(
         '--clock HZ',
         'publish the time of the bag on /clock too, for nodes with use_sim_time (40 Hz)',
         float,
@@ -53,7 +58,7 @@ def play(options: argparse.Namespace) -> int:
     """
     Publish a bag, where there is no ros2 bag play.
 
-    Publishes a bag at the pace it was recorded, once there is a subscriber.
+    Publishes a bag at the pace it was recorded, once there are subscribers, or after 10 s.
     """
     from kinpole_ros.ros.player import play as play_bag
 
@@ -65,6 +70,7 @@ def play(options: argparse.Namespace) -> int:
             progress=progress,
             loop=options.loop,
             clock=options.clock,
+            subscribers=options.subscribers,
         )
     print(f'{count} messages played')
     return 0

@@ -210,7 +210,8 @@ class Live:
     def _waiting_text(self, state: RigState | None) -> str:
         if state is not None:
             notes = ''.join(f'; {note}' for note in [*state.notes, state.trouble] if note)
-            return f'{state.node} runs, and has no results yet{notes}'
+            topic = f'{state.node}/{state.topic}'
+            return f'waiting for data on {topic}: {state.node} has no results yet{notes}'
         node = f'node under {self._chosen[:-1]}' if self._chosen else 'node'
         domain = os.environ.get('ROS_DOMAIN_ID') or '0'
         return (

@@ -15,6 +15,7 @@ function watch() {
   const { dataset } = document.documentElement;
   dataset.live = 'waiting';
   byId('title').textContent = 'kinpole view';
+  byId('about').textContent = 'connecting';
   let [actions, data, source] = [null, null, null];
   let [following, count] = [true, 0];
   byId('live').onclick = () => follow(!following);
