@@ -33,6 +33,9 @@ _MARKUP = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:<|\{|\[\s*\{)')
 _HEAD_BYTES = 4096  # by which a format is recognized
 _MOST_XML_BYTES = 48 << 20
 _MOST_ELEMENTS = 400_000  # of XML, at some 200 bytes each, and as much for each attribute
+# A point stands for none if it is so many of the steps of its marker away from all of at least so
+# many others; this share of its steps is shorter.
+_FAR_STEPS, _FEWEST_SEEN, _MOST_STEPS = 10.0, 5, 0.9
 _MOST_DECIMALS = 17  # no float64 needs more digits
 
 
@@ -68,6 +71,35 @@ class Points:
         return UNITS.get(self.unit.lower())
 
 
+def without_stand_ins(points: np.ndarray) -> np.ndarray:
+    """
+    Return which points (T, n) of (T, n, 3) stand for a marker that was not seen.
+
+    Programs write 0, -1, 9999 and the like for each coordinate then. Such a point has one whole
+    number in all of its coordinates, and is far from all others of its marker, which is never so of
+    one that passes there. z is not looked at where a file has none.
+    """
+    flat = not np.nan_to_num(points[..., 2]).any()
+    value = points[..., :1]
+    alike = (points[..., : 2 if flat else 3] == value).all(axis=-1)
+    alike &= value[..., 0] == np.rint(value[..., 0])
+    for k in np.flatnonzero(alike.any(axis=0)).tolist():
+        own = points[~alike[:, k] & np.isfinite(points[:, k]).all(axis=-1), k]
+        if len(own) < _FEWEST_SEEN:
+            alike[:, k] = False
+            continue
+        usual = float(np.quantile(np.linalg.norm(np.diff(own, axis=0), axis=1), _MOST_STEPS))
+        low, high = own.min(axis=0), own.max(axis=0)
+        for point in np.unique(points[alike[:, k], k], axis=0):
+            # The nearest corner of a box saves the distances to all.
+            away = float(np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0)))
+            if away <= _FAR_STEPS * usual:
+                away = float(np.linalg.norm(own - point, axis=1).min())
+            if away <= _FAR_STEPS * usual:
+                alike[:, k] &= (points[:, k] != point).any(axis=-1)
+    return alike
+
+
 class Format(NamedTuple):
     """One format: how it is recognized and read."""
 
@@ -77,6 +109,7 @@ class Format(NamedTuple):
     recognizes: Callable[['File'], bool]
     read: Callable[['File', Options], Points]
     is_always_ended: bool = False  # its programs end the last line, too
+    has_likelihood: bool = False  # of its points, in some files at least
 
 
 class File:
