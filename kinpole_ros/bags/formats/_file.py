@@ -3,7 +3,7 @@
 import errno
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from io import BytesIO
@@ -41,6 +41,7 @@ _FAR_STEPS, _FEWEST_SEEN, _MOST_STEPS = 10.0, 5, 0.9
 # steps lead then. All repeats of a marker are at most so many times those.
 _FEWEST_REPEATS, _STEPS, _STRAIGHT, _DIGITS, _GOES_ON = 2, 5, 0.8, 10, 0.5
 _OTHER_REPEATS = 1.5
+_SLICE_POINTS = 1 << 14
 _MOST_DECIMALS = 17  # no float64 needs more digits
 
 
@@ -76,6 +77,13 @@ class Points:
         return UNITS.get(self.unit.lower())
 
 
+def _slices(points: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield rows in slices, each with the first of the next: all may fill the memory."""
+    step = max(1, _SLICE_POINTS // max(1, points.shape[1]))
+    for first in range(0, len(points), step):
+        yield points[first : first + step + 1]
+
+
 def without_stand_ins(points: np.ndarray) -> np.ndarray:
     """
     Return which points (T, n) of (T, n, 3) stand for a marker that was not seen.
@@ -84,10 +92,10 @@ def without_stand_ins(points: np.ndarray) -> np.ndarray:
     number in all of its coordinates, and is far from all others of its marker, which is never so of
     one that passes there. z is not looked at where a file has none.
     """
-    # One marker at a time, as the points can be most of what is in memory.
-    flat = not any(np.nan_to_num(points[:, k, 2]).any() for k in range(points.shape[1]))
+    flat = not any(np.nan_to_num(rows[..., 2]).any() for rows in _slices(points))
     result = np.zeros(points.shape[:2], bool)
-    for k in range(points.shape[1]):
+    alike_at = [(rows[..., 0] == rows[..., 1]).any(axis=0) for rows in _slices(points)]
+    for k in np.flatnonzero(np.any(alike_at, axis=0)).tolist():
         own = points[:, k, : 2 if flat else 3]
         alike = (own == own[:, :1]).all(axis=-1) & (own[:, 0] == np.rint(own[:, 0]))
         others = own[~alike & np.isfinite(own).all(axis=-1)] if alike.any() else own[:0]
@@ -108,7 +116,8 @@ def held_values(parts: Sequence[np.ndarray]) -> np.ndarray:
     quaternions. One that moves, repeats exactly, and is elsewhere then, did not stand still.
     """
     held = np.zeros(parts[0].shape[:2], bool)
-    for k in range(held.shape[1]):
+    equal_at = [(rows[1:] == rows[:-1]).all(axis=-1).any(axis=0) for rows in _slices(parts[0])]
+    for k in np.flatnonzero(np.any(equal_at, axis=0)).tolist():
         equal = np.all([(part[1:, k] == part[:-1, k]).all(axis=-1) for part in parts], axis=0)
         edges = np.flatnonzero(np.diff(equal, prepend=False, append=False))
         for first, end in edges.reshape(-1, 2).tolist():
