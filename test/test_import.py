@@ -3,12 +3,22 @@
 import os
 import re
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
 
-from kinpole_ros.bags import BagError, import_csv, import_points, read_messages, replay, topics
-from kinpole_ros.messages import deserialize_message
+from kinpole_ros.bags import (
+    BagError,
+    BagWriter,
+    import_csv,
+    import_points,
+    read_messages,
+    replay,
+    topics,
+)
+from kinpole_ros.bags.formats import FORMATS
+from kinpole_ros.messages import INPUT_TYPES, deserialize_message, poses_data
 from kinpole_ros.messages._types import MarkerArray
 from kinpole_ros.settings import settings_from
 from kinpole_ros.tools.cli import main
@@ -288,3 +298,176 @@ def test_measured_double_pendulum_keeps_its_pivot_and_lengths(tmp_path):
     assert np.median(np.linalg.norm(green - red, axis=1)) == pytest.approx(588.7 * unit, rel=3e-3)
     assert np.median(np.linalg.norm(blue - green, axis=1)) == pytest.approx(450.5 * unit, rel=3e-3)
     assert (red[:, 1] < 0).all()
+
+
+def circle(count: int = 40, rate: float = 100.0) -> np.ndarray:
+    """Points (T, 2) of a marker at 5 rad/s on a circle of 0.1 about (0.7, 0.5)."""
+    angle = 5.0 * np.arange(count) / rate
+    return np.stack((0.7 + 0.1 * np.cos(angle), 0.5 + 0.1 * np.sin(angle)), axis=-1)
+
+
+def table_of(columns: dict[str, np.ndarray], kept=slice(None), separator: str = ',') -> str:
+    rows = zip(*(values[kept].tolist() for values in columns.values()), strict=True)
+    lines = [separator.join(columns), *(separator.join(map(repr, row)) for row in rows)]
+    return '\n'.join(lines) + '\n'
+
+
+@pytest.mark.parametrize('title', ['frame', 'Frame', 'FRAME', 'Frame#', 'frame_number', 'fnum'])
+@pytest.mark.parametrize('first', [0, 1, 700])
+def test_frame_numbers_with_gaps_are_times_with_gaps(tmp_path, title, first) -> None:
+    points, kept = circle(), np.r_[0:10, 25:40]
+    columns = {title: first + np.arange(40), 'a_x': points[:, 0], 'a_y': points[:, 1]}
+    frames = import_text(tmp_path, table_of(columns, kept), rate=100.0)
+    assert [stamp for stamp, _ in frames] == [10_000_000 * k for k in kept]
+    backward = table_of(columns, np.r_[0:10, 5:10])
+    with pytest.raises(BagError, match=rf'column {title}: .* is not the number of a frame after'):
+        import_text(tmp_path, backward, rate=100.0)
+
+
+@pytest.mark.parametrize('title', ['a_likelihood', 'a_score'])
+def test_a_point_of_a_table_below_the_likelihood_is_not_seen(tmp_path, title) -> None:
+    points, likelihood = circle(), np.ones(40)
+    likelihood[[3, 20]] = 0.1, 0.59
+    columns = {'t': np.arange(40) / 100, 'a_x': points[:, 0], 'a_y': points[:, 1]}
+    columns[title] = likelihood
+    text = table_of(columns)
+    unseen = [
+        k for k, (_, seen) in enumerate(import_text(tmp_path, text, likelihood=0.6)) if not seen
+    ]
+    assert unseen == [3, 20]
+    assert all(seen for _, seen in import_text(tmp_path, text))
+    del columns[title]
+    with pytest.raises(BagError, match='has no likelihoods; fix: name their columns'):
+        import_text(tmp_path, table_of(columns), likelihood=0.6)
+
+
+def test_columns_that_are_not_read_are_named(tmp_path) -> None:
+    points = circle()
+    columns = {'t': np.arange(40) / 100, 'a_x': points[:, 0], 'a_y': points[:, 1]}
+    (tmp_path / 'plain.csv').write_text(table_of(columns))
+    assert import_points(tmp_path / 'plain.csv', tmp_path / 'out.mcap').notes == ()
+    columns |= {f'a_q{axis}': np.ones(40) for axis in 'xyzw'}
+    (tmp_path / 'poses.csv').write_text(table_of(columns))
+    (note,) = import_points(tmp_path / 'poses.csv', tmp_path / 'out.mcap').notes
+    assert note.endswith('poses.csv: columns that are not read: a_qx, a_qy, a_qz, a_qw')
+
+
+@pytest.mark.parametrize('unit', ['px', 'pixels'])
+def test_y_points_down_in_pixels_unless_the_user_says_otherwise(tmp_path, unit) -> None:
+    points = 1000 * circle()
+    columns = {'t': np.arange(40) / 100}
+    columns |= {f'a x [{unit}]': points[:, 0], f'a y [{unit}]': points[:, 1]}
+    table = tmp_path / 'px.csv'
+    table.write_text(table_of(columns))
+    (note,) = import_points(table, tmp_path / 'out.mcap', scale=1e-3).notes
+    assert 'is in pixels, so y points down; to change: --no-y-down' in note
+    down = import_text(tmp_path, table_of(columns), scale=1e-3)
+    up = import_text(tmp_path, table_of(columns), scale=1e-3, y_down=False)
+    assert down[7][1]['a'][1] == pytest.approx(-up[7][1]['a'][1])
+
+
+@pytest.mark.parametrize(
+    ('first', 'second'), [('0.010', '250,5'), ('250,5', '0.58'), ('1.028,5', '1'), ('1,0', '2.')]
+)
+def test_two_decimal_marks_in_one_file_are_refused(tmp_path, first, second) -> None:
+    text = f't;a_x;a_y\n0;1;2\n1;{first};2\n2;3;{second}\n'
+    with pytest.raises(
+        BagError, match=r'table\.csv has two decimal marks: .* in line \d, column a_'
+    ):
+        import_text(tmp_path, text)
+
+
+@pytest.mark.parametrize('head', ['sep=;', 'SEP=;', '"sep=;"', '\ufeffsep=;'])
+@pytest.mark.parametrize('end', ['\n', '\r\n'])
+def test_the_line_by_which_excel_knows_the_delimiter_is_none_of_the_table(
+    tmp_path, head, end
+) -> None:
+    text = end.join((head, 't;a_x;a_y', '0,5;0,25;1', '1,5;2;3', ''))
+    assert import_text(tmp_path, text) == [
+        (500_000_000, {'a': (0.25, 1.0, 0.0)}),
+        (1_500_000_000, {'a': (2.0, 3.0, 0.0)}),
+    ]
+    with pytest.raises(BagError, match="line 4, column a_x: 'x' is not a number"):
+        import_text(tmp_path, text.replace('1,5;2', '1,5;x'))
+
+
+@pytest.mark.parametrize('above', ['My measurement\n\n', 'date: 2026\nby: me\n', '# a comment\n'])
+def test_lines_above_the_names_of_columns_are_named(tmp_path, above) -> None:
+    line = above.count('\n') + 1
+    with pytest.raises(BagError, match=f'names its columns in line {line}; fix: delete the lines'):
+        import_text(tmp_path, f'{above}t,a_x,a_y\n0,1,2\n1,2,3\n2,2,3\n3,2,3\n')
+
+
+@pytest.mark.parametrize('value', [0.0, -1.0, 9999.0, -9999.0])
+@pytest.mark.parametrize('in_space', [False, True])
+def test_values_that_stand_for_no_marker_are_no_positions(tmp_path, value, in_space) -> None:
+    points = np.pad(circle(), ((0, 0), (0, 1)), constant_values=0.3 if in_space else 0.0)
+    lost = np.r_[7, 20:25]
+    points[lost, : 3 if in_space else 2] = value
+    columns = {'t': np.arange(40) / 100}
+    columns |= {f'a_{axis}': points[:, k] for k, axis in enumerate('xyz' if in_space else 'xy')}
+    table = tmp_path / 'table.csv'
+    table.write_text(table_of(columns))
+    (note,) = import_points(table, tmp_path / 'out.mcap').notes
+    assert note.endswith('count as not seen: a in 6 frames')
+    frames = import_text(tmp_path, table_of(columns))
+    assert [k for k, (_, seen) in enumerate(frames) if not seen] == lost.tolist()
+
+
+def test_a_marker_that_passes_or_rests_at_the_origin_is_seen(tmp_path) -> None:
+    passing = circle() - circle()[13]
+    for points in passing, np.zeros((40, 2)), np.round(passing * 100):
+        columns = {'t': np.arange(40) / 100, 'a_x': points[:, 0], 'a_y': points[:, 1]}
+        assert all(seen for _, seen in import_text(tmp_path, table_of(columns)))
+
+
+def test_a_format_without_likelihoods_refuses_the_option(tmp_path) -> None:
+    path = tmp_path / 'a.trc'
+    path.write_text(FORMATS['trc'].example)
+    for name, format in FORMATS.items():
+        if not format.has_likelihood and name != 'bag':
+            with pytest.raises(BagError, match=rf'a\.trc \({name}\) has no likelihoods; fix: '):
+                monkeyed = format._replace(recognizes=lambda _: True)
+                with mock.patch.dict(FORMATS, {name: monkeyed}):
+                    import_points(path, tmp_path / 'out.mcap', format=name, likelihood=0.5)
+
+
+@pytest.mark.parametrize('length', [3, 12])
+@pytest.mark.parametrize('noise', [0.0, 1e-4])
+def test_positions_that_repeat_while_their_marker_moves_are_not_seen(
+    tmp_path, length, noise
+) -> None:
+    points = circle(60) + np.random.default_rng(2).normal(0.0, noise, (60, 2))
+    points[21 : 21 + length] = points[20]
+    columns = {'t': np.arange(60) / 100, 'a_x': points[:, 0], 'a_y': points[:, 1]}
+    frames = import_text(tmp_path, table_of(columns))
+    unseen = [k for k, (_, seen) in enumerate(frames) if not seen]
+    assert unseen == list(range(21, 21 + length))
+    (note,) = import_points(tmp_path / 'table.csv', tmp_path / 'out.mcap').notes
+    assert f'repeat exactly while their marker moves count as not seen: a in {length} f' in note
+
+
+def test_poses_that_repeat_while_their_body_turns_are_not_seen(tmp_path) -> None:
+    with BagWriter(tmp_path / 'bag.mcap') as writer:
+        for k in range(60):
+            turn = 0.03 * (20 if 20 < k < 32 else k)
+            pose = np.array([[1.0, 2.0, 0.0, 0.0, 0.0, np.sin(turn), np.cos(turn)]])
+            data = poses_data('tf', 10**9 + k * 10**7, 'world', ['rod'], pose)
+            writer.write_raw('/tf', INPUT_TYPES['tf'], data, 10**9 + k * 10**7)
+    done = import_points(tmp_path / 'bag.mcap', tmp_path / 'out.mcap')
+    assert any('their body moves count as not seen: rod in 11 frames' in one for one in done.notes)
+
+
+@pytest.mark.parametrize('kind', ['dwell', 'hit', 'pixels', 'rest', 'end'])
+def test_a_marker_that_stands_still_is_seen(tmp_path, kind) -> None:
+    time = np.arange(60) / 100
+    x = {
+        # It slows down before, and begins anew from there.
+        'dwell': np.where(abs(time - 0.3) < 0.15, 0.0, (abs(time - 0.3) - 0.15) ** 2),
+        'hit': np.maximum(0.0, time - 0.3),
+        'pixels': np.floor(45 * time),
+        'rest': np.zeros(60),
+        'end': np.minimum(time, 0.3),
+    }[kind]
+    frames = import_text(tmp_path, table_of({'t': time, 'a_x': x + 0.31, 'a_y': x * 2}))
+    assert all(seen for _, seen in frames)

@@ -1,6 +1,7 @@
 """Bags of other storages, and messages of trackers, are read by the definitions in the bag."""
 
 import bz2
+import re
 import sqlite3
 import struct
 from collections.abc import Callable
@@ -18,8 +19,21 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from test_formats import peak_memory
 
-from kinpole_ros.bags import BagError, import_points, read_messages, replay, topics
-from kinpole_ros.messages import PoseReader, deserialize_message
+from kinpole_ros.bags import (
+    BagError,
+    BagWriter,
+    import_points,
+    read_messages,
+    replay,
+    topics,
+)
+from kinpole_ros.messages import (
+    INPUT_TYPES,
+    PoseReader,
+    deserialize_message,
+    poses_data,
+    to_message,
+)
 from kinpole_ros.messages._types import MarkerArray
 from kinpole_ros.settings import load_settings
 from kinpole_ros.tools.cli import main
@@ -323,3 +337,26 @@ def test_a_bomb_in_a_bag_takes_little_memory(tmp_path):
         peak, complaint = peak_memory(bag)
         assert peak < 400
         assert 'fix: ' in complaint
+
+
+@pytest.mark.parametrize('kind', ['marker_array', 'point_cloud2', 'tf', 'pose_stamped'])
+@pytest.mark.parametrize('swapped', [0, 3])
+def test_a_recording_of_a_bag_played_in_a_loop_is_read_up_to_the_jump(tmp_path, kind, swapped):
+    """With messages that overtake each other, which are no jump."""
+    stamps = 10**9 + 10**7 * np.r_[0:100, 0:60]
+    stamps[[20, 20 + swapped]] = stamps[[20 + swapped, 20]]
+    turns = 0.05 * np.arange(160)
+    with BagWriter(tmp_path / 'loop.mcap') as writer:
+        for k, stamp in enumerate(stamps.tolist()):
+            topic, when = '/tf' if kind == 'tf' else '/markers', 10**15 + k * 10**7
+            if kind in ('tf', 'pose_stamped'):
+                turn = [0, 0, np.sin(turns[k]), np.cos(turns[k])]
+                data = poses_data(kind, stamp, 'world', ['rod'], np.array([[k, 1.0, 0, *turn]]))
+                writer.write_raw(topic, INPUT_TYPES[kind], data, when)
+            else:
+                points = np.array([[k, 1.0, 0.0], [k, 2.0, 0.0]])
+                writer.write(topic, to_message(kind, stamp, 'world', ['a', 'b'], points), when)
+    done = import_points(tmp_path / 'loop.mcap', tmp_path / 'out.mcap')
+    assert done.frames == 100
+    (note,) = (note for note in done.notes if 'jump back' in note)
+    assert re.search(r'stamps jump back by 0\.99 s after message 100\b.*played in a loop', note)

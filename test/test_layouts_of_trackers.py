@@ -370,6 +370,28 @@ def test_angles_of_kinovea_are_poses(tmp_path, unit, factor):
     np.testing.assert_allclose(angles, [10.0, 20.5, -160.0], atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    'head',
+    [
+        *(
+            'Tiempo (ms);Ángulo 1',
+            'Zeit (ms);Winkel 1',
+            'Temps (ms);Angle 1',
+            'Tempo (ms);Angolo 1',
+        ),
+        *('Tijd (ms);Hoek 1', 'Czas (ms);Kąt 1', 'Время (ms);Угол 1', '时间 (ms);角度 1'),
+    ],
+)
+def test_kinovea_writes_headings_in_any_language(tmp_path, head):
+    done, stamps, _ = bring(tmp_path, f'{head}\n0;10,0\n40;20,5\n80;200,0\n')
+    assert (done.format, stamps.tolist()) == ('kinovea', [0, 0.04, 0.08])
+    time = head.partition(';')[0]
+    rows = '"0";"1";"2"\n"40";"3";"4"\n'
+    done, stamps, got = bring(tmp_path, f'"{time}";"bob/P/X";"bob/P/Y"\n{rows}', scale=1.0)
+    assert (done.format, stamps.tolist()) == ('kinovea', [0, 0.04])
+    np.testing.assert_allclose(got[:, 0, :2], [[1, 2], [3, 4]])
+
+
 def test_y_down_mirrors_poses(tmp_path):
     bring(tmp_path, qualisys_6d(True), y_down=True)
     points, axes = poses_in(tmp_path / 'out.mcap', ('arm',))

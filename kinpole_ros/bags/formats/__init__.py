@@ -5,6 +5,7 @@ A `Format` in the module of its kind of program says how it is recognized and re
 a line in the table below.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,12 +14,20 @@ import numpy as np
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats._bag import BAG
 from kinpole_ros.bags.formats._c3d import C3D
-from kinpole_ros.bags.formats._file import File, Format, Options, Points, not_utf8
+from kinpole_ros.bags.formats._file import (
+    File,
+    Format,
+    Options,
+    Points,
+    held_values,
+    not_utf8,
+    without_stand_ins,
+)
 from kinpole_ros.bags.formats._keypoints import KEYPOINTS
 from kinpole_ros.bags.formats._motion_capture import MOTIVE, QUALISYS, TRC, VICON
 from kinpole_ros.bags.formats._pose_estimation import DEEPLABCUT, SLEAP
 from kinpole_ros.bags.formats._sheet import shown
-from kinpole_ros.bags.formats._table import ANIPOSE, TABLE
+from kinpole_ros.bags.formats._table import ANIPOSE, TABLE, header_row
 from kinpole_ros.bags.formats._video import KINOVEA, TRACKER
 
 __all__ = ['FORMATS', 'Options', 'Points', 'read_points', 'shown']
@@ -73,20 +82,54 @@ def read_points(
     """
     if name != 'auto' and name not in FORMATS:
         raise BagError(f"format '{shown(name)}' is unknown; fix: auto, {', '.join(FORMATS)}")
-    file = File(Path(path))
+    file, given = File(Path(path)), options or Options()
     if not (file.is_folder or file.head.strip() or file.data.strip()):
         raise BagError(f'{path} is empty; fix: give a line of names and a line for each frame')
     for candidate in FORMATS.values() if name == 'auto' else [FORMATS[name]]:
         if candidate.recognizes(file):
+            if given.likelihood is not None and not candidate.has_likelihood:
+                raise BagError(f'{path} ({candidate.name}) has no likelihoods; fix: leave that out')
             if file.is_sheet:
                 file.sheet.check_last_number(candidate.is_always_ended)
             # Damaged numbers may be any; those that are not finite count as not seen.
             with np.errstate(invalid='ignore', over='ignore'):
-                points = candidate.read(file, options or Options())
+                points = candidate.read(file, given)
             if not len(points.frames):
                 raise BagError(f'{path} has no frames; fix: give a line for each frame')
+            file.notes += _blank_unseen(path, points)
             return candidate.name, replace(points, notes=tuple(file.notes))
     raise _unrecognized(file, name)
+
+
+def _blank_unseen(path: str | Path, read: Points) -> list[str]:
+    """Blank points and poses that stand for none, in place; return notes on them."""
+    notes = []
+    stand_ins = without_stand_ins(read.points)
+    read.points[stand_ins] = np.nan
+    if stand_ins.any():
+        what = 'points of one number, such as (0, 0, 0), and far from all others of their marker'
+        notes.append(_unseen_note(path, what, read.names, stand_ins))
+    what = 'positions that repeat exactly while their marker moves'
+    if read.poses is None:
+        held = held_values([read.points])
+        names = read.names
+    else:
+        held = held_values([read.poses[..., :3], read.poses[..., 3:]])
+        names, what = read.bodies, 'poses that repeat exactly while their body moves'
+        read.poses[held] = np.nan
+    for k, name in enumerate(names):
+        if name in read.names:
+            read.points[held[:, k], list(read.names).index(name)] = np.nan
+    if held.any():
+        notes.append(_unseen_note(path, what, names, held))
+    return notes
+
+
+def _unseen_note(path: str | Path, what: str, names: Sequence[str], unseen: np.ndarray) -> str:
+    counts = zip(names, unseen.sum(axis=0).tolist(), strict=True)
+    listed = [f'{shown(name)} in {count} frames' for name, count in counts if count]
+    ending = f' and {len(listed) - 5} more' if len(listed) > 5 else ''
+    return f'{path}: {what} count as not seen: {", ".join(listed[:5])}{ending}'
 
 
 def _unrecognized(file: File, name: str) -> BagError:
@@ -95,6 +138,11 @@ def _unrecognized(file: File, name: str) -> BagError:
         return not_utf8(file.path, 1)
     if file.is_folder:
         text = 'is a folder'
+    elif file.is_sheet and name in ('auto', 'table') and (row := header_row(file.sheet)):
+        return BagError(
+            f'{file.path} names its columns in line {file.sheet.lines[row]}; fix: delete the lines '
+            'before it'
+        )
     elif file.is_sheet:
         lines = [' '.join(file.sheet.row(row)) for row in range(min(2, len(file.sheet)))]
         text = f'begins with {" / ".join(repr(shown(line)) for line in lines)}'

@@ -58,6 +58,10 @@ _MESSAGES = {
 }
 
 
+# Intervals that a stamp may be before the latest one of its source: messages overtake each other.
+_MOST_BACK = 20
+
+
 class _Observation(NamedTuple):
     """Markers or poses of one source in a message."""
 
@@ -73,7 +77,7 @@ class _Series(NamedTuple):
     source: str
     names: tuple[str, ...]
     stamps: np.ndarray  # (T,), ns
-    log_times: np.ndarray
+    log_times: np.ndarray  # or other numbers that rise with the order of arrival
     values: np.ndarray  # (T, n, 3), points, or (T, n, 7), with quaternions x, y, z, w
 
 
@@ -91,7 +95,13 @@ def _read(file: File, options: Options) -> Points:
     topics = _choose_topics(file, types)
     if not is_ros1 and _kind(types[topics[0]]) == 'markers':
         frames, _ = read_frames(file.path, topics[0], report=lambda e: file.notes.append(str(e)))
-        series = [_Series('', one.identities, one.stamps, one.stamps, one.points) for one in frames]
+        # Without stamps the order says nothing: the log times are the stamps then.
+        count, has_stamps = 0, any(one.stamps.any() for one in frames)
+        series = []
+        for one in frames:
+            order = np.arange(count, count + len(one.stamps)) if has_stamps else one.stamps
+            series.append(_Series('', one.identities, one.stamps, order, one.points))
+            count += len(one.stamps)
     else:
         series = _read_series(
             file, topics, _make_decoder(file, types, topics, definitions, is_ros1)
@@ -99,6 +109,7 @@ def _read(file: File, options: Options) -> Points:
     if not any(part.stamps.any() for part in series):
         file.notes.append(f'{file.path} has no stamps in its messages: log times are taken')
         series = [part._replace(stamps=part.log_times) for part in series]
+    series = _first_pass(file, series)
     stamps, rows = _group_into_frames(series)
     markers, bodies = (_number_columns(series, width) for width in (3, 7))
     names = list(markers or bodies)
@@ -124,6 +135,35 @@ def _read(file: File, options: Options) -> Points:
         bodies=list(bodies),
         poses=poses if bodies else None,
     )
+
+
+def _first_pass(file: File, series: list[_Series]) -> list[_Series]:
+    """Leave out what came after stamps jumped back, as those of a bag played in a loop do."""
+    end, note = np.inf, ''
+    for source in dict.fromkeys(part.source for part in series):
+        parts = [part for part in series if part.source == source]
+        arrival = np.concatenate([part.log_times for part in parts])
+        order = np.argsort(arrival, kind='stable')
+        stamps = np.concatenate([part.stamps for part in parts])[order]
+        back = np.maximum.accumulate(stamps) - stamps
+        steps = np.diff(np.unique(stamps))
+        late = back > _MOST_BACK * np.median(steps) if len(steps) else np.zeros(len(back), bool)
+        if late.any() and arrival[order][first := int(late.argmax())] < end:
+            end = arrival[order][first]
+            note = (
+                f'{file.path}: stamps jump back by {back[first] / _SECOND:.3g} s after message '
+                f'{first}{f" of {shown(source)}" if source else ""}, as in a bag that was played '
+                'in a loop; the messages before that are read'
+            )
+    if not note:
+        return series
+    file.notes.append(note)
+    kept = [(part, part.log_times < end) for part in series]
+    return [
+        part._replace(stamps=part.stamps[k], log_times=part.log_times[k], values=part.values[k])
+        for part, k in kept
+        if k.any()
+    ]
 
 
 def _number_columns(series: list[_Series], width: int) -> dict[str, int]:

@@ -235,4 +235,5 @@ KEYPOINTS = Format(
     '{"people": [{"pose_keypoints_2d": [101.5, 55.2, 0.98]}]}',
     _is_keypoints,
     _read,
+    has_likelihood=True,
 )

@@ -264,6 +264,7 @@ DEEPLABCUT = Format(
     _is_deeplabcut,
     _read_deeplabcut,
     is_always_ended=True,
+    has_likelihood=True,
 )
 
 
@@ -384,4 +385,5 @@ SLEAP = Format(
     'track,frame_idx,instance.score,tip.x,tip.y,tip.score\ncrank,0,0.95,101.5,55.2,0.98',
     _is_sleap,
     _read_sleap,
+    has_likelihood=True,
 )

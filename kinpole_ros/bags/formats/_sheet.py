@@ -18,6 +18,8 @@ MOST_COLUMNS = 10_000
 # Cells of a file, and two more for each row: 1e6 frames of 10 markers in space, and times.
 MOST_CELLS = 33_000_000
 _NUMBER = re.compile(r'[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|nan)', re.I | re.A)
+# The line by which Excel knows the delimiter.
+_EXCEL = re.compile(rb'(?:\xef\xbb\xbf)?"?sep=([\t;, ])"?(\r?\n)', re.I)
 _HEAD_ROWS = 50  # rows held as text; the delimiter is found from them
 _ROW_CHARACTERS = 1 << 20  # of a row with all its cells
 _BLOCK_CELLS = 1 << 16  # held as text at a time, at some 60 bytes each
@@ -38,6 +40,8 @@ class Sheet:
         self.path = path
         self.notes = notes  # what the user should know, a line each
         self.not_utf8_line = not_utf8_line  # 0 if all are
+        if (head := _EXCEL.match(data)) is not None:
+            data = head[2] + data[head.end() :]  # the other lines keep their numbers
         self._data = data
         self._encoding = 'cp1252' if not_utf8_line else 'utf-8-sig'
         text = data[:_ROW_CHARACTERS].decode(self._encoding, 'replace')
@@ -45,10 +49,13 @@ class Sheet:
         self.delimiter = next(
             (mark for mark in '\t;, ' if sum(mark in line for line in first) * 2 > len(first)), ','
         )
+        if head is not None:
+            self.delimiter = head[1].decode()
         self.lines = array('I')  # number of the line that each row ends in
         self._uneven_row: int | None = None  # the first of another width than the first row
         self._most_columns = 1
         self._head: list[list[str]] = []
+        self._marks: dict[str, str] = {}  # decimal marks, and where each is first
         self._window: tuple[int, list[list[str]]] = 0, []  # rows read last, from an index on
         # Of the row that is being read.
         self._row_separators = self._row_characters = self._row_lines = 0
@@ -208,6 +215,8 @@ class Sheet:
         step = max(1, _BLOCK_CELLS // self._most_columns)
         while block := list(islice(rows, step)):
             cells = [row[c] if c < len(row) else '' for row in block for c in columns]
+            if self.delimiter != ',':
+                self._check_marks(cells, names, first)
             numbers = np.array(_numbers_or_inf(cells, self.delimiter != ','))
             if (bad := np.isinf(numbers)).any():
                 index = int(bad.argmax())
@@ -219,6 +228,21 @@ class Sheet:
                 )
             yield numbers.reshape(len(block), len(columns))
             first += len(block)
+
+    def _check_marks(self, cells: Sequence[str], names: Sequence[str], first: int) -> None:
+        """Note where the first decimal mark of each kind is; raise BagError for two kinds."""
+        text = ' '.join(cells)
+        for mark in set('.,') - self._marks.keys():
+            if mark in text:
+                index = next(k for k, cell in enumerate(cells) if mark in cell)
+                row, column = divmod(index, len(names))
+                place = f'line {self.lines[first + row]}, column {shown(names[column])}'
+                self._marks[mark] = f"'{shown(cells[index])}' in {place}"
+        if len(self._marks) > 1:
+            raise BagError(
+                f'{self.path} has two decimal marks: {self._marks["."]}, and {self._marks[","]}; '
+                'fix: write all numbers with one, and none between thousands'
+            )
 
     def numbers(
         self,

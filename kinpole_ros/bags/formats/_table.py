@@ -34,12 +34,23 @@ _SECONDS = {
     **dict.fromkeys(('ns', 'nsec', 'nanosecond', 'nanoseconds'), 1e-9),
     **dict.fromkeys(('min', 'minute', 'minutes'), 60.0),
 }
+# "frame", "Frame#", "fnum", "frame_number".
+_FRAME = re.compile(
+    r'f(?:rame|num)s?(?:[ _]?(?:number|num|no|nr|index|idx|id|#)\.?)?', re.IGNORECASE
+)
 _AXES = ('_x', '_y', '_z')
+_MOST_TITLE_ROWS = 10  # titles and comments above the names of columns
 # Where no column is named NAME_x: "x", "X (mm)", "x1", "tip x", "tip.x [cm]".
 _COORDINATE = re.compile(
     r'(?:(?P<name>.+)[ _.:/-])?(?P<axis>[xyz])(?P<number>[0-9]*)\s*(?:[(\[](?P<unit>.*)[)\]])?',
     re.IGNORECASE,
 )
+
+
+def header_row(sheet: Sheet) -> int:
+    """Return the first of some rows that names the columns of a table, as row 0 should; or 0."""
+    titles = ([cell.strip() for cell in sheet.row(row)] for row in range(_MOST_TITLE_ROWS))
+    return next((row for row, header in enumerate(titles) if _axes_by_marker(header)[0]), 0)
 
 
 def _is_table(file: File) -> bool:
@@ -110,40 +121,57 @@ def _read(file: File, options: Options) -> Points:
                 f'{shown(f"{name}_{axis}")}; fix: add it'
             )
     columns = {name: [of[axis] for axis in 'xyz' if axis in of] for name, of in axes.items()}
-    if _is_anipose(file):
-        return _read_anipose(sheet, columns, options)
     time_column = None if options.rate is not None else _time_column(sheet, header)
-    if time_column is None:
-        points, _ = sheet.points(columns, 1, separator='_')
-        times, title = None, 't'
-    else:
-        index, seconds = time_column
-        title = header[index]
-        points, numbers = sheet.points(columns, 1, number=(index, title), separator='_')
-        times = numbers * seconds
+    number = next((k for k, name in enumerate(header) if _FRAME.fullmatch(name)), None)
+    index, seconds = time_column or (number, 1.0)
+    title = 't' if index is None else header[index]
+    points, numbers = sheet.points(
+        columns, 1, number=None if index is None else (index, title), separator='_'
+    )
+    lines, frames = sheet.lines[1:], np.arange(len(points))
+    if time_column is None and number is not None:
+        frames = whole_numbers(path, numbers, lines, title)
+    used = {number, index, *(column for of in columns.values() for column in of)}
+    used |= _leave_out_unlikely(sheet, header, points, list(columns), options)
+    unread = [shown(name) for k, name in enumerate(header) if name and k not in used]
+    if unread and not _is_anipose(file):
+        ending = f' and {len(unread) - 5} more' if len(unread) > 5 else ''
+        sheet.notes.append(f'{path}: columns that are not read: {", ".join(unread[:5])}{ending}')
+    in_pixels = unit.lower() in ('px', 'pixel', 'pixels')
+    if in_pixels:
+        sheet.notes.append(f'{path} is in pixels, so y points down; to change: --no-y-down')
     return Points(
         list(columns),
         points,
-        np.arange(len(points)),
-        times,
-        unit or 'm',
-        lines=sheet.lines[1:],
+        frames,
+        None if time_column is None else numbers * seconds,
+        '' if _is_anipose(file) else unit or 'm',
+        y_down=in_pixels,
+        lines=lines,
         time_column=shown(title),
     )
 
 
-def _read_anipose(sheet: Sheet, columns: dict[str, list[int]], options: Options) -> Points:
-    """Read points by frame number, without those below the likelihood, which is their score."""
-    header = _header(sheet)
-    number = header.index('fnum'), 'fnum'
-    points, numbers = sheet.points(columns, 1, number=number, separator='_')
-    for k, name in enumerate(columns):
-        if options.likelihood is not None and f'{name}_score' in header:
-            score = sheet.column(header.index(f'{name}_score'), 1, f'{name}_score')
-            points[~(score >= options.likelihood), k] = np.nan
-    lines = sheet.lines[1:]
-    frames = whole_numbers(sheet.path, numbers, lines, 'fnum')
-    return Points(list(columns), points, frames, None, '', lines=lines)
+def _leave_out_unlikely(
+    sheet: Sheet, header: Sequence[str], points: np.ndarray, names: list[str], options: Options
+) -> set[int]:
+    """Blank points (T, n, 3) below the likelihood; return the columns of likelihoods."""
+    columns = {
+        k: header.index(title)
+        for k, name in enumerate(names)
+        for title in (f'{name}_likelihood', f'{name}_score')
+        if title in header
+    }
+    if options.likelihood is not None:
+        if not columns:
+            raise BagError(
+                f'{sheet.path} has no likelihoods; fix: name their columns NAME_likelihood, or '
+                'leave that out'
+            )
+        for k, column in columns.items():
+            likelihood = sheet.column(column, 1, header[column])
+            points[~(likelihood >= options.likelihood), k] = np.nan
+    return set(columns.values())
 
 
 def _time_column(sheet: Sheet, header: list[str]) -> tuple[int, float] | None:
@@ -182,6 +210,7 @@ ANIPOSE = Format(
     _is_anipose,
     _read,
     is_always_ended=True,
+    has_likelihood=True,
 )
 TABLE = Format(
     'table',
@@ -189,4 +218,5 @@ TABLE = Format(
     't,tip_x,tip_y\n0.00,0.125,0.250',
     _is_table,
     _read,
+    has_likelihood=True,
 )

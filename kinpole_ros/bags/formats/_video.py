@@ -38,9 +38,14 @@ from kinpole_ros.bags.formats._sheet import (
 
 # Kinovea
 
-_TIME = re.compile(r'Time(?:\s*\((?P<unit>m?s)\))?', re.IGNORECASE)
+# Headings are in the language of Kinovea, but a time has a unit.
+_TIME = re.compile(r'(?:Time|[^\W\d_]+(?=\s*\())(?:\s*\((?P<unit>m?s)\))?', re.IGNORECASE)
 _X = re.compile(r'(.+)/X', re.IGNORECASE)
-_ANGLE = re.compile(r'.*\bangle\b.*', re.IGNORECASE)
+_ANGLE = re.compile(
+    r'.*(?:\b(?:angle|[áâa]ngulo|angolo|unghi|winkel|hoek|vinkel|kulma|kąt|úhel|uhol|szög|kut|kampas|'
+    r'nurk|açı|угол|кут|ъгъл|γωνία|sudut|góc)\b|角|각도|มุม|زاوية).*',
+    re.IGNORECASE,
+)
 _TEXT = b'#Kinovea Trajectory'
 _EXCEL = b'urn:schemas-microsoft-com:office:spreadsheet'
 _COORDINATES = re.compile(r'Coords \(x,\s*y:\s*(?P<unit>[^;]*);.*')
