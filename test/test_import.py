@@ -10,7 +10,6 @@ import pytest
 
 from kinpole_ros.bags import (
     BagError,
-    BagWriter,
     import_csv,
     import_points,
     read_messages,
@@ -18,7 +17,7 @@ from kinpole_ros.bags import (
     topics,
 )
 from kinpole_ros.bags.formats import FORMATS
-from kinpole_ros.messages import INPUT_TYPES, deserialize_message, poses_data
+from kinpole_ros.messages import deserialize_message
 from kinpole_ros.messages._types import MarkerArray
 from kinpole_ros.settings import settings_from
 from kinpole_ros.tools.cli import main
@@ -430,44 +429,3 @@ def test_a_format_without_likelihoods_refuses_the_option(tmp_path) -> None:
                 monkeyed = format._replace(recognizes=lambda _: True)
                 with mock.patch.dict(FORMATS, {name: monkeyed}):
                     import_points(path, tmp_path / 'out.mcap', format=name, likelihood=0.5)
-
-
-@pytest.mark.parametrize('length', [3, 12])
-@pytest.mark.parametrize('noise', [0.0, 1e-4])
-def test_positions_that_repeat_while_their_marker_moves_are_not_seen(
-    tmp_path, length, noise
-) -> None:
-    points = circle(60) + np.random.default_rng(2).normal(0.0, noise, (60, 2))
-    points[21 : 21 + length] = points[20]
-    columns = {'t': np.arange(60) / 100, 'a_x': points[:, 0], 'a_y': points[:, 1]}
-    frames = import_text(tmp_path, table_of(columns))
-    unseen = [k for k, (_, seen) in enumerate(frames) if not seen]
-    assert unseen == list(range(21, 21 + length))
-    (note,) = import_points(tmp_path / 'table.csv', tmp_path / 'out.mcap').notes
-    assert f'repeat exactly while their marker moves count as not seen: a in {length} f' in note
-
-
-def test_poses_that_repeat_while_their_body_turns_are_not_seen(tmp_path) -> None:
-    with BagWriter(tmp_path / 'bag.mcap') as writer:
-        for k in range(60):
-            turn = 0.03 * (20 if 20 < k < 32 else k)
-            pose = np.array([[1.0, 2.0, 0.0, 0.0, 0.0, np.sin(turn), np.cos(turn)]])
-            data = poses_data('tf', 10**9 + k * 10**7, 'world', ['rod'], pose)
-            writer.write_raw('/tf', INPUT_TYPES['tf'], data, 10**9 + k * 10**7)
-    done = import_points(tmp_path / 'bag.mcap', tmp_path / 'out.mcap')
-    assert any('their body moves count as not seen: rod in 11 frames' in one for one in done.notes)
-
-
-@pytest.mark.parametrize('kind', ['dwell', 'hit', 'pixels', 'rest', 'end'])
-def test_a_marker_that_stands_still_is_seen(tmp_path, kind) -> None:
-    time = np.arange(60) / 100
-    x = {
-        # It slows down before, and begins anew from there.
-        'dwell': np.where(abs(time - 0.3) < 0.15, 0.0, (abs(time - 0.3) - 0.15) ** 2),
-        'hit': np.maximum(0.0, time - 0.3),
-        'pixels': np.floor(45 * time),
-        'rest': np.zeros(60),
-        'end': np.minimum(time, 0.3),
-    }[kind]
-    frames = import_text(tmp_path, table_of({'t': time, 'a_x': x + 0.31, 'a_y': x * 2}))
-    assert all(seen for _, seen in frames)

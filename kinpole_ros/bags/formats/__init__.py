@@ -5,7 +5,6 @@ A `Format` in the module of its kind of program says how it is recognized and re
 a line in the table below.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from kinpole_ros.bags.formats._file import (
     Format,
     Options,
     Points,
-    held_values,
     not_utf8,
     without_stand_ins,
 )
@@ -96,40 +94,24 @@ def read_points(
                 points = candidate.read(file, given)
             if not len(points.frames):
                 raise BagError(f'{path} has no frames; fix: give a line for each frame')
-            file.notes += _blank_unseen(path, points)
+            file.notes += _blank_stand_ins(path, points)
             return candidate.name, replace(points, notes=tuple(file.notes))
     raise _unrecognized(file, name)
 
 
-def _blank_unseen(path: str | Path, read: Points) -> list[str]:
-    """Blank points and poses that stand for none, in place; return notes on them."""
-    notes = []
-    stand_ins = without_stand_ins(read.points)
-    read.points[stand_ins] = np.nan
-    if stand_ins.any():
-        what = 'points of one number, such as (0, 0, 0), and far from all others of their marker'
-        notes.append(_unseen_note(path, what, read.names, stand_ins))
-    what = 'positions that repeat exactly while their marker moves'
-    if read.poses is None:
-        held = held_values([read.points])
-        names = read.names
-    else:
-        held = held_values([read.poses[..., :3], read.poses[..., 3:]])
-        names, what = read.bodies, 'poses that repeat exactly while their body moves'
-        read.poses[held] = np.nan
-    for k, name in enumerate(names):
-        if name in read.names:
-            read.points[held[:, k], list(read.names).index(name)] = np.nan
-    if held.any():
-        notes.append(_unseen_note(path, what, names, held))
-    return notes
-
-
-def _unseen_note(path: str | Path, what: str, names: Sequence[str], unseen: np.ndarray) -> str:
-    counts = zip(names, unseen.sum(axis=0).tolist(), strict=True)
+def _blank_stand_ins(path: str | Path, read: Points) -> list[str]:
+    """Blank points that stand for none, in place; return a note on them."""
+    unseen = without_stand_ins(read.points)
+    read.points[unseen] = np.nan
+    if not unseen.any():
+        return []
+    counts = zip(read.names, unseen.sum(axis=0).tolist(), strict=True)
     listed = [f'{shown(name)} in {count} frames' for name, count in counts if count]
     ending = f' and {len(listed) - 5} more' if len(listed) > 5 else ''
-    return f'{path}: {what} count as not seen: {", ".join(listed[:5])}{ending}'
+    return [
+        f'{path}: points of one number, such as (0, 0, 0), and far from all others of their marker '
+        f'count as not seen: {", ".join(listed[:5])}{ending}'
+    ]
 
 
 def _unrecognized(file: File, name: str) -> BagError:

@@ -36,12 +36,7 @@ _MOST_ELEMENTS = 400_000  # of XML, at some 200 bytes each, and as much for each
 # A point stands for none if it is so many of the steps of its marker away from all of at least so
 # many others; this share of its steps is shorter.
 _FAR_STEPS, _FEWEST_SEEN, _MOST_STEPS = 10.0, 5, 0.9
-# Values are held if they repeat so often, after so many steps that lead on straight by this share
-# of their length and are of so many last digits each, and if they are at this share of where these
-# steps lead then. All repeats of a marker are at most so many times those.
-_FEWEST_REPEATS, _STEPS, _STRAIGHT, _DIGITS, _GOES_ON = 2, 5, 0.8, 10, 0.5
-_OTHER_REPEATS = 1.5
-_SLICE_POINTS = 1 << 14
+_SLICE_POINTS = 1 << 14  # that are looked at together
 _MOST_DECIMALS = 17  # no float64 needs more digits
 
 
@@ -106,43 +101,6 @@ def without_stand_ins(points: np.ndarray) -> np.ndarray:
             if np.linalg.norm(others - value, axis=1).min() > _FAR_STEPS * usual:
                 result[alike & (own[:, 0] == value), k] = True
     return result
-
-
-def held_values(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """
-    Return which values (T, n) repeat those before while their marker or body was not seen.
-
-    Drivers repeat the last values then, bit for bit. `parts` (T, n, d) are positions, and maybe
-    quaternions. One that moves, repeats exactly, and is elsewhere then, did not stand still.
-    """
-    held = np.zeros(parts[0].shape[:2], bool)
-    equal_at = [(rows[1:] == rows[:-1]).all(axis=-1).any(axis=0) for rows in _slices(parts[0])]
-    for k in np.flatnonzero(np.any(equal_at, axis=0)).tolist():
-        equal = np.all([(part[1:, k] == part[:-1, k]).all(axis=-1) for part in parts], axis=0)
-        edges = np.flatnonzero(np.diff(equal, prepend=False, append=False))
-        for first, end in edges.reshape(-1, 2).tolist():
-            if end - first < _FEWEST_REPEATS or first < _STEPS or end == len(equal):
-                continue
-            for part in parts:
-                changes = np.diff(part[first - _STEPS : end + 2, k], axis=0)
-                before, path = (
-                    changes[:_STEPS].sum(axis=0),
-                    np.linalg.norm(changes[:_STEPS], axis=1),
-                )
-                length = float(np.linalg.norm(before))
-                digits = np.abs(np.diff(part[:, k], axis=0))
-                least = digits[digits > 0].min(initial=np.inf)
-                if not length > max(_STRAIGHT * path.sum(), _STEPS * _DIGITS * least):
-                    continue
-                # How far it goes on in that direction, and how far that leads meanwhile.
-                along = changes[-1] @ before / length
-                led = length / _STEPS * (end - first + 1)
-                if along > _GOES_ON * max(led, float(np.linalg.norm(changes[-1]))):
-                    held[first + 1 : end + 1, k] = True
-        # Other repeats show that noise does not keep values from repeating.
-        if np.count_nonzero(equal) > _OTHER_REPEATS * np.count_nonzero(held[:, k]):
-            held[:, k] = False
-    return held
 
 
 class Format(NamedTuple):
