@@ -147,8 +147,28 @@ class Call(Struct):
         free(ctypes.byref(self))
 
 
+class FrameLimits(Struct):
+    """Lengths and limits that do not change: see frames.h."""
+
+
+class HistoryColumns(Struct):
+    """The columns of the history, and which rows are in use: see frames.h."""
+
+
+class BodyArrays(Struct):
+    """What is known of the bodies: see frames.h."""
+
+
+class BodyTracks(Struct):
+    """What only the library writes of the bodies: see frames.h."""
+
+
+class NewFrames(Struct):
+    """Frames to be taken: see frames.h."""
+
+
 class Frames(Struct):
-    """The history, what is known of the bodies, and new frames: see frames.h."""
+    """Limits, history, bodies, their tracks, and new frames: see frames.h."""
 
 
 class Results(Struct):
@@ -220,12 +240,6 @@ def _read_structs() -> None:
         raise ImportError(f'{_FILE} has no {", ".join(classes)}: build it again')
 
 
-def fields_of(part: str) -> tuple[str, ...]:
-    """Return the names of the fields in a list of a header, as `BODY_ARRAYS` of frames.h."""
-    description = _PARTS[part]
-    return tuple(field.name.decode() for field in description.fields[: description.count])
-
-
 def codes_of(enum: str) -> dict[str, int]:
     """Return the codes of an enum of a header by their names, as `REASONS` of codes.h."""
     listed = _CODES[enum]
@@ -233,7 +247,6 @@ def codes_of(enum: str) -> dict[str, int]:
 
 
 _read_structs()
-_PARTS = _read_list('kinpole_parts', _Description)
 _CODES = _read_list('kinpole_codes', _Codes)
 # Sizes of arrays that C and Python share: see codes.h.
 SIZES = codes_of('SIZES')

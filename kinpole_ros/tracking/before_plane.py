@@ -11,7 +11,7 @@ from kinpole_ros.tracking.state import State, start_bodies
 
 def keep_frame(state: State, placed: PlacedFrames, times: Sequence[np.ndarray]) -> None:
     """Keep the next frame until the plane is known, and measure how it lies in space."""
-    in_space, k = placed.in_space, state.step.fields.frame
+    in_space, k = placed.in_space, state.step.incoming.frame
     part = slice(k, k + 1)
     frame = part_of(placed.frames, part), [array[part] for array in times]
     state.before_plane.append(frame)
@@ -25,10 +25,10 @@ def take_again(state: State, take: Callable[[MarkerFrames, Sequence[np.ndarray]]
     """Take the earlier frames again, each by `take` with its times, now that the plane is known."""
     early = list(state.before_plane)
     state.before_plane.clear()
-    due = state.step.fields.due - (len(state.history) - len(early))
+    due = state.step.columns.due - (len(state.history) - len(early))
     state.assignment.set_plane(state.space.plane)
     assert state.assignment.plane is not None
     start_bodies(state)
     for frame, times in early:
         take(frame, times)
-    state.step.fields.due = max(due, 0)
+    state.step.columns.due = max(due, 0)

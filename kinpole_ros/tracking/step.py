@@ -5,9 +5,12 @@ from ctypes import addressof, byref
 import numpy as np
 
 from kinpole_ros.core.bindings import (
+    BodyArrays,
+    BodyTracks,
+    FrameLimits,
     Frames,
+    NewFrames,
     codes_of,
-    fields_of,
     library,
     pass_new_array,
 )
@@ -24,9 +27,8 @@ from kinpole_ros.tracking.thresholds import N_SIGMA
 _ENDS = codes_of('CALL_ENDS') | codes_of('LOOP_ENDS')
 DONE, TABLE_LACKING, UNUSUAL = _ENDS['DONE'], _ENDS['LACKING'], _ENDS['UNUSUAL']
 
-# Fields of `Frames` by their owners: see frames.h.
-_LEARNED, _TRACKS = fields_of('BODY_ARRAYS'), fields_of('TRACKING_STATE')
-_NEW_FRAMES = {name: Frames.elements[name] for name in fields_of('NEW_FRAMES')}
+# Arrays of new frames, but for `corrected`, which is one frame.
+_NEW_FRAMES = list(NewFrames.elements.items())[:-1]
 
 
 def new_tracks(bodies: int, outages: np.ndarray, wrong: np.ndarray) -> dict[str, np.ndarray]:
@@ -72,15 +74,15 @@ class Step:
 
     Attributes
     ----------
-    fields : Frames
-        The arrays that the library works on.
+    columns, known, incoming : HistoryColumns, BodyArrays, NewFrames
+        The parts of `Frames` that the library works on: they hold the arrays.
     tracks : dict of str to ndarray
         What only the library writes: see `new_tracks`.
 
     """
 
     def __init__(self, settings: Settings, posed: bool, tracks: dict[str, np.ndarray]) -> None:
-        self.fields = Frames(
+        limits = FrameLimits(
             window=round(settings.window * 1e9),
             lag=settings.lag * 1e9,
             posed=posed,
@@ -90,10 +92,12 @@ class Step:
             gap=GAP,
             n_sigma=N_SIGMA,
         )
-        self._frames = byref(self.fields)
-        self.tracks = tracks
-        for name in _TRACKS:
-            self.fields.bind(name, tracks[name])
+        fields = Frames(limits)
+        self._frames = byref(fields)
+        self.columns, self.known, self.incoming = fields.history, fields.bodies, fields.incoming
+        self.tracks, self._posed, self._tracks = tracks, posed, fields.tracks
+        for name in BodyTracks.elements:
+            self._tracks.bind(name, tracks[name])
         self._call = new_call(settings.window, 0)
         # Keeps the tables alive while the library uses them.
         self._tables = pass_tables(self._call)
@@ -102,10 +106,10 @@ class Step:
 
     def bind(self, bodies: Bodies, pins: Pins, history: History) -> None:
         """Use these arrays, after an update of the bodies or growth of the history."""
-        fields, self._history = self.fields, history
-        fields.bodies, fields.width = bodies.shape.shape
+        known, self._history = self.known, history
+        known.count, known.width = bodies.shape.shape
         hub, angle_noise = bodies.hub, None
-        if fields.posed:
+        if self._posed:
             # The derivatives assume independent errors of position and angle: so at the middle.
             hub, angle_noise = np.where(hub == 0, bodies.fitting.middle, hub), bodies.angle_noise
         learned = {
@@ -119,20 +123,20 @@ class Step:
             'tilt_turn': bodies.extra_turn,
             'reason': reasons_of(bodies.noise, bodies.fitting.spread, angle_noise),
         }
-        for name in _LEARNED:
+        for name in BodyArrays.elements:
             owner = bodies.fitting if hasattr(bodies.fitting, name) else bodies
             value = learned[name] if name in learned else getattr(owner, name)
             array = np.ascontiguousarray(value)
             if name == 'last_angle':
                 # The compiled code updates the last angles.
                 bodies.last_angle = array
-            fields.bind(name, array)
+            known.bind(name, array)
         self.bind_history()
 
     def bind_history(self) -> None:
         """Use the columns of the history, after they have grown."""
         for name, column in self._history.columns.items():
-            self.fields.bind(name, column)
+            self.columns.bind(name, column)
 
     def pass_frames(
         self, number: int, new_frames: tuple[np.ndarray | None, ...], hidden_is_unusual: bool
@@ -151,8 +155,8 @@ class Step:
             Whether a frame with a hidden marker is unusual.
 
         """
-        self._new_frames = []
-        for (name, element), array in zip(_NEW_FRAMES.items(), new_frames, strict=True):
+        self._new_frames, incoming = [], self.incoming
+        for (name, element), array in zip(_NEW_FRAMES, new_frames, strict=True):
             address = None
             if array is not None:
                 # As `bind`, without a call of Python for each array of a frame.
@@ -161,32 +165,32 @@ class Step:
                 address = addressof(pass_new_array(array))
             # Keeps the arrays alive while the library uses them.
             self._new_frames.append(array)
-            setattr(self.fields, name, address)
-        self.fields.frame, self.fields.frames = 0, number
-        self.fields.hidden_is_unusual = hidden_is_unusual
+            setattr(incoming, name, address)
+        incoming.frame, incoming.frames = 0, number
+        incoming.hidden_is_unusual = hidden_is_unusual
 
     def reserve_results(self, frames: int, order: int | None) -> Results:
         """Return memory for the results that so many frames can complete; none without an order."""
         if order is None:
             return new_results(0, 1, 0, 0)
-        waiting = self._history.end - self._history.first - self.fields.due
-        return new_results(frames + waiting, order + 1, self.fields.bodies, self.fields.width)
+        waiting = self._history.end - self._history.first - self.columns.due
+        return new_results(frames + waiting, order + 1, self.known.count, self.known.width)
 
     def follow(self, until_update: int, results: Results) -> bool:
         """Take usual frames, at most so many; return whether the next frame is unusual."""
-        fields, history, call = self.fields, self._history, self._call
-        fields.until_update = min(until_update, fields.frames - fields.frame)
-        if history.end + fields.until_update > history.capacity:
-            history.reserve(fields.until_update)
+        columns, incoming, history, call = self.columns, self.incoming, self._history, self._call
+        incoming.until_update = min(until_update, incoming.frames - incoming.frame)
+        if history.end + incoming.until_update > history.capacity:
+            history.reserve(incoming.until_update)
             self.bind_history()
-        fields.first, fields.end = history.first, history.end
+        columns.first, columns.end = history.first, history.end
         call.orders, call.instants = results.orders, 1
         result_fields = pass_new_array(results.fields)
         while (
             code := library.kinpole_follow(self._frames, call, result_fields)
         ) <= TABLE_LACKING and code != DONE:
             self._tables = go_on(call, code)
-        history.end = fields.end
+        history.end = columns.end
         assert code in (DONE, UNUSUAL), code
         return bool(code == UNUSUAL)
 
@@ -196,11 +200,11 @@ class Step:
         if history.end + 1 > history.capacity:
             history.reserve(1)
             self.bind_history()
-        self.fields.first, self.fields.end = history.first, history.end
+        self.columns.first, self.columns.end = history.first, history.end
         return int(library.kinpole_try_frame(self._frames, pass_new_array(markers)))
 
     def correct_next(self, markers: np.ndarray) -> None:
         """Fit the next frame to these markers (B, n), complex, whatever is unusual of it."""
         # As in `pass_frames`; the struct is to keep the array alive.
         self._corrected = markers
-        self.fields.corrected = addressof(pass_new_array(markers))
+        self.incoming.corrected = addressof(pass_new_array(markers))

@@ -36,12 +36,12 @@ class TrackerSummary:
     @property
     def samples(self) -> int:
         """Number of frames in the window."""
-        return int(self.state.step.fields.samples)
+        return int(self.state.step.columns.samples)
 
     @property
     def interval(self) -> float:
         """Mean time between the frames of the window in s; NaN for fewer than two."""
-        return self.state.step.fields.interval * 1e-9 if self.samples > 1 else float('nan')
+        return self.state.step.columns.interval * 1e-9 if self.samples > 1 else float('nan')
 
     @property
     def plane(self) -> Plane | None:

@@ -148,9 +148,9 @@ class Tracker(TrackerSummary):
         """Take frames whose times are known; return the results before a restart."""
         frames, *times, numbers = timed
         state, estimates = self.state, []
-        width = state.step.fields.width
+        width = state.step.known.width
         placed = self._place(frames, times)
-        if state.step.fields.width > width:
+        if state.step.known.width > width:
             estimates += self._flush_results()
         results = state.step.reserve_results(len(frames.stamps), order)
         first, count = 0, len(frames.stamps)
@@ -159,16 +159,16 @@ class Tracker(TrackerSummary):
             learns = state.frame_count >= state.next_update or state.names_changed
             if learns and update_if_due(state):
                 state.assignment.assign_again(placed, first)
-                state.step.fields.hidden_is_unusual = len(placed.layout.unassigned) > 0
+                state.step.incoming.hidden_is_unusual = len(placed.layout.unassigned) > 0
             if state.assignment.plane is not state.space.plane:
                 self._keep_results(results, numbers)
                 estimates += self._flush_results()
                 take_again(state, self._take_early)
                 placed = self._place(frames, times)
-                state.step.fields.frame = first
+                state.step.incoming.frame = first
                 results = state.step.reserve_results(count - first, order)
             self._follow(placed, times, results)
-            first = state.step.fields.frame
+            first = state.step.incoming.frame
         self._search_events(times[0][:first], numbers)
         self._keep_results(results, numbers)
         if placed.in_space is not None and state.assignment.plane is not None:
@@ -179,7 +179,7 @@ class Tracker(TrackerSummary):
         """Place the markers of frames in the slots of the bodies, and pass them to C."""
         state = self.state
         state.placed = placed = state.assignment.assign(frames, state.totals.counts)
-        if state.assignment.width > state.step.fields.width:
+        if state.assignment.width > state.step.known.width:
             widen(state)
         new_frames = frames.stamps, *times, placed.points, placed.heights, placed.tilts
         hidden_is_unusual = len(placed.layout.unassigned) > 0
@@ -189,14 +189,14 @@ class Tracker(TrackerSummary):
     def _follow(self, placed: PlacedFrames, times: Sequence[np.ndarray], results: Results) -> None:
         """Take frames up to the next update, or one that is not usual after correcting it."""
         state, computed = self.state, int(results.fields[COUNT])
-        before, is_unusual = state.step.fields.frame, True
+        before, is_unusual = state.step.incoming.frame, True
         if state.assignment.plane is None:
             keep_frame(state, placed, times)
         elif not placed.is_nameless or placed.size == state.assignment.ordered_size:
             is_unusual = state.step.follow(state.next_update - state.frame_count, results)
             self._count_taken(before)
         if is_unusual:
-            before = state.step.fields.frame
+            before = state.step.incoming.frame
             if state.assignment.plane is not None:
                 state.step.correct_next(correct_next(state, placed, before))
             state.step.follow(1, results)
@@ -216,7 +216,7 @@ class Tracker(TrackerSummary):
     def _count_taken(self, before: int) -> None:
         """Count the frames from `before` on that the step took."""
         state = self.state
-        taken = state.step.fields.frame - before
+        taken = state.step.incoming.frame - before
         state.frame_count += taken
         if state.assignment.uncounted is not None:
             state.totals.counts[EXCHANGED] += state.assignment.count_exchanged(taken)

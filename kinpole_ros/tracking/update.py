@@ -30,7 +30,7 @@ def update_clock(state: State) -> None:
     """Estimate the clock again, after an update of what is due."""
     # The clock depends on the noise, which is to be the same live and in replay.
     state.names_changed = update_if_due(state)
-    samples = int(state.step.fields.samples)
+    samples = int(state.step.columns.samples)
     state.timeline.update_clock(state.history, samples, state.bodies.noise)
 
 
@@ -131,11 +131,11 @@ def count_new_frames(state: State) -> None:
 
 def drop_old_frames(state: State) -> None:
     """Drop frames that neither the window nor the next update needs."""
-    history, fields = state.history, state.step.fields
-    samples = int(fields.samples)
+    history, columns = state.history, state.step.columns
+    samples = int(columns.samples)
     most = max(MIN_HISTORY_FRAMES, MAX_HISTORY_BYTES // history.row_bytes)
     kept = min(max(MIN_HISTORY_FRAMES, MIN_HISTORY_WINDOWS * samples), most)
     drop = len(history) - kept
     if drop > 0:
         history.drop(drop)
-        fields.due = max(0, fields.due - drop)
+        columns.due = max(0, columns.due - drop)

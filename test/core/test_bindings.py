@@ -4,14 +4,14 @@ import re
 import shutil
 import subprocess
 import sys
-from ctypes import sizeof
+from ctypes import addressof, sizeof
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from kinpole_ros.core import bindings
-from kinpole_ros.core.bindings import Frames, Struct, codes_of, fields_of, library
+from kinpole_ros.core.bindings import Frames, HistoryColumns, Struct, codes_of, library
 
 BYTES = 8
 
@@ -25,20 +25,20 @@ def test_structs_have_no_padding(struct: type[Struct]) -> None:
 
 
 def test_a_field_takes_arrays_of_its_type_only() -> None:
-    frames = Frames()
-    frames.bind('angle', np.zeros(3))
-    frames.bind('goes_on', np.zeros(3, bool))
-    with pytest.raises(TypeError, match=r'Frames.angle has elements float64, not float32'):
-        frames.bind('angle', np.zeros(3, np.float32))
-    with pytest.raises(TypeError, match=r'Frames.angle needs an array that is contiguous'):
-        frames.bind('angle', np.zeros((3, 2))[:, 0])
+    columns = HistoryColumns()
+    columns.bind('angle', np.zeros(3))
+    columns.bind('goes_on', np.zeros(3, bool))
+    with pytest.raises(TypeError, match=r'HistoryColumns.angle has elements float64, not float32'):
+        columns.bind('angle', np.zeros(3, np.float32))
+    with pytest.raises(TypeError, match=r'HistoryColumns.angle needs an array that is contiguous'):
+        columns.bind('angle', np.zeros((3, 2))[:, 0])
 
 
 def test_a_field_keeps_its_array() -> None:
-    frames = Frames()
-    frames.bind('angle', np.full(1000, 7.0))
+    columns = HistoryColumns()
+    columns.bind('angle', np.full(1000, 7.0))
     others = [np.zeros(1000) for _ in range(100)]
-    view = np.ctypeslib.as_array((np.ctypeslib.ctypes.c_double * 1000).from_address(frames.angle))
+    view = np.ctypeslib.as_array((np.ctypeslib.ctypes.c_double * 1000).from_address(columns.angle))
     assert (view == 7.0).all()
     assert len(others) == 100
 
@@ -46,10 +46,14 @@ def test_a_field_keeps_its_array() -> None:
 def test_lists_of_headers_are_read() -> None:
     assert codes_of('UNUSUAL_BITS') == {'ODD': 1, 'NAME_DOUBTFUL': 2, 'NEW_MARKER': 4}
     assert codes_of('MESSAGE_DOUBLES')['ODOMETRY_DOUBLES'] == 7 + 36 + 6 + 36
-    lists = 'BODY_ARRAYS', 'TRACKING_STATE', 'NEW_FRAMES'
-    arrays = [name for part in lists for name in fields_of(part)]
-    assert len(set(arrays)) == len(arrays)
-    assert set(arrays) < set(Frames.elements)
+
+
+def test_a_part_of_a_struct_is_in_it() -> None:
+    frames = Frames()
+    frames.history.end = 7
+    part = frames.history
+    assert part.end == 7
+    assert addressof(part) == addressof(frames) + Frames.history.offset
 
 
 def declared() -> dict[str, int]:

@@ -10,116 +10,117 @@
 #include "call.h"
 #include "structs.h"
 
-/* Bodies with up to `width` markers. Rows `first` to `end` of the history are in use. The next result is
-   that of row `due`, counted from `first`. The new frames `frame` to `frames` are still to be taken, at
-   most `until_update` of them before the next update. */
-#define FRAME_COUNTS(VALUE, BLOCK, ARRAY) \
-    VALUE(long long, bodies)              \
-    VALUE(long long, width)               \
-    VALUE(long long, first)               \
-    VALUE(long long, end)                 \
-    VALUE(long long, due)                 \
-    VALUE(long long, frame)               \
-    VALUE(long long, frames)              \
-    VALUE(long long, until_update)        \
-    VALUE(long long, hidden_is_unusual)
-
-/* Length of the window and lag, ns; number of frames in the window, and their mean interval, ns; whether
-   the input are poses. */
-#define FRAME_WINDOW(VALUE, BLOCK, ARRAY) \
-    VALUE(long long, window)              \
-    VALUE(long long, samples)             \
-    VALUE(long long, posed)               \
-    VALUE(double, lag)                    \
-    VALUE(double, interval)
-
-/* Limits for poses off their paths and off their pins: see rejection.py. */
-#define FRAME_LIMITS(VALUE, BLOCK, ARRAY) \
-    VALUE(double, far)                    \
-    VALUE(double, newest_factor)          \
-    VALUE(double, near)                   \
-    VALUE(double, gap)                    \
+/* Length of the window and lag, ns; whether the input are poses; limits for poses off their paths and off
+   their pins: see rejection.py. */
+#define FRAME_LIMITS_FIELDS(VALUE, BLOCK, ARRAY) \
+    VALUE(long long, window)                     \
+    VALUE(long long, posed)                      \
+    VALUE(double, lag)                           \
+    VALUE(double, far)                           \
+    VALUE(double, newest_factor)                 \
+    VALUE(double, near)                          \
+    VALUE(double, gap)                           \
     VALUE(double, n_sigma)
 
-/* Columns of the history. */
-#define HISTORY_COLUMNS(VALUE, BLOCK, ARRAY) \
-    ARRAY(long long, stamp)                  \
-    ARRAY(long long, time)                   \
-    ARRAY(long long, count)                  \
-    ARRAY(unsigned char, goes_on)            \
-    ARRAY(unsigned char, used)               \
-    ARRAY(double, angle)                     \
-    ARRAY(double, turns)                     \
-    ARRAY(double, information)               \
-    ARRAY(double, height)                    \
-    ARRAY(double, heights)                   \
-    ARRAY(double, extra_turn)                \
-    ARRAY(Number, position)                  \
-    ARRAY(Number, residual)                  \
+typedef STRUCT(FRAME_LIMITS_FIELDS) FrameLimits;
+
+/* Columns of the history, of which rows `first` to `end` are in use. The next result is that of row `due`,
+   counted from `first`. The window has `samples` frames, with a mean `interval`, ns. */
+#define HISTORY_COLUMNS_FIELDS(VALUE, BLOCK, ARRAY) \
+    VALUE(long long, first)                         \
+    VALUE(long long, end)                           \
+    VALUE(long long, due)                           \
+    VALUE(long long, samples)                       \
+    VALUE(double, interval)                         \
+    ARRAY(long long, stamp)                         \
+    ARRAY(long long, time)                          \
+    ARRAY(long long, count)                         \
+    ARRAY(unsigned char, goes_on)                   \
+    ARRAY(unsigned char, used)                      \
+    ARRAY(double, angle)                            \
+    ARRAY(double, turns)                            \
+    ARRAY(double, information)                      \
+    ARRAY(double, height)                           \
+    ARRAY(double, heights)                          \
+    ARRAY(double, extra_turn)                       \
+    ARRAY(Number, position)                         \
+    ARRAY(Number, residual)                         \
     ARRAY(Number, markers)
 
-/* What is known of the bodies. */
-#define BODY_ARRAYS(VALUE, BLOCK, ARRAY) \
-    ARRAY(Number, shape)                 \
-    ARRAY(Number, hub)                   \
-    ARRAY(Number, middle)                \
-    ARRAY(Number, pin)                   \
-    ARRAY(Number, pin_arm)               \
-    ARRAY(Number, known_shape)           \
-    ARRAY(double, weights)               \
-    ARRAY(double, largest)               \
-    ARRAY(double, doubtful)              \
-    ARRAY(double, spread)                \
-    ARRAY(double, loosest)               \
-    ARRAY(double, last_angle)            \
-    ARRAY(double, jump_scale)            \
-    ARRAY(double, size)                  \
-    ARRAY(double, error)                 \
-    ARRAY(double, scale)                 \
-    ARRAY(double, noise)                 \
-    ARRAY(double, freedom)               \
-    ARRAY(double, pin_variance)          \
-    ARRAY(double, tilt_turn)             \
-    ARRAY(long long, pin_since)          \
-    ARRAY(unsigned char, reason)         \
+typedef STRUCT(HISTORY_COLUMNS_FIELDS) HistoryColumns;
+
+/* What is known of `count` bodies with up to `width` markers. */
+#define BODY_ARRAYS_FIELDS(VALUE, BLOCK, ARRAY) \
+    VALUE(long long, count)                     \
+    VALUE(long long, width)                     \
+    ARRAY(Number, shape)                        \
+    ARRAY(Number, hub)                          \
+    ARRAY(Number, middle)                       \
+    ARRAY(Number, pin)                          \
+    ARRAY(Number, pin_arm)                      \
+    ARRAY(Number, known_shape)                  \
+    ARRAY(double, weights)                      \
+    ARRAY(double, largest)                      \
+    ARRAY(double, doubtful)                     \
+    ARRAY(double, spread)                       \
+    ARRAY(double, loosest)                      \
+    ARRAY(double, last_angle)                   \
+    ARRAY(double, jump_scale)                   \
+    ARRAY(double, size)                         \
+    ARRAY(double, error)                        \
+    ARRAY(double, scale)                        \
+    ARRAY(double, noise)                        \
+    ARRAY(double, freedom)                      \
+    ARRAY(double, pin_variance)                 \
+    ARRAY(double, tilt_turn)                    \
+    ARRAY(long long, pin_since)                 \
+    ARRAY(unsigned char, reason)                \
     ARRAY(unsigned char, never_repeats)
+
+typedef STRUCT(BODY_ARRAYS_FIELDS) BodyArrays;
 
 /* Of each body, and last of the whole frame: number of gaps of a window or more; begin and length, ns, of
    the latest and of the longest. */
 enum { OUTAGE_TIMES, OUTAGE_LATEST, OUTAGE_LONGEST = 3, OUTAGE_FIELDS = 5 };
 
-/* The state of the bodies that only C writes: see step.py. */
-#define TRACKING_STATE(VALUE, BLOCK, ARRAY) \
-    ARRAY(unsigned char, unusual)           \
-    ARRAY(long long, wrong)                 \
-    ARRAY(long long, held)                  \
-    ARRAY(long long, newest)                \
-    ARRAY(long long, seen_last)             \
-    ARRAY(long long, outages)               \
-    ARRAY(double, total_turn)               \
-    ARRAY(double, sure_angle)               \
+/* What only C writes of the bodies: see step.py. */
+#define BODY_TRACKS_FIELDS(VALUE, BLOCK, ARRAY) \
+    ARRAY(unsigned char, unusual)               \
+    ARRAY(long long, wrong)                     \
+    ARRAY(long long, held)                      \
+    ARRAY(long long, newest)                    \
+    ARRAY(long long, seen_last)                 \
+    ARRAY(long long, outages)                   \
+    ARRAY(double, total_turn)                   \
+    ARRAY(double, sure_angle)                   \
     ARRAY(Number, sure_tilt)
 
-/* The new frames; `tilts` (T, B) of poses, see `MarkerAssignment.tilts`, else NULL. */
-#define NEW_FRAMES(VALUE, BLOCK, ARRAY) \
-    ARRAY(const long long, new_stamp)   \
-    ARRAY(const long long, new_time)    \
-    ARRAY(const long long, new_count)   \
-    ARRAY(const Number, points)         \
-    ARRAY(const double, point_heights)  \
-    ARRAY(const Number, tilts)
+typedef STRUCT(BODY_TRACKS_FIELDS) BodyTracks;
 
-/* `corrected` are the markers (B, n) to fit to in the next frame, whatever is unusual; NULL for those
-   that came. */
-#define FRAMES_FIELDS(VALUE, BLOCK, ARRAY) \
-    FRAME_COUNTS(VALUE, BLOCK, ARRAY)      \
-    FRAME_WINDOW(VALUE, BLOCK, ARRAY)      \
-    FRAME_LIMITS(VALUE, BLOCK, ARRAY)      \
-    HISTORY_COLUMNS(VALUE, BLOCK, ARRAY)   \
-    BODY_ARRAYS(VALUE, BLOCK, ARRAY)       \
-    TRACKING_STATE(VALUE, BLOCK, ARRAY)    \
-    NEW_FRAMES(VALUE, BLOCK, ARRAY)        \
+/* New frames, of which `frame` to `frames` are still to be taken, at most `until_update` of them before the
+   next update; `tilts` (T, B) of poses, see `MarkerAssignment.tilts`, else NULL. `corrected` are the markers
+   (B, n) to fit to in the next frame, whatever is unusual; NULL for those that came. */
+#define NEW_FRAMES_FIELDS(VALUE, BLOCK, ARRAY) \
+    VALUE(long long, frame)                    \
+    VALUE(long long, frames)                   \
+    VALUE(long long, until_update)             \
+    VALUE(long long, hidden_is_unusual)        \
+    ARRAY(const long long, stamp)              \
+    ARRAY(const long long, time)               \
+    ARRAY(const long long, count)              \
+    ARRAY(const Number, points)                \
+    ARRAY(const double, heights)               \
+    ARRAY(const Number, tilts)                 \
     ARRAY(const Number, corrected)
+
+typedef STRUCT(NEW_FRAMES_FIELDS) NewFrames;
+
+#define FRAMES_FIELDS(VALUE, BLOCK, ARRAY) \
+    VALUE(FrameLimits, limits)             \
+    VALUE(HistoryColumns, history)         \
+    VALUE(BodyArrays, bodies)              \
+    VALUE(BodyTracks, tracks)              \
+    VALUE(NewFrames, incoming)
 
 typedef STRUCT(FRAMES_FIELDS) Frames;
 

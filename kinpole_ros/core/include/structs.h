@@ -50,7 +50,7 @@ typedef struct {
     long long count, offset;
 } Field;
 
-/* A struct, or a part of one, of so many fields. */
+/* A struct of so many fields. */
 typedef struct {
     const char *name;
     long long size, count;
@@ -71,7 +71,6 @@ typedef struct {
 
 /* The last one of a list has no name. */
 API const Description *kinpole_structs(void);
-API const Description *kinpole_parts(void);
 API const Codes *kinpole_codes(void);
 
 #endif

@@ -16,10 +16,12 @@ static const double ROUNDING = 4 * 2.220446049250313e-16, TINY = 2.2250738585072
 static int
 fit(const Frames *f, long long b, const Number *points, int goes_on)
 {
-    long long n = f->width, newest = f->end - 1, at = newest * f->bodies + b;
-    const Number *shape = f->shape + b * n;
-    const double *weights = f->weights + b * n;
-    Number *residual = f->residual + at * n, middle = 0.0, mean = 0.0, cross = 0.0;
+    const HistoryColumns *history = &f->history;
+    const BodyArrays *known = &f->bodies;
+    long long n = known->width, newest = history->end - 1, at = newest * known->count + b;
+    const Number *shape = known->shape + b * n;
+    const double *weights = known->weights + b * n;
+    Number *residual = history->residual + at * n, middle = 0.0, mean = 0.0, cross = 0.0;
     double total = 0.0, spread = 0.0, reach = 0.0, own_reach = 0.0;
     int found = 0;
     for (long long k = 0; k < n; k++)
@@ -27,14 +29,14 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
             total += weights[k];
             middle += weights[k] * points[k];
             mean += weights[k] * shape[k];
-            f->used[at * n + k] = 1;
+            history->used[at * n + k] = 1;
         } else {
-            f->used[at * n + k] = 0;
+            history->used[at * n + k] = 0;
             found |= weights[k] > 0.0 || isnan(creal(points[k])) ? 0 : NEW_MARKER;
         }
     middle /= total, mean /= total;
     for (long long k = 0; k < n; k++)
-        if (f->used[at * n + k]) {
+        if (history->used[at * n + k]) {
             Number arm = points[k] - middle, own = shape[k] - mean;
             double square = square_of(own), far = square_of(arm);
             cross += weights[k] * conj(own) * arm;
@@ -47,21 +49,21 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
     Number turn = fits ? cross / length : NAN;
     double angle = fits ? atan2(cimag(turn), creal(turn)) : NAN;
     for (long long k = 0; k < n; k++) {
-        if (!f->used[at * n + k] || !fits) {
-            f->used[at * n + k] = 0, residual[k] = NAN + NAN * I;
+        if (!history->used[at * n + k] || !fits) {
+            history->used[at * n + k] = 0, residual[k] = NAN + NAN * I;
             continue;
         }
         residual[k] = (points[k] - middle) * conj(turn) - (shape[k] - mean);
         found |= verdict_on_marker(f, b, k, square_of(residual[k]));
     }
-    if (goes_on && newest > f->first && cos(angle - f->angle[at - f->bodies]) < 0.0)
+    if (goes_on && newest > history->first && cos(angle - history->angle[at - known->count]) < 0.0)
         found |= ODD;
-    int known = fits && !is_unsteady(f, b, spread);
-    f->angle[at] = known ? angle : NAN;
-    f->position[at] = known ? middle - turn * mean : NAN;
-    double *information = f->information + 2 * newest * f->bodies + b;
-    information[0] = !known ? 0.0 : f->posed ? 1.0 : spread;
-    information[f->bodies] = !known ? 0.0 : f->posed ? 1.0 :
+    int is_known = fits && !is_unsteady(f, b, spread);
+    history->angle[at] = is_known ? angle : NAN;
+    history->position[at] = is_known ? middle - turn * mean : NAN;
+    double *information = history->information + 2 * newest * known->count + b;
+    information[0] = !is_known ? 0.0 : f->limits.posed ? 1.0 : spread;
+    information[known->count] = !is_known ? 0.0 : f->limits.posed ? 1.0 :
         1.0 / (1.0 / total + square_of(mean) / spread);
     return found;
 }
@@ -70,15 +72,17 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
 void
 kinpole_unwrap(const Frames *f)
 {
-    for (long long b = 0; b < f->bodies; b++) {
-        long long at = (f->end - 1) * f->bodies + b;
-        double turns = f->end - 1 > f->first ? f->turns[at - f->bodies] : 0.0;
-        double angle = f->angle[at], last = f->last_angle[b];
+    const HistoryColumns *history = &f->history;
+    const BodyArrays *known = &f->bodies;
+    for (long long b = 0; b < known->count; b++) {
+        long long at = (history->end - 1) * known->count + b;
+        double turns = history->end - 1 > history->first ? history->turns[at - known->count] : 0.0;
+        double angle = history->angle[at], last = known->last_angle[b];
         if (!isnan(angle)) {
             turns -= isnan(last) ? 0.0 : rint((angle - last) / TURN);
-            f->last_angle[b] = angle;
+            known->last_angle[b] = angle;
         }
-        f->turns[at] = turns;
+        history->turns[at] = turns;
     }
 }
 
@@ -87,7 +91,7 @@ int
 kinpole_fit_frame(const Frames *f, const Number *markers, int goes_on)
 {
     int found = 0;
-    for (long long b = 0; b < f->bodies; b++)
-        found |= f->unusual[b] = fit(f, b, markers + b * f->width, goes_on);
+    for (long long b = 0; b < f->bodies.count; b++)
+        found |= f->tracks.unusual[b] = fit(f, b, markers + b * f->bodies.width, goes_on);
     return found;
 }

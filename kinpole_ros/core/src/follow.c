@@ -34,23 +34,26 @@ unit_at(double angle)
 static long long
 number_before(const Frames *f, long long at)
 {
-    long long low = f->first, high = f->end;
+    const HistoryColumns *history = &f->history;
+    long long low = history->first, high = history->end;
     while (low < high) {
         long long middle = (low + high) / 2;
-        if (f->time[middle] < at)
+        if (history->time[middle] < at)
             low = middle + 1;
         else
             high = middle;
     }
-    return low - f->first;
+    return low - history->first;
 }
 
 /* Whether the next frame follows the newest without a gap. */
 static int
 next_goes_on(const Frames *f)
 {
-    return f->end == f->first || f->interval == 0 ||
-        f->new_time[f->frame] - f->time[f->end - 1] <= f->gap * f->interval;
+    const HistoryColumns *history = &f->history;
+    return history->end == history->first || history->interval == 0 ||
+        f->incoming.time[f->incoming.frame] - history->time[history->end - 1] <=
+            f->limits.gap * history->interval;
 }
 
 /* Fits `markers` (B, n) of the next frame into the row after the newest; what is unusual. */
@@ -58,9 +61,9 @@ int
 kinpole_try_frame(Frames *f, const Number *markers)
 {
     int goes_on = next_goes_on(f);
-    f->end++;
+    f->history.end++;
     int found = kinpole_fit_frame(f, markers, goes_on);
-    f->end--;
+    f->history.end--;
     return found;
 }
 
@@ -89,13 +92,16 @@ extra_turn(Number before, Number after, double heading)
 static void
 follow_tilts(const Frames *f, const Number *tilts)
 {
-    for (long long b = 0; b < f->bodies; b++) {
-        long long at = (f->end - 1) * f->bodies + b;
-        double angle = f->angle[at];
-        double turned = extra_turn(f->sure_tilt[b], tilts[b], angle - f->sure_angle[b]);
-        f->extra_turn[at] = f->total_turn[b] + turned;
-        if (!isnan(angle) && f->newest[b] == 0)
-            f->total_turn[b] = f->extra_turn[at], f->sure_angle[b] = angle, f->sure_tilt[b] = tilts[b];
+    const HistoryColumns *history = &f->history;
+    const BodyTracks *tracks = &f->tracks;
+    for (long long b = 0; b < f->bodies.count; b++) {
+        long long at = (history->end - 1) * f->bodies.count + b;
+        double angle = history->angle[at];
+        double turned = extra_turn(tracks->sure_tilt[b], tilts[b], angle - tracks->sure_angle[b]);
+        history->extra_turn[at] = tracks->total_turn[b] + turned;
+        if (!isnan(angle) && tracks->newest[b] == 0)
+            tracks->total_turn[b] = history->extra_turn[at], tracks->sure_angle[b] = angle,
+            tracks->sure_tilt[b] = tilts[b];
     }
 }
 
@@ -103,9 +109,11 @@ follow_tilts(const Frames *f, const Number *tilts)
 static void
 note_seen(const Frames *f, long long b, long long stamp)
 {
-    long long since = f->seen_last[b], lasted = stamp - since, *outage = f->outages + OUTAGE_FIELDS * b;
-    f->seen_last[b] = stamp;
-    if (since < 0 || lasted < f->window)
+    const BodyTracks *tracks = &f->tracks;
+    long long since = tracks->seen_last[b], lasted = stamp - since;
+    long long *outage = tracks->outages + OUTAGE_FIELDS * b;
+    tracks->seen_last[b] = stamp;
+    if (since < 0 || lasted < f->limits.window)
         return;
     outage[OUTAGE_LATEST] = since, outage[OUTAGE_LATEST + 1] = lasted;
     if (!outage[OUTAGE_TIMES]++ || lasted > outage[OUTAGE_LONGEST + 1])
@@ -116,43 +124,48 @@ note_seen(const Frames *f, long long b, long long stamp)
 static int
 take_frame(Frames *f)
 {
-    long long all = f->bodies * f->width, row = f->end, k = f->frame;
-    const Number *points = f->points + k * all, *fitted = f->corrected ? f->corrected : points;
-    const double *heights = f->point_heights + k * all;
-    if (f->hidden_is_unusual && !f->corrected)
+    HistoryColumns *history = &f->history;
+    const BodyArrays *known = &f->bodies;
+    NewFrames *incoming = &f->incoming;
+    long long all = known->count * known->width, row = history->end, k = incoming->frame;
+    const Number *points = incoming->points + k * all;
+    const Number *fitted = incoming->corrected ? incoming->corrected : points;
+    const double *heights = incoming->heights + k * all;
+    if (incoming->hidden_is_unusual && !incoming->corrected)
         for (long long i = 0; i < all; i++)
             if (isnan(creal(points[i])))
                 return UNUSUAL;
     int goes_on = next_goes_on(f);
-    f->end++;
-    if (kinpole_fit_frame(f, fitted, goes_on && !f->corrected) && !f->corrected) {
-        f->end--;
+    history->end++;
+    if (kinpole_fit_frame(f, fitted, goes_on && !incoming->corrected) && !incoming->corrected) {
+        history->end--;
         return UNUSUAL;
     }
-    f->corrected = NULL;
-    f->stamp[row] = f->new_stamp[k], f->time[row] = f->new_time[k], f->count[row] = f->new_count[k];
-    f->goes_on[row] = goes_on;
-    memcpy(f->markers + row * all, points, all * sizeof *points);
-    memcpy(f->heights + row * all, heights, all * sizeof *heights);
-    for (long long b = 0; b < f->bodies; b++) {
+    incoming->corrected = NULL;
+    history->stamp[row] = incoming->stamp[k], history->time[row] = incoming->time[k];
+    history->count[row] = incoming->count[k];
+    history->goes_on[row] = goes_on;
+    memcpy(history->markers + row * all, points, all * sizeof *points);
+    memcpy(history->heights + row * all, heights, all * sizeof *heights);
+    for (long long b = 0; b < known->count; b++) {
         double sum = 0.0;
         long long seen = 0;
-        for (long long i = b * f->width; i < (b + 1) * f->width; i++)
+        for (long long i = b * known->width; i < (b + 1) * known->width; i++)
             if (!isnan(creal(fitted[i])))
                 sum += heights[i], seen++;
-        f->height[row * f->bodies + b] = seen ? sum / seen : NAN;
-        f->extra_turn[row * f->bodies + b] = 0.0;
+        history->height[row * known->count + b] = seen ? sum / seen : NAN;
+        history->extra_turn[row * known->count + b] = 0.0;
     }
     kinpole_unwrap(f);
     kinpole_follow_paths(f);
-    if (f->tilts)
-        follow_tilts(f, f->tilts + k * f->bodies);
-    for (long long b = 0; b < f->bodies; b++)
-        if (!isnan(f->angle[row * f->bodies + b]))
-            note_seen(f, b, f->stamp[row]);
+    if (incoming->tilts)
+        follow_tilts(f, incoming->tilts + k * known->count);
+    for (long long b = 0; b < known->count; b++)
+        if (!isnan(history->angle[row * known->count + b]))
+            note_seen(f, b, history->stamp[row]);
         else
-            f->held[b] += kinpole_is_held(f, b, points + b * f->width);
-    f->frame++, f->until_update--;
+            f->tracks.held[b] += kinpole_is_held(f, b, points + b * known->width);
+    incoming->frame++, incoming->until_update--;
     return DONE;
 }
 
@@ -160,18 +173,21 @@ take_frame(Frames *f)
 static int
 fill_window(const Frames *f, long long oldest, Poses *poses)
 {
+    const HistoryColumns *history = &f->history;
+    const BodyArrays *known = &f->bodies;
     int tilts = 0;
-    for (long long i = oldest * f->bodies; f->posed && i < f->end * f->bodies; i++)
-        tilts |= f->extra_turn[i] != 0.0;
-    for (long long row = oldest; row < f->end; row++)
-        for (long long b = 0; b < f->bodies; b++) {
-            long long at = row * f->bodies + b, to = at - oldest * f->bodies;
-            const double *information = f->information + 2 * row * f->bodies + b;
-            double turned = information[0] * f->scale[b];
-            double placed = information[f->bodies] * f->scale[f->bodies + b], growth = 0.0;
-            Number hub = poses->hub[b], position = f->position[at];
-            poses->heading[to] = f->angle[at];
-            poses->angle[to] = f->angle[at] + (tilts ? f->extra_turn[at] - f->tilt_turn[b] : 0.0);
+    for (long long i = oldest * known->count; f->limits.posed && i < history->end * known->count; i++)
+        tilts |= history->extra_turn[i] != 0.0;
+    for (long long row = oldest; row < history->end; row++)
+        for (long long b = 0; b < known->count; b++) {
+            long long at = row * known->count + b, to = at - oldest * known->count;
+            const double *information = history->information + 2 * row * known->count + b;
+            double turned = information[0] * known->scale[b];
+            double placed = information[known->count] * known->scale[known->count + b], growth = 0.0;
+            Number hub = poses->hub[b], position = history->position[at];
+            poses->heading[to] = history->angle[at];
+            poses->angle[to] =
+                history->angle[at] + (tilts ? history->extra_turn[at] - known->tilt_turn[b] : 0.0);
             if (hub != 0.0) {
                 position += hub * unit_at(poses->angle[to]);
                 /* The variance at the hub is that at the middle of the markers, plus that of the angle
@@ -179,8 +195,8 @@ fill_window(const Frames *f, long long oldest, Poses *poses)
                    the first may come out negative. */
                 if (placed > 0.0) {
                     double ratio = placed / turned;
-                    growth = 1.0 - square_of(f->middle[b]) * ratio;
-                    growth = (growth > 0.0 ? growth : 0.0) + square_of(hub - f->middle[b]) * ratio;
+                    growth = 1.0 - square_of(known->middle[b]) * ratio;
+                    growth = (growth > 0.0 ? growth : 0.0) + square_of(hub - known->middle[b]) * ratio;
                 }
             }
             poses->position[to] = position;
@@ -194,12 +210,13 @@ fill_window(const Frames *f, long long oldest, Poses *poses)
 static Number
 middle_of_used(const Frames *f, long long row, long long b)
 {
+    const BodyArrays *known = &f->bodies;
     Number sum = 0.0;
     double total = 0.0;
-    for (long long k = 0; k < f->width; k++)
-        if (f->used[(row * f->bodies + b) * f->width + k]) {
-            double weight = f->weights[b * f->width + k];
-            sum += weight * f->shape[b * f->width + k], total += weight;
+    for (long long k = 0; k < known->width; k++)
+        if (f->history.used[(row * known->count + b) * known->width + k]) {
+            double weight = known->weights[b * known->width + k];
+            sum += weight * known->shape[b * known->width + k], total += weight;
         }
     return total > 0.0 ? sum / total : NAN;
 }
@@ -208,7 +225,7 @@ middle_of_used(const Frames *f, long long row, long long b)
 static void
 copy_derivatives(const Frames *f, const Call *call, Results *r)
 {
-    long long orders = call->orders, bodies = f->bodies, t = r->count;
+    long long orders = call->orders, bodies = f->bodies.count, t = r->count;
     const double *from = call->results;
     double *to = r->derivatives;
     const unsigned char *reason = r->reason + t * bodies;
@@ -248,23 +265,25 @@ derive_headings(Call *call, Poses *poses)
 static int
 compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long oldest, long long now)
 {
-    long long bodies = f->bodies, newest = f->end - 1, t = r->count, deforms = 0;
+    const HistoryColumns *history = &f->history;
+    const BodyArrays *known = &f->bodies;
+    long long bodies = known->count, newest = history->end - 1, t = r->count, deforms = 0;
     for (long long b = 0; b < bodies; b++) {
         long long to = t * bodies + b;
         int pinned = kinpole_holds_on_pin(f, oldest, b);
-        r->pin[to] = pinned ? f->pin[b] : NAN + I * NAN;
-        r->pin_variance[to] = pinned ? f->pin_variance[b] : NAN;
-        poses->hub[b] = pinned ? 0.0 : f->hub[b];
+        r->pin[to] = pinned ? known->pin[b] : NAN + I * NAN;
+        r->pin_variance[to] = pinned ? known->pin_variance[b] : NAN;
+        poses->hub[b] = pinned ? 0.0 : known->hub[b];
     }
     int tilts = fill_window(f, oldest, poses);
-    call->frames = f->end - oldest, call->bodies = bodies;
+    call->frames = history->end - oldest, call->bodies = bodies;
     poses->frames[0] = now - oldest, poses->frames[1] = 0, poses->frames[2] = newest - oldest;
-    call->time = f->time + oldest, call->turns = f->turns + oldest * bodies;
-    call->windows = poses->frames, call->left_out = f->newest;
+    call->time = history->time + oldest, call->turns = history->turns + oldest * bodies;
+    call->windows = poses->frames, call->left_out = f->tracks.newest;
     call->angle = poses->angle, call->position = (const double *)poses->position;
     call->angle_information = poses->turn_information;
     call->position_information = poses->place_information;
-    call->noise = f->noise, call->results = poses->derivatives, call->next = 0;
+    call->noise = known->noise, call->results = poses->derivatives, call->next = 0;
     int code = kinpole_derive(call);
     if (code)
         return code;
@@ -272,29 +291,29 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
         return code;
     for (long long b = 0; b < bodies; b++) {
         long long at = now * bodies + b, to = t * bodies + b, orders = call->orders;
-        const double *information = f->information + 2 * now * bodies + b;
+        const double *information = history->information + 2 * now * bodies + b;
         int missing = kinpole_reason(f, now, b), seen = missing < NOT_SEEN;
         const double *rate = poses->derivatives + (2 * orders + 1) * bodies + b;
         const double *velocity = poses->derivatives + 2 * (bodies + b);
         int found = isfinite(*rate) && isfinite(velocity[0]) && isfinite(velocity[1]);
         r->reason[to] = missing ? missing : found ? KNOWN : NOT_FULL;
-        r->size[to] = f->size[b], r->height[to] = f->height[at];
+        r->size[to] = known->size[b], r->height[to] = history->height[at];
         r->reference[to] = poses->hub[b];
-        r->frame_angle[to] = f->angle[at] + TURN * f->turns[at];
-        r->frame_position[to] = f->position[at];
-        r->noise[to] = f->noise[b];
-        r->middle[to] = f->posed ? f->middle[b] : middle_of_used(f, now, b);
+        r->frame_angle[to] = history->angle[at] + TURN * history->turns[at];
+        r->frame_position[to] = history->position[at];
+        r->noise[to] = known->noise[b];
+        r->middle[to] = f->limits.posed ? known->middle[b] : middle_of_used(f, now, b);
         for (int c = 0; c < 2; c++)
             r->information[(2 * t + c) * bodies + b] =
-                seen ? information[c * bodies] * f->scale[c * bodies + b] : 0.0;
-        deforms |= r->reason[to] == KNOWN && f->freedom[b] > 0.0;
+                seen ? information[c * bodies] * known->scale[c * bodies + b] : 0.0;
+        deforms |= r->reason[to] == KNOWN && known->freedom[b] > 0.0;
     }
     copy_derivatives(f, call, r);
-    memcpy(r->shape + t * bodies * f->width, f->known_shape,
-           bodies * f->width * sizeof *r->shape);
-    r->stamp[t] = f->stamp[now], r->due[t] = f->frame - 1;
-    r->rows[3 * t] = now - f->first, r->rows[3 * t + 1] = oldest - f->first;
-    r->rows[3 * t + 2] = newest - f->first;
+    memcpy(r->shape + t * bodies * known->width, known->known_shape,
+           bodies * known->width * sizeof *r->shape);
+    r->stamp[t] = history->stamp[now], r->due[t] = f->incoming.frame - 1;
+    r->rows[3 * t] = now - history->first, r->rows[3 * t + 1] = oldest - history->first;
+    r->rows[3 * t + 2] = newest - history->first;
     r->count++, r->deformed += deforms;
     return DONE;
 }
@@ -303,44 +322,49 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
 static int
 compute_due(Frames *f, Call *call, Results *r)
 {
-    if (f->end == f->first)
+    HistoryColumns *history = &f->history;
+    const BodyArrays *known = &f->bodies;
+    if (history->end == history->first)
         return DONE;
-    long long newest = f->end - 1, oldest;
-    oldest = f->first + number_before(f, f->time[newest] - f->window);
-    f->samples = newest - oldest + 1;
-    f->interval = (double)(f->time[newest] - f->time[oldest]) / (f->samples > 1 ? f->samples - 1 : 1);
-    long long latest = f->time[newest] - (long long)rint(f->lag - EARLY * f->interval);
+    long long newest = history->end - 1, oldest;
+    oldest = history->first + number_before(f, history->time[newest] - f->limits.window);
+    history->samples = newest - oldest + 1;
+    history->interval = (double)(history->time[newest] - history->time[oldest]) /
+        (history->samples > 1 ? history->samples - 1 : 1);
+    long long latest =
+        history->time[newest] - (long long)rint(f->limits.lag - EARLY * history->interval);
     long long end = number_before(f, latest + 1);
     int code = DONE;
-    if (f->due < end && r->instants && newest - oldest >= r->fewest - 1) {
-        if (f->first + f->due < oldest)
-            f->due = oldest - f->first;
+    if (history->due < end && r->instants && newest - oldest >= r->fewest - 1) {
+        if (history->first + history->due < oldest)
+            history->due = oldest - history->first;
         /* Twice the space for derivatives: bodies that tilt have two angles. */
-        long long all = (f->end - oldest) * f->bodies;
-        long long derivatives = 2 * (3 * call->orders + 2 * call->orders * call->orders + 2) * f->bodies;
+        long long all = (history->end - oldest) * known->count;
+        long long derivatives =
+            2 * (3 * call->orders + 2 * call->orders * call->orders + 2) * known->count;
         Poses poses;
         double *data = kinpole_buffer(
-            call, OF_POSES, (6 * all + derivatives + 2 * f->bodies) * sizeof *data);
+            call, OF_POSES, (6 * all + derivatives + 2 * known->count) * sizeof *data);
         if (!data)
             return NO_MEMORY;
         poses.position = (Number *)data, poses.hub = (Number *)(data + 2 * all);
-        poses.angle = data + 2 * all + 2 * f->bodies, poses.heading = poses.angle + all;
+        poses.angle = data + 2 * all + 2 * known->count, poses.heading = poses.angle + all;
         poses.turn_information = poses.heading + all;
         poses.place_information = poses.turn_information + all;
         poses.derivatives = poses.place_information + all;
-        for (; !code && f->due < end; ) {
+        for (; !code && history->due < end; ) {
             if (r->count == r->instants) {
                 code = FULL;
                 break;
             }
-            code = compute_result(f, call, r, &poses, oldest, f->first + f->due);
+            code = compute_result(f, call, r, &poses, oldest, history->first + history->due);
             if (code == DONE)
-                f->due++;
+                history->due++;
         }
         if (code)
             return code;
     }
-    f->due = end > f->due ? end : f->due;
+    history->due = end > history->due ? end : history->due;
     return DONE;
 }
 
@@ -349,9 +373,10 @@ compute_due(Frames *f, Call *call, Results *r)
 int
 kinpole_follow(Frames *f, Call *call, Results *r)
 {
+    const NewFrames *incoming = &f->incoming;
     for (;;) {
         int code = compute_due(f, call, r);
-        if (code || f->frame == f->frames || f->until_update <= 0)
+        if (code || incoming->frame == incoming->frames || incoming->until_update <= 0)
             return code;
         code = take_frame(f);
         if (code)

@@ -44,22 +44,23 @@ typedef struct {
 static int
 path_of(const Frames *f, long long b, Path *path)
 {
-    long long newest = f->end - 1, begin = newest - LOOK_BACK + 1;
-    begin = begin < f->first ? f->first : begin;
+    const HistoryColumns *history = &f->history;
+    long long newest = history->end - 1, begin = newest - LOOK_BACK + 1;
+    begin = begin < history->first ? history->first : begin;
     long long rows[LOOK_BACK];
     int count = 0;
     for (long long row = newest; row >= begin && count < LONGEST + NODES; row--)
-        if (f->information[2 * row * f->bodies + b] > 0.0)
+        if (history->information[2 * row * f->bodies.count + b] > 0.0)
             rows[count++] = row;
     path->count = count;
     if (count < 5 || rows[0] != newest)
         return 0;
     for (int k = 0; k < count; k++) {
-        long long row = rows[count - 1 - k], at = row * f->bodies + b;
+        long long row = rows[count - 1 - k], at = row * f->bodies.count + b;
         path->row[k] = row;
-        path->time[k] = (f->time[row] - f->time[newest]) * 1e-9;
-        path->value[0][k] = f->angle[at] + TURN * f->turns[at];
-        path->value[1][k] = f->position[at];
+        path->time[k] = (history->time[row] - history->time[newest]) * 1e-9;
+        path->value[0][k] = history->angle[at] + TURN * history->turns[at];
+        path->value[1][k] = history->position[at];
     }
     return 1;
 }
@@ -145,25 +146,27 @@ doubtful_newest(const Path *p, const double *most)
 void
 kinpole_follow_paths(const Frames *f)
 {
-    long long *wrong = f->wrong, *newest = f->newest;
-    for (long long b = 0; b < f->bodies; b++) {
-        double least[2] = {f->near, f->near * f->size[b]}, most[2], more[2];
+    const BodyArrays *known = &f->bodies;
+    const FrameLimits *limits = &f->limits;
+    long long *wrong = f->tracks.wrong, *newest = f->tracks.newest;
+    for (long long b = 0; b < known->count; b++) {
+        double least[2] = {limits->near, limits->near * known->size[b]}, most[2], more[2];
         Path path;
         newest[b] = 0;
-        if (!(isfinite(f->jump_scale[b]) && isfinite(f->jump_scale[f->bodies + b])) ||
+        if (!(isfinite(known->jump_scale[b]) && isfinite(known->jump_scale[known->count + b])) ||
             !path_of(f, b, &path))
             continue;
         for (int s = 0; s < 2; s++) {
-            most[s] = f->far * f->jump_scale[s * f->bodies + b];
-            more[s] = f->newest_factor * most[s] > least[s] ? f->newest_factor * most[s] : least[s];
+            most[s] = limits->far * known->jump_scale[s * known->count + b];
+            more[s] = larger(limits->newest_factor * most[s], least[s]);
         }
         double turns;
         int length = wrong_before_last(&path, most, least, &turns);
         for (int k = path.count - 2; k < path.count; k++)
-            f->turns[path.row[k] * f->bodies + b] -= turns;
+            f->history.turns[path.row[k] * known->count + b] -= turns;
         for (int k = path.count - 2 - length; k < path.count - 2; k++) {
-            double *information = f->information + 2 * path.row[k] * f->bodies + b;
-            information[0] = information[f->bodies] = 0.0;
+            double *information = f->history.information + 2 * path.row[k] * known->count + b;
+            information[0] = information[known->count] = 0.0;
         }
         wrong[b] += length;
         if (length && !path_of(f, b, &path))
@@ -177,11 +180,12 @@ kinpole_follow_paths(const Frames *f)
 int
 kinpole_is_held(const Frames *f, long long b, const Number *points)
 {
-    long long newest = f->end - 1, seen = 0;
-    if (!f->never_repeats[b] || newest <= f->first)
+    const HistoryColumns *history = &f->history;
+    long long newest = history->end - 1, width = f->bodies.width, seen = 0;
+    if (!f->bodies.never_repeats[b] || newest <= history->first)
         return 0;
-    const Number *before = f->markers + ((newest - 1) * f->bodies + b) * f->width;
-    for (long long k = 0; k < f->width; k++) {
+    const Number *before = history->markers + ((newest - 1) * f->bodies.count + b) * width;
+    for (long long k = 0; k < width; k++) {
         if (isnan(creal(points[k])))
             continue;
         if (points[k] != before[k])
@@ -195,19 +199,22 @@ kinpole_is_held(const Frames *f, long long b, const Number *points)
 int
 kinpole_holds_on_pin(const Frames *f, long long oldest, long long b)
 {
-    if (!(isfinite(creal(f->pin[b])) && f->pin_since[b] <= f->time[oldest]))
+    const HistoryColumns *history = &f->history;
+    const BodyArrays *known = &f->bodies;
+    if (!(isfinite(creal(known->pin[b])) && known->pin_since[b] <= history->time[oldest]))
         return 0;
     int off = 0;
-    for (long long row = oldest; row < f->end; row++) {
-        const double *information = f->information + 2 * row * f->bodies + b;
-        if (!(information[0] > 0.0 && information[f->bodies] > 0.0))
+    for (long long row = oldest; row < history->end; row++) {
+        const double *information = history->information + 2 * row * known->count + b;
+        if (!(information[0] > 0.0 && information[known->count] > 0.0))
             continue;
-        long long at = row * f->bodies + b;
-        double turned = f->error[b] / (information[0] * f->scale[b]);
-        double placed = f->error[b] / (information[f->bodies] * f->scale[f->bodies + b]);
-        double square =
-            square_of(f->position[at] + (cos(f->angle[at]) + I * sin(f->angle[at])) * f->pin_arm[b] - f->pin[b]);
-        off += square > f->n_sigma * f->n_sigma * (placed + square_of(f->pin_arm[b]) * turned);
+        long long at = row * known->count + b;
+        double turned = known->error[b] / (information[0] * known->scale[b]);
+        double placed = known->error[b] / (information[known->count] * known->scale[known->count + b]);
+        Number turn = cos(history->angle[at]) + I * sin(history->angle[at]);
+        double square = square_of(history->position[at] + turn * known->pin_arm[b] - known->pin[b]);
+        double variance = placed + square_of(known->pin_arm[b]) * turned;
+        off += square > f->limits.n_sigma * f->limits.n_sigma * variance;
     }
     return off <= MAX_OFF_PIN;
 }
@@ -215,7 +222,10 @@ kinpole_holds_on_pin(const Frames *f, long long oldest, long long b)
 int
 kinpole_reason(const Frames *f, long long now, long long b)
 {
-    const double *information = f->information + 2 * now * f->bodies + b;
-    int seen = information[0] > 0.0 && information[f->bodies] > 0.0 && now < f->end - f->newest[b];
-    return seen ? f->reason[b] : isnan(f->angle[now * f->bodies + b]) ? NOT_SEEN : OFF_PATH;
+    const HistoryColumns *history = &f->history;
+    const BodyArrays *known = &f->bodies;
+    const double *information = history->information + 2 * now * known->count + b;
+    int seen = information[0] > 0.0 && information[known->count] > 0.0 &&
+        now < history->end - f->tracks.newest[b];
+    return seen ? known->reason[b] : isnan(history->angle[now * known->count + b]) ? NOT_SEEN : OFF_PATH;
 }

@@ -14,8 +14,8 @@
 static inline int
 verdict_on_marker(const Frames *f, long long b, long long k, double square)
 {
-    long long at = b * f->width + k;
-    return (square > f->largest[at] ? ODD : 0) | (square > f->doubtful[at] ? NAME_DOUBTFUL : 0);
+    long long at = b * f->bodies.width + k;
+    return (square > f->bodies.largest[at] ? ODD : 0) | (square > f->bodies.doubtful[at] ? NAME_DOUBTFUL : 0);
 }
 
 /* Whether a pose is fitted to markers too close together for their noise, of this spread, while others
@@ -23,7 +23,7 @@ verdict_on_marker(const Frames *f, long long b, long long k, double square)
 static inline int
 is_unsteady(const Frames *f, long long b, double spread)
 {
-    return f->spread[b] > f->loosest[b] && spread < f->loosest[b];
+    return f->bodies.spread[b] > f->bodies.loosest[b] && spread < f->bodies.loosest[b];
 }
 
 /* Leaves out the poses that the newest row shows to be off their paths; see `wrong` and `newest`. */

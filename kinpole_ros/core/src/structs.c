@@ -25,11 +25,23 @@ static const Field table_fields[] = DESCRIBE(TABLE_FIELDS);
 #define OWNER Call
 static const Field call_fields[] = DESCRIBE(CALL_FIELDS);
 #undef OWNER
+#define OWNER FrameLimits
+static const Field frame_limits_fields[] = DESCRIBE(FRAME_LIMITS_FIELDS);
+#undef OWNER
+#define OWNER HistoryColumns
+static const Field history_columns_fields[] = DESCRIBE(HISTORY_COLUMNS_FIELDS);
+#undef OWNER
+#define OWNER BodyArrays
+static const Field body_arrays_fields[] = DESCRIBE(BODY_ARRAYS_FIELDS);
+#undef OWNER
+#define OWNER BodyTracks
+static const Field body_tracks_fields[] = DESCRIBE(BODY_TRACKS_FIELDS);
+#undef OWNER
+#define OWNER NewFrames
+static const Field new_frames_fields[] = DESCRIBE(NEW_FRAMES_FIELDS);
+#undef OWNER
 #define OWNER Frames
 static const Field frames_fields[] = DESCRIBE(FRAMES_FIELDS);
-static const Field body_arrays[] = DESCRIBE(BODY_ARRAYS);
-static const Field tracking_state[] = DESCRIBE(TRACKING_STATE);
-static const Field new_frames[] = DESCRIBE(NEW_FRAMES);
 #undef OWNER
 #define OWNER Results
 static const Field results_fields[] = DESCRIBE(RESULTS_FIELDS);
@@ -54,7 +66,6 @@ static const Field joints_fields[] = DESCRIBE(JOINTS_FIELDS);
 #undef OWNER
 
 #define DESCRIPTION(name, fields) {#name, sizeof(name), sizeof fields / sizeof *fields, fields}
-#define PART(list, owner, fields) {#list, sizeof(owner), sizeof fields / sizeof *fields, fields}
 
 #define DESCRIBE_CODE(name, value) {#name, value},
 static const Code sizes[] = {SIZES(DESCRIBE_CODE)};
@@ -77,6 +88,11 @@ kinpole_structs(void)
     static const Description all[] = {
         DESCRIPTION(Table, table_fields),
         DESCRIPTION(Call, call_fields),
+        DESCRIPTION(FrameLimits, frame_limits_fields),
+        DESCRIPTION(HistoryColumns, history_columns_fields),
+        DESCRIPTION(BodyArrays, body_arrays_fields),
+        DESCRIPTION(BodyTracks, body_tracks_fields),
+        DESCRIPTION(NewFrames, new_frames_fields),
         DESCRIPTION(Frames, frames_fields),
         DESCRIPTION(Results, results_fields),
         DESCRIPTION(Motion, motion_fields),
@@ -85,19 +101,6 @@ kinpole_structs(void)
         DESCRIPTION(Row, row_fields),
         DESCRIPTION(Plane, plane_fields),
         DESCRIPTION(Joints, joints_fields),
-        {NULL, 0, 0, NULL},
-    };
-    return all;
-}
-
-/* Return the lists of fields of `Frames` that have one owner in Python. */
-const Description *
-kinpole_parts(void)
-{
-    static const Description all[] = {
-        PART(BODY_ARRAYS, Frames, body_arrays),
-        PART(TRACKING_STATE, Frames, tracking_state),
-        PART(NEW_FRAMES, Frames, new_frames),
         {NULL, 0, 0, NULL},
     };
     return all;
