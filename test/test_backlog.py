@@ -17,7 +17,7 @@ from rclpy.serialization import serialize_message
 from test_faults import LAG, STEP, Rig, message, rod
 from test_node import LIMIT, complaints, process
 
-from kinpole_ros.messages import MARKER_TYPES
+from kinpole_ros.messages import MARKER_TYPES, MessageError
 from kinpole_ros.ros import source as source_module
 from kinpole_ros.ros.node import KinpoleNode
 from kinpole_ros.settings import Settings
@@ -141,6 +141,32 @@ def test_the_bytes_that_wait_are_bounded_and_the_depth_can_be_overridden(
         for _ in range(2):
             node.source.update()
             assert depth() == given if given else 50 <= depth() <= 100
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def test_what_has_waited_for_seconds_is_dropped_in_one_gap_and_counted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Many gaps would make many kinds of windows, and the node slower still."""
+    now = 10**18
+    clock = SimpleNamespace(monotonic=time.monotonic, time_ns=lambda: now)
+    monkeypatch.setattr(source_module, 'time', clock)
+    rclpy.init(args=['kinpole', '--ros-args', '-p', 'marker_type:=marker_array'])
+    node = KinpoleNode()
+    # All but one wait for less than 5 s; after it, those are left out that are late at all.
+    ages = (4.0, 6.0, 4.0, 1.0, 0.01, 1.0)
+    waiting = [
+        (serialize_message(message(k, rod(k))), {'received_timestamp': now - round(age * 1e9)})
+        for k, age in enumerate(ages)
+    ]
+    monkeypatch.setattr(source_module, 'take', lambda *_: iter(waiting[1:]))
+    try:
+        results, lost = node.source.take(*waiting[0])
+        frames = [result for result in results if not isinstance(result, MessageError)]
+        assert [int(stamp) for part in frames for stamp in part.stamps] == [0, 4, 5]
+        assert lost == 3
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
