@@ -2,7 +2,7 @@
 The plain table, which anyone can write: a line of names, then a line for each frame.
 
 Columns are NAME_x and NAME_y for each marker, maybe NAME_z (else z is 0), and t, in s, or another
-column named as one of times. One marker may have columns x and y alone. Other columns are ignored.
+column named as one of times. One marker may have columns x and y alone. Others are named in a line.
 A cell that is empty or 'nan' means that its marker was not seen in that frame. The unit is m, if no
 column says another.
 
