@@ -10,7 +10,7 @@ from kinpole_ros.tracking.tracker import Tracker
 
 BODIES = {'kite': list('abcd'), 'other': list('efgh')}
 NAMES = tuple('abcdefgh')
-EXTREMES = np.nan, 0.0, 1e-308, 1e9, -1e14
+EXTREMES = np.nan, 0.0, 1e-308, 1e9, -1e14, np.inf, -np.inf, 1e160, -1e300
 
 
 def hostile_frames(rng: np.random.Generator, count: int) -> MarkerFrames:
