@@ -146,10 +146,11 @@ def test_the_bytes_that_wait_are_bounded_and_the_depth_can_be_overridden(
         rclpy.try_shutdown()
 
 
-def test_what_has_waited_for_seconds_is_dropped_in_one_gap_and_counted(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize('is_behind', [True, False])
+def test_what_has_waited_for_seconds_is_dropped_in_one_gap_if_the_node_is_behind(
+    monkeypatch: pytest.MonkeyPatch, is_behind: bool
 ) -> None:
-    """Many gaps would make many kinds of windows, and the node slower still."""
+    """Many gaps would make many kinds of windows. After a stall of any length nothing is lost."""
     now = 10**18
     clock = SimpleNamespace(monotonic=time.monotonic, time_ns=lambda: now)
     monkeypatch.setattr(source_module, 'time', clock)
@@ -162,11 +163,13 @@ def test_what_has_waited_for_seconds_is_dropped_in_one_gap_and_counted(
         for k, age in enumerate(ages)
     ]
     monkeypatch.setattr(source_module, 'take', lambda *_: iter(waiting[1:]))
+    node.source._behind_since = time.monotonic() - 1.0 if is_behind else None
     try:
         results, lost = node.source.take(*waiting[0])
         frames = [result for result in results if not isinstance(result, MessageError)]
-        assert [int(stamp) for part in frames for stamp in part.stamps] == [0, 4, 5]
-        assert lost == 3
+        stamps = [int(stamp) for part in frames for stamp in part.stamps]
+        assert stamps == ([0, 4, 5] if is_behind else [0, 1, 2, 3, 4, 5])
+        assert lost == (3 if is_behind else 0)
     finally:
         node.destroy_node()
         rclpy.try_shutdown()

@@ -1,5 +1,6 @@
 """The topic of the markers: found in the graph, subscribed to, read, and watched for faults."""
 
+import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import chain
@@ -40,8 +41,8 @@ MAX_WAITING_BYTES = 1 << 27
 _BATCH = 64
 _UPDATE_INTERVAL = 1.0  # s between looks for publishers, once one is followed
 # s. A node is behind if messages have waited for more than _LATE for _PATIENCE. If one has waited
-# for _TOO_LATE all that are late are dropped: one gap costs less than many, of which each makes
-# another kind of window.
+# for _TOO_LATE then, all that are late are dropped: one gap costs less than many, of which each
+# makes another kind of window. After a stall of any length the node is not behind: it catches up.
 _LATE, _PATIENCE, _TOO_LATE = 0.05, 0.7, 5.0
 # Larger messages are not read: 4,000 markers of a MarkerArray, or 65,000 points of a PointCloud2.
 MAX_MESSAGE_BYTES = 1 << 20
@@ -258,12 +259,13 @@ class MarkerSource:
         numbers: list[int | None] = []
         now, waited, lost = time.time_ns(), 0.0, 0
         waiting = take(self._subscription, _BATCH - 1)
+        too_late = _TOO_LATE if self._is_behind() else math.inf
         for data, details in chain([(message, info)], waiting):
             numbers.append(sequence_number(details))
             self._largest_size = max(self._largest_size, len(data))
             age = (now - (received_at(details) or now)) * 1e-9
             waited = max(waited, age)
-            self._is_skipping = age > (_LATE if self._is_skipping else _TOO_LATE)
+            self._is_skipping = age > (_LATE if self._is_skipping else too_late)
             if self._is_skipping:
                 lost += 1
             elif len(data) > MAX_MESSAGE_BYTES:
@@ -274,14 +276,18 @@ class MarkerSource:
         # Errors first, so that the last result is the newest frame.
         return [*refused, *self._reader.read(small)], lost + self._count_lost(numbers)
 
+    def _is_behind(self) -> bool:
+        """Whether messages have been taken late for more than a stall."""
+        since = self._behind_since
+        return since is not None and time.monotonic() - since > _PATIENCE
+
     def _note_wait(self, seconds: float) -> None:
         """Note where messages have been waiting for long, over more than a stall."""
-        now = time.monotonic()
         if seconds < _LATE:
             self._behind_since = None
         elif self._behind_since is None:
-            self._behind_since = now
-        elif now - self._behind_since > _PATIENCE:
+            self._behind_since = time.monotonic()
+        elif self._is_behind():
             self._note(
                 'behind',
                 f'the node is slower than the stream: frames wait {seconds:.1f} s; send fewer '
