@@ -152,7 +152,9 @@ def test_what_has_waited_for_seconds_is_dropped_in_one_gap_if_the_node_is_behind
 ) -> None:
     """Many gaps would make many kinds of windows. After a stall of any length nothing is lost."""
     now = 10**18
-    clock = SimpleNamespace(monotonic=time.monotonic, time_ns=lambda: now)
+    clock = SimpleNamespace(
+        monotonic=time.monotonic, process_time=time.process_time, time_ns=lambda: now
+    )
     monkeypatch.setattr(source_module, 'time', clock)
     rclpy.init(args=['kinpole', '--ros-args', '-p', 'marker_type:=marker_array'])
     node = KinpoleNode()
@@ -163,7 +165,7 @@ def test_what_has_waited_for_seconds_is_dropped_in_one_gap_if_the_node_is_behind
         for k, age in enumerate(ages)
     ]
     monkeypatch.setattr(source_module, 'take', lambda *_: iter(waiting[1:]))
-    node.source._behind_since = time.monotonic() - 1.0 if is_behind else None
+    node.source._behind_since = (time.monotonic() - 1.0, 0.0) if is_behind else None
     try:
         results, lost = node.source.take(*waiting[0])
         frames = [result for result in results if not isinstance(result, MessageError)]

@@ -72,8 +72,9 @@ class MarkerSource:
         self._kind = ''
         self._update_due = 0.0
         self._depth, self._largest_size = SUBSCRIPTION_DEPTH, 0
-        # Since when all messages are taken late; None while they are in time.
-        self._behind_since: float | None = None
+        # Since when all messages are taken late, and the CPU time of the node then, s; None while
+        # they are in time.
+        self._behind_since: tuple[float, float] | None = None
         self._is_skipping = False
         self._publishers: set[bytes] = set()
         # The number that the publisher gave to the last message.
@@ -279,19 +280,22 @@ class MarkerSource:
     def _is_behind(self) -> bool:
         """Whether messages have been taken late for more than a stall."""
         since = self._behind_since
-        return since is not None and time.monotonic() - since > _PATIENCE
+        return since is not None and time.monotonic() - since[0] > _PATIENCE
 
     def _note_wait(self, seconds: float) -> None:
         """Note where messages have been waiting for long, over more than a stall."""
         if seconds < _LATE:
             self._behind_since = None
         elif self._behind_since is None:
-            self._behind_since = time.monotonic()
+            self._behind_since = time.monotonic(), time.process_time()
         elif self._is_behind():
+            began, cpu_time = self._behind_since
+            share = (time.process_time() - cpu_time) / (time.monotonic() - began)
             self._note(
                 'behind',
-                f'the node is slower than the stream: frames wait {seconds:.1f} s; send fewer '
-                'frames, or read fewer results',
+                f'the node is slower than the stream: frames wait {seconds:.1f} s while it has '
+                f'{share:.0%} of a processor; fix: send fewer frames, read fewer results, or stop '
+                'what else runs',
             )
 
     def _count_lost(self, numbers: Iterable[int | None]) -> int:
