@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.placing import PlacedFrames
+from kinpole_ros.tracking.placed_frames import PlacedFrames
 from kinpole_ros.tracking.state import State, start_bodies
 
 

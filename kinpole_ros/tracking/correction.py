@@ -16,7 +16,7 @@ from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.candidates import find_candidates, fit_points
-from kinpole_ros.tracking.placing import PlacedFrames
+from kinpole_ros.tracking.placed_frames import PlacedFrames
 from kinpole_ros.tracking.rejection import (
     DROPPED,
     EXCHANGED,

@@ -25,7 +25,8 @@ from kinpole_ros.tracking.identity import (
     merge_names,
     predict_poses,
 )
-from kinpole_ros.tracking.placing import MarkerAssignment, PlacedFrames, count_misnamed
+from kinpole_ros.tracking.placed_frames import PlacedFrames, count_misnamed
+from kinpole_ros.tracking.placing import MarkerAssignment
 from kinpole_ros.tracking.thresholds import (
     CONFIRMING_FRAMES,
     MEMORY_FRAMES,

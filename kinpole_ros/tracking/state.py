@@ -15,7 +15,8 @@ from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.names import Matcher
 from kinpole_ros.tracking.outages import no_outages
-from kinpole_ros.tracking.placing import MarkerAssignment, PlacedFrames
+from kinpole_ros.tracking.placed_frames import PlacedFrames
+from kinpole_ros.tracking.placing import MarkerAssignment
 from kinpole_ros.tracking.space import Space
 from kinpole_ros.tracking.step import Step, new_tracks
 from kinpole_ros.tracking.timeline import Timeline

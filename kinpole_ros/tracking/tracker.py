@@ -17,7 +17,7 @@ from kinpole_ros.tracking.estimate import Estimate, Results, estimate_of
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import note_gap
-from kinpole_ros.tracking.placing import PlacedFrames
+from kinpole_ros.tracking.placed_frames import PlacedFrames
 from kinpole_ros.tracking.rejection import EXCHANGED
 from kinpole_ros.tracking.result_layout import COUNT, DEFORMED
 from kinpole_ros.tracking.state import new_totals, start, widen
