@@ -65,8 +65,8 @@ def _count_turns(bodies: Bodies, history: History, restarted: np.ndarray) -> Non
 
 
 def learn(
-    bodies: Bodies, history: History, window: int, given: float, counts: Counter[str]
-) -> np.ndarray:
+    bodies: Bodies, history: History, window: int, given: float
+) -> tuple[np.ndarray, Counter[str]]:
     """
     Update shapes, misfit, noise and weights.
 
@@ -78,16 +78,16 @@ def learn(
         Length of the window of the derivatives, ns.
     given : float
         The noise that the parameters give, m; 0 for none.
-    counts : Counter
-        Numbers of corrected markers by kind, updated.
 
     Returns
     -------
-    (B,) bool
+    restarted : (B,) bool
         Which bodies started again.
+    counts : Counter
+        Numbers of corrected markers by kind.
 
     """
-    restarted = _restart_with_outliers(bodies, history, counts)
+    restarted, counts = _restart_with_outliers(bodies, history)
     has_moved = _relearn_moved_markers(bodies, history)
     if restarted.any() or has_moved:
         bodies.update()
@@ -104,12 +104,12 @@ def learn(
         _update_misfit(bodies, history)
         _update_noise(bodies, history, window, given)
     bodies.update()
-    return restarted
+    return restarted, counts
 
 
-def _restart_with_outliers(bodies: Bodies, history: History, counts: Counter[str]) -> np.ndarray:
+def _restart_with_outliers(bodies: Bodies, history: History) -> tuple[np.ndarray, Counter[str]]:
     """Start bodies again from the first frames that agree, if some of these have outliers."""
-    restarted = np.zeros(bodies.count, bool)
+    restarted, counts = np.zeros(bodies.count, bool), Counter[str]()
     fits = np.isfinite(history['angle']).sum(axis=0)
     due = ~bodies.begun & (fits >= MIN_SAMPLES)
     bodies.begun |= due
@@ -129,7 +129,7 @@ def _restart_with_outliers(bodies: Bodies, history: History, counts: Counter[str
         history['used'][rows, b] = used
         bodies.frames[b] = used.sum(axis=0)
         restarted[b] = True
-    return restarted
+    return restarted, counts
 
 
 def _relearn_moved_markers(bodies: Bodies, history: History) -> bool:

@@ -57,7 +57,8 @@ def _update(state: State) -> bool:
         learn_poses(bodies, history, state.settings.noise)
         bodies.extra_turn = state.step.tracks['total_turn'].copy()
     else:
-        restarts = learn(bodies, history, window, state.settings.noise, state.totals.counts)
+        restarts, counts = learn(bodies, history, window, state.settings.noise)
+        state.totals.counts.update(counts)
         state.pins.forget(restarts)
     state.pins.update(bodies, history, min(new, len(history)), state.assignment.posed)
     state.learned_count = state.frame_count
