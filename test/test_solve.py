@@ -729,6 +729,8 @@ def test_advantages_of_the_work_are_loads_over_their_shares() -> None:
     share, gain = map(float, row.split()[-2:])
     assert share == pytest.approx(1000 * 9.80665 * 1.08601 / 0.5, rel=1e-5)
     assert gain == pytest.approx(1000 * 9.80665 / share, rel=1e-5)
+    (row,) = [line for line in lines if line.startswith('the force at lift.P')]
+    assert float(row.split()[4]) == pytest.approx(gain, rel=1e-5)
     # A toggle: the load stands still, so no effort holds it.
     lines = solve_scene('slider_crank', SolveOptions(work=True))
     (row,) = [

@@ -157,6 +157,12 @@ def propagate_tolerances(
     inputs = np.stack((rows @ values, rates))
     found = _quantities(linkages, list(moving), rows, inputs, values)
     up, down = found[1 : 2 * count + 1 : 2], found[2 : 2 * count + 1 : 2]
+    for error, part in zip(errors, up - down, strict=True):
+        if np.isnan(part).all():
+            raise LinkageError(
+                f'{error.name} cannot be off by itself: the loops close nowhere then, since they '
+                'hold one distance twice, such as that of a wheel from a guided rack'
+            )
     names = _names(scene.mechanism.assembly, list(moving))
     return ToleranceSpread(names, found[0], (up - down) / 2, found[2 * count + 1 :])
 

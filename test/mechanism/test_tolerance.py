@@ -203,6 +203,7 @@ def test_what_fit_prints_is_taken(tmp_path: Path) -> None:
             'Q is no pin, slot or pair of gears, which alone have play: give some',
         ),
         ('coupler.B=1 deg', 'coupler.B=1 deg'),
+        ('0.1', 'give 0.1mm, NAME=0.1mm'),
         ('nothing.txt', 'or a file with what `kinpole fit` printed'),
         ('coupler.B=0', 'no dimension has an error'),
     ],
@@ -217,3 +218,26 @@ def test_gears_are_refused_with_the_reason() -> None:
         LinkageError, match=r'arm\.O x cannot be off by itself: the loop .* never closes'
     ):
         tolerances('planetary_gear', ['length=0.1mm'], samples=0)
+
+
+def test_a_value_without_a_name_is_of_all_lengths_or_angles() -> None:
+    named = tolerances('slider_crank', ['length=0.1mm', 'angle=0.2deg'], samples=0)
+    assert tolerances('slider_crank', ['0.1mm', '0.2 deg'], samples=0) == named
+
+
+RACK = """
+bodies: {ground: {O: [0, 0], H: [0, 50 mm]}, wheel: {H: [0, 0]}, rack: {Q: [0, 0]}}
+joints:
+  - {prismatic: rack.Q, on: ground.O, along: 0 deg, name: guide}
+  - {rolling: wheel.H, radius: 50 mm, on: rack.Q, along: 0 deg, name: mesh}
+drivers: [{drive: wheel, rate: 1}]
+"""
+
+
+def test_an_error_with_which_no_loop_closes_is_refused(tmp_path: Path) -> None:
+    """A rack off across its guide, and a wheel at its own distance: else the table is empty."""
+    scene = tmp_path / 'rack.yaml'
+    scene.write_text(RACK)
+    with pytest.raises(LinkageError, match=r'play guide cannot be off by itself: .* guided rack'):
+        tolerances(str(scene), ['play:guide=0.1mm'], samples=0)
+    assert 'rack.Q x' in '\n'.join(tolerances(str(scene), ['play:mesh=0.1mm'], samples=0))

@@ -91,9 +91,9 @@ def solve(options: argparse.Namespace) -> int:
     option(
         '--tolerances NAME=DEVIATION...',
         'standard deviations of a point, a length or an angle (coupler.B=0.1mm), of all of a body, '
-        'vector or joint, or of every length or angle; play (play:B=0.05mm): radial of pins, to '
-        'either side of a slot, half the backlash of gears; or a file with the output of '
-        '`kinpole fit` (length=0.1mm angle=0.1deg)',
+        'vector or joint, or without a name of every length or angle; play (play:B=0.05mm): radial '
+        'of pins, to either side of a slot, half the backlash of gears, uniform; or a file with '
+        'the output of `kinpole fit` (0.1mm 0.1deg)',
         default=(),
     ),
     option(
@@ -111,7 +111,7 @@ def tolerance(options: argparse.Namespace) -> int:
     first order and of linkages with random errors, and which dimensions cause them.
 
     Examples:
-      kinpole tolerance four_bar --tolerances length=0.1mm play:B=0.05mm
+      kinpole tolerance four_bar --tolerances 0.1mm play:B=0.05mm
       kinpole tolerance four_bar --tolerances coupler.B=0.2mm --plot errors.png
       kinpole fit four_bar run.mcap > fitted.txt
       kinpole tolerance four_bar --tolerances fitted.txt --html expected.html

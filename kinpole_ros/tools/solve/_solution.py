@@ -13,6 +13,7 @@ from kinpole_ros.mechanism import (
     Force,
     LinkageError,
     Load,
+    Mechanism,
     Motion,
     Port,
     Scene,
@@ -291,8 +292,9 @@ def advantages(solution: Solution) -> dict[tuple[str, str], np.ndarray]:
     """
     Return mechanical advantages (T,) over the one driver, by name and unit of the output.
 
-    The output is a torque on a body, a force along a length, or a force of the scene at its point.
-    With several drivers there are none, since they depend on the other drivers.
+    The output is a torque on a body or a force along a length, in its positive direction, or a
+    force against a load of the scene. With several drivers there are none, since they depend on
+    the other drivers.
     """
     scene, mechanism = solution.scene, solution.scene.mechanism
     if len(mechanism.drivers) != 1:
@@ -311,7 +313,20 @@ def advantages(solution: Solution) -> dict[tuple[str, str], np.ndarray]:
             ports[f'the force at {point_name(scene, load)}', _ADVANTAGE_UNITS[is_angle, False]] = (
                 load
             )
-    return {key: advantage(mechanism, solution.values, driver, port) for key, port in ports.items()}
+    return {
+        key: advantage(mechanism, solution.values, driver, port)
+        if isinstance(port, str)
+        else advantage_of(mechanism, solution.values, driver, port)
+        for key, port in ports.items()
+    }
+
+
+def advantage_of(mechanism: Mechanism, values: np.ndarray, into: Port, load: Load) -> np.ndarray:
+    """Return the advantage (T,) of what the mechanism exerts against a load."""
+    if isinstance(load, Force):
+        return advantage(mechanism, values, into, load._replace(force=-np.asarray(load.force)))
+    gain = advantage(mechanism, values, into, load)
+    return np.where(np.isinf(gain), gain, -np.sign(load.torque) * gain)
 
 
 # By whether the driver, and whether the output, is an angle.

@@ -14,7 +14,6 @@ from kinpole_ros.mechanism import (
     Scene,
     Statics,
     Torque,
-    advantage,
     holding,
     undetermined,
 )
@@ -22,6 +21,7 @@ from kinpole_ros.mechanism._equilibrium import why_no_reactions
 from kinpole_ros.tools.solve._solution import (
     ActingLoads,
     Solution,
+    advantage_of,
     driver_text,
     point_name,
     require_loads,
@@ -190,10 +190,8 @@ def _balance_lines(
     for (name, load), power in zip(named.items(), powers, strict=True):
         gain = np.nan
         if _effort(load):
-            # The linkage exerts the opposite of the load.
             port = driver if holder is None else holder
-            gain = -float(advantage(mechanism, here.values, port, load)[0])
-            gain *= np.sign(_effort(load).real) if isinstance(load, Torque) else 1.0
+            gain = float(np.ravel(advantage_of(mechanism, here.values, port, load))[0])
         rows.append([name, -power / rate, 'infinite' if np.isinf(gain) else gain])
     head = ['load', effort_unit, 'mechanical advantage']
     return [*lines, *table_lines(head, [*rows, ['sum', -sum(powers) / rate, '']])]

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -48,14 +49,15 @@ def tolerances(
     """
     Return the errors of a scene's points, angles and centers as lines to print.
 
-    `texts` are NAME=DEVIATION, play:PIN=RADIUS, and files with the output of `kinpole fit`;
-    `samples` is the number of linkages with random errors, 0 for the first order alone. Writes the
-    CSV `table`, the `picture` and the HTML `page`. Raises SceneError and LinkageError.
+    `texts` are NAME=DEVIATION, DEVIATION of all lengths or angles, play:PIN=RADIUS, and files with
+    the output of `kinpole fit`; `samples` is the number of linkages with random errors, 0 for the
+    first order alone. Writes the CSV `table`, the `picture` and the HTML `page`. Raises SceneError
+    and LinkageError.
     """
     loaded = load_scene(scene)
     errors, notes = _errors(loaded, texts)
     if not errors:
-        raise SceneError('no dimension has an error: give --tolerances length=0.1mm')
+        raise SceneError('no dimension has an error: give --tolerances 0.1mm')
     solution = over_full_motion(loaded, _POSITIONS)
     spread = propagate_tolerances(loaded, errors, solution.values, solution.rates, samples)
     lines = [*head_lines(loaded), *notes, '', *_error_lines(errors)]
@@ -87,7 +89,9 @@ def _errors(scene: Scene, texts: Sequence[str]) -> tuple[list[Tolerance], list[s
     angles = {'angle', *(row.name for row in scene.equations.dimensions if row.kind == 'angle')}
     for text in texts:
         name, equals, value = text.partition('=')
-        if not equals:
+        if not equals and (kind := _kind_of(text)):
+            deviations[kind] = quantity(f'--tolerances {text!r}', text, kind)
+        elif not equals:
             deviations |= _fit_deviations(text)
         elif name.startswith('play:'):
             play[name.removeprefix('play:')] = quantity(f'--tolerances {text!r}', value, 'length')
@@ -97,13 +101,22 @@ def _errors(scene: Scene, texts: Sequence[str]) -> tuple[list[Tolerance], list[s
     return tolerances_of(scene, deviations, play), []
 
 
+def _kind_of(text: str) -> str:
+    """Return whether a value with its unit is a length or an angle; '' for other words."""
+    for kind in ('length', 'angle'):
+        with suppress(SceneError):
+            quantity('', text, kind)
+            return kind if not text.strip()[-1].isdigit() else ''
+    return ''
+
+
 def _fit_deviations(path: str) -> dict[str, float]:
     """Return the standard deviations in a file with the output of `kinpole fit`, by name."""
     try:
         text = Path(path).read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError):
         raise SceneError(
-            f'--tolerances {path!r}: give NAME=0.1mm, play:PIN=0.05mm, or a file with what '
+            f'--tolerances {path!r}: give 0.1mm, NAME=0.1mm, play:PIN=0.05mm, or a file with what '
             '`kinpole fit` printed'
         ) from None
     deviations = {
