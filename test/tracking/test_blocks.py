@@ -20,7 +20,7 @@ INSTANT_AXIS = {'angle': 1, 'position': 1, 'angle_covariance': 2, 'position_cova
 def tracked(stream: Stream, size: int) -> tuple[Tracker, list[Estimate]]:
     tracker, estimates = Tracker(settings_from(stream.parameters)), []
     for block in stream.blocks(size):
-        estimates += tracker.add(block, 4, events=True)
+        estimates += tracker.add(block, 2, events=True)
         tracker.learn_if_due()
     return tracker, estimates
 
