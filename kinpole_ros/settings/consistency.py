@@ -72,32 +72,28 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
 def _check_markers(settings: Settings) -> None:
     """Check that the markers and shapes of bodies agree, and suffice to identify them."""
     bodies, shapes = settings.bodies, settings.shapes
-    for name, shape in shapes.items():
-        if bodies[name] and len(bodies[name]) != len(shape):
-            raise ParameterError(
-                f'parameter {name}.shape has x and y of {len(shape)} markers, and {name}.markers '
-                f'names {len(bodies[name])}; give both of each marker, in the same order'
-            )
-    if settings.marker_identity == 'shape':
-        if settings.plane == FIT:
-            raise ParameterError(
-                'parameter plane is fit; with marker_identity shape give its normal, as kinpole '
-                'discover finds it'
-            )
-        for name, markers in bodies.items():
-            if not markers and name not in shapes:
-                raise ParameterError(
-                    f'parameter {name}.shape is missing: with marker_identity shape give the shape '
-                    'of each body, as kinpole discover finds it'
-                )
-    elif len(bodies) > 1 or shapes:
-        for name, markers in bodies.items():
-            if not markers:
-                raise ParameterError(
-                    f'parameter {name}.markers is missing: with several bodies, or shapes, list '
-                    'the markers of each, or set marker_identity to shape and give all shapes'
-                )
+    by_shape = settings.marker_identity == 'shape'
+    if by_shape and settings.plane == FIT:
+        raise ParameterError(
+            'parameter plane is fit; with marker_identity shape give its normal, as kinpole '
+            'discover finds it'
+        )
     for name, markers in bodies.items():
+        if markers and len(markers) != len(shapes.get(name, markers)):
+            raise ParameterError(
+                f'parameter {name}.shape has x and y of {len(shapes[name])} markers, and '
+                f'{name}.markers names {len(markers)}; give both of each marker, in the same order'
+            )
+        if by_shape and not markers and name not in shapes:
+            raise ParameterError(
+                f'parameter {name}.shape is missing: with marker_identity shape give the shape of '
+                'each body, as kinpole discover finds it'
+            )
+        if not by_shape and not markers and (len(bodies) > 1 or shapes):
+            raise ParameterError(
+                f'parameter {name}.markers is missing: with several bodies, or shapes, list the '
+                'markers of each, or set marker_identity to shape and give all shapes'
+            )
         if len(markers) == 1:
             raise ParameterError(
                 f'parameter {name}.markers names one marker; a body needs at least two, or a '

@@ -20,13 +20,14 @@ class ParameterError(ValueError):
 @dataclass(frozen=True)
 class Kind:
     """
-    A kind of values: what is allowed, in words, and between which numbers and in which unit.
+    A kind of values: what is allowed in words, whether a value is, and how Settings have it.
 
-    `check` returns the value as Settings have it, and raises ValueError or TypeError for another.
+    `is_right` may also raise TypeError, ValueError or OverflowError. Numbers have a range and unit.
     """
 
-    check: Callable[[Any], Any]
     allowed: str
+    is_right: Callable[[Any], bool]
+    convert: Callable[[Any], Any] = lambda value: value
     span: tuple[float, float] | None = None
     unit: str = ''
 
@@ -36,52 +37,38 @@ def canonical_name(name: str) -> str:
     return name if name in AXES else next((k for k in AXES if k[::-1] == name), name)
 
 
-def _require(is_right: bool) -> None:
-    if not is_right:
-        raise ValueError
-
-
 def text(pattern: str, allowed: str) -> Kind:
     """Texts of which all matches the pattern."""
-
-    def check(value: Any) -> str:
-        _require(isinstance(value, str) and re.fullmatch(pattern, value) is not None)
-        return str(value)
-
-    return Kind(check, allowed)
+    return Kind(
+        allowed, lambda value: isinstance(value, str) and bool(re.fullmatch(pattern, value))
+    )
 
 
 def one_of(*names: str) -> Kind:
     """One of these texts."""
-
-    def check(value: Any) -> str:
-        _require(value in names)
-        return str(value)
-
-    return Kind(check, 'one of ' + ', '.join(names))
+    return Kind('one of ' + ', '.join(names), lambda value: value in names)
 
 
 def number(lowest: float, highest: float, unit: str) -> Kind:
     """Numbers in a range, both ends included."""
 
-    def check(value: Any) -> float:
-        _require(isinstance(value, int | float) and not isinstance(value, bool))
-        _require(math.isfinite(value) and lowest <= value <= highest)
-        return float(value)
+    def is_right(value: Any) -> bool:
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        return is_number and math.isfinite(value) and lowest <= value <= highest
 
-    return Kind(check, f'a number from {lowest:g} to {highest:g} {unit}', (lowest, highest), unit)
+    allowed = f'a number from {lowest:g} to {highest:g} {unit}'
+    return Kind(allowed, is_right, float, (lowest, highest), unit)
 
 
 def names(allowed: str, pattern: str = '(?s).+', fewest: int = 0, most: float = math.inf) -> Kind:
     """Lists of different texts of which each matches the pattern."""
+    name = text(pattern, '')
 
-    def check(value: Any) -> tuple[str, ...]:
-        _require(not isinstance(value, str) and fewest <= len(value) <= most)
-        _require(all(isinstance(name, str) and re.fullmatch(pattern, name) for name in value))
-        _require(len(set(value)) == len(value))
-        return tuple(value)
+    def is_right(value: Any) -> bool:
+        is_list = not isinstance(value, str) and fewest <= len(value) <= most
+        return is_list and all(map(name.is_right, value)) and len(set(value)) == len(value)
 
-    return Kind(check, allowed)
+    return Kind(allowed, is_right, tuple)
 
 
 def identifiers(fewest: int = 0) -> Kind:
@@ -90,52 +77,42 @@ def identifiers(fewest: int = 0) -> Kind:
     return names(allowed, r'(?a:[A-Za-z_]\w*)', fewest)
 
 
-def _flag(value: Any) -> bool:
-    _require(isinstance(value, bool))
-    return bool(value)
-
-
-def _plane(value: Any) -> PlaneSetting:
+def _is_plane(value: Any) -> bool:
     if isinstance(value, str):
-        return str(one_of(*AXES, FIT).check(canonical_name(value)))
-    x, y, z = map(number(-1e300, 1e300, '').check, value)
-    _require(bool(x or y or z))
-    return x, y, z
+        return canonical_name(value) in (*AXES, FIT)
+    return len(value) == 3 and _are_numbers(value, 1e300) and any(value)
 
 
-def _order(value: Any) -> int | None:
-    if value == 'auto':
-        return None
-    order = int(value) if isinstance(value, str) and value.isdigit() else value
-    _require(isinstance(order, int) and not isinstance(order, bool) and 1 <= order <= 4)
-    return int(order)
+def _are_numbers(values: Any, largest: float) -> bool:
+    return not isinstance(values, str) and all(map(number(-largest, largest, '').is_right, values))
 
 
 def _points(value: Any) -> tuple[complex, ...]:
-    _require(not isinstance(value, str) and len(value) % 2 == 0)
-    numbers = [number(-1e6, 1e6, 'm').check(each) for each in value]
-    return tuple(map(complex, numbers[::2], numbers[1::2]))
+    return tuple(map(complex, value[::2], value[1::2]))
 
 
-def _shape(value: Any) -> tuple[complex, ...]:
-    shape = _points(value)
-    _require(len(shape) != 1 and len(set(shape)) == len(shape))
-    return shape
+def _is_shape(value: Any) -> bool:
+    """Whether these are x and y of no marker, or of two or more at different places."""
+    count = len(value) / 2
+    return _are_numbers(value, 1e6) and count != 1 and len(set(_points(value))) == count
 
 
-def _pin(value: Any) -> tuple[complex, ...]:
-    _require(len(value) in (0, 4))
-    return _points(value)
-
-
-FLAG = Kind(_flag, 'true or false')
-PLANE = Kind(_plane, 'one of xy, yz, zx, fit, or a normal [x, y, z] of three numbers, not all 0')
+FLAG = Kind('true or false', lambda value: isinstance(value, bool))
+PLANE = Kind(
+    'one of xy, yz, zx, fit, or a normal [x, y, z] of three numbers, not all 0',
+    _is_plane,
+    lambda value: canonical_name(value) if isinstance(value, str) else tuple(map(float, value)),
+)
 # As ROS 2 has it: names of letters, digits and _ between slashes.
 TOPIC = text(
     r'(?a:(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*)',
     'the name of a topic, such as markers or /rig/markers',
 )
-ORDER = Kind(_order, 'auto, 1, 2, 3 or 4')
+ORDER = Kind(
+    'auto, 1, 2, 3 or 4',
+    lambda value: type(value) in (int, str) and str(value) in ('auto', '1', '2', '3', '4'),
+    lambda value: None if value == 'auto' else int(value),
+)
 MARKERS = names("a list of different marker identities, as text, such as ['0', '1', '2']")
 PAIR = names(
     "two different names of bodies, or 'ground' and one, such as ['crank', 'coupler']",
@@ -143,8 +120,13 @@ PAIR = names(
     most=2,
 )
 SHAPE = Kind(
-    _shape,
     'a flat list of x, y of two or more markers at different places, m, such as '
     '[0.0, 0.0, 0.1, 0.0, 0.05, 0.08]',
+    _is_shape,
+    _points,
 )
-PIN = Kind(_pin, 'a flat list of four numbers, m, such as [0.0, 0.0, 0.3, 0.1]')
+PIN = Kind(
+    'a flat list of four numbers, m, such as [0.0, 0.0, 0.3, 0.1]',
+    lambda value: _are_numbers(value, 1e6) and len(value) in (0, 4),
+    _points,
+)

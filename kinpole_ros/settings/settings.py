@@ -6,6 +6,7 @@ the same things in the same words.
 """
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
@@ -40,7 +41,7 @@ class Parameter:
 def _parameter(default: Any, kind: Kind, description: str, settable: str = RUNNING) -> Any:
     """Return a field of Settings that is a parameter; one of names maps each to nothing."""
     metadata = {'row': Parameter(default, kind, description, settable)}
-    value = kind.check(default)
+    value = kind.convert(default)
     if isinstance(value, tuple):
         return field(default_factory=lambda: dict.fromkeys(value, ()), metadata=metadata)
     return field(default=value, metadata=metadata)
@@ -205,12 +206,12 @@ NODE_PARAMETERS = {
 
 def own_parameters(bodies: Iterable[str], joints: Iterable[str]) -> dict[str, Parameter]:
     """The rows of the parameters that each body and each joint has."""
-    owners = {'<body>': bodies, '<joint>': joints}
     return {
-        f'{owner}.{last}': row
+        name.replace(placeholder, owner): row
+        for placeholder, owners in (('<body>', bodies), ('<joint>', joints))
+        for owner in owners
         for name, row in OWN_PARAMETERS.items()
-        for placeholder, _, last in [name.partition('.')]
-        for owner in owners[placeholder]
+        if name.startswith(placeholder)
     }
 
 
@@ -222,10 +223,7 @@ def own_name(name: str) -> str:
 def check_value(name: str, row: Parameter, values: Mapping[str, Any]) -> Any:
     """The value of one parameter, or its default, as Settings have it; raises ParameterError."""
     value = values.get(name, row.default)
-    try:
-        return row.kind.check(value)
-    except (TypeError, ValueError, OverflowError):
-        shown = cut(repr(value))
-        raise ParameterError(
-            f'parameter {name} is {shown}; it must be {row.kind.allowed}'
-        ) from None
+    with suppress(TypeError, ValueError, OverflowError):
+        if row.kind.is_right(value):
+            return row.kind.convert(value)
+    raise ParameterError(f'parameter {name} is {cut(repr(value))}; it must be {row.kind.allowed}')
