@@ -380,6 +380,7 @@ class TestOneNode:
             'marker_topic': ('others', 'read-only'),
             'bodies': (['other'], 'parameter bodies cannot be set while the node is active'),
             'windows': (0.3, 'unknown parameter windows; known are bodies, '),
+            'qos_overrides./others.subscription.depth': (5, 'is read at the start only; set it'),
         }
         for name, (value, reason) in refused.items():
             (result,) = shared.set(**{name: value})
