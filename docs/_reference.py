@@ -22,33 +22,19 @@ _TOPICS_HEADING = '## What does the node publish?'
 
 def parameter_reference() -> str:
     """Return a section for each parameter: description, default, range, when it can be set."""
-    rows = {**parameters.PARAMETERS}
-    rows |= {f'<body>.{name}': row for name, row in _body_parameters('body').items()}
-    rows['<joint>.bodies'] = parameters.JOINT_BODIES
-    rows |= parameters.NODE_PARAMETERS
+    rows = {
+        **parameters.PARAMETERS,
+        **parameters.OWN_PARAMETERS,
+        **parameters.NODE_PARAMETERS,
+    }
     sections = []
     for name, row in rows.items():
         default = '(none)' if row.default in ('', []) else f'`{_yaml(row.default)}`'
         sections.append(
             f'## `{name}`\n\n{_escape(row.description)}\n\n- default: {default}\n'
-            f'- allowed: {_escape(row.allowed)}\n- {_settable(name, row)}\n'
-            f'{_deprecation(name)}'
+            f'- allowed: {_escape(row.kind.allowed)}\n- can be set {row.settable}\n'
         )
     return '\n'.join(sections)
-
-
-def _deprecation(name: str) -> str:
-    reason = parameters.DEPRECATED.get(name)
-    return f'- deprecated, since {reason}\n' if reason else ''
-
-
-def _settable(name: str, row: parameters.Parameter) -> str:
-    """Return when a parameter can be set, by the rules of the package ros."""
-    if row.fixed:
-        return 'can be set at the start only'
-    if parameters.is_of_bodies(name):
-        return 'can be set at the start and while the node is inactive'
-    return 'can be set while the node runs'
 
 
 def topic_reference() -> str:
@@ -90,11 +76,6 @@ REFERENCES = {
     '<!-- every topic -->': topic_reference,
     '<!-- every command -->': command_reference,
 }
-
-
-def _body_parameters(body: str) -> dict[str, parameters.Parameter]:
-    rows = parameters.own_parameters([body], [])
-    return {name.removeprefix(f'{body}.'): row for name, row in rows.items()}
 
 
 def _yaml(value: Any) -> str:

@@ -228,7 +228,7 @@ def test_a_topic_of_another_type_than_the_parameter_says_is_named(
             "parameter window is 'wide'; it must",
         ),
         ('/**: {ros__parameters: {plane: zz}}', 'one of xy, yz, zx'),
-        ('/**: {ros__parameters: {method: 2001-99-99}}', "method is '2001-99-99'"),
+        ('/**: {ros__parameters: {stamps: 2001-99-99}}', "stamps is '2001-99-99'"),
         ('/**: {ros__parameters: {bodies: [a], b.markers: [p, q]}}', 'unknown parameter b.markers'),
         ('/**: {ros__parameters: {colour: red}}', 'unknown parameter colour; known are '),
         ('/**: {ros__parameters: {window: 0.1, lag: 0.2}}', 'parameter lag is 0.2 s'),

@@ -364,7 +364,14 @@ class TestOneNode:
     def test_bad_values_set_live_are_refused_with_the_reason(self, shared: Peer) -> None:
         refused = {
             'window': (-1.0, 'Parameter window out of range Min: 1e-06, Max: 60.0'),
-            'method': ('poses', "parameter method is 'poses'; it must be one of pose, landmarks"),
+            'stamps': (
+                'late',
+                "parameter stamps is 'late'; it must be one of auto, capture, arrival",
+            ),
+            'method': (
+                'pose',
+                'unknown parameter method; leave it out, as it has no effect; known',
+            ),
             'lag': (0.5, 'parameter lag is 0.5 s; it must be less than window, 0.3 s'),
             'plane': ('zz', "parameter plane is 'zz'; it must be one of xy, yz, zx"),
             'derivative_order': (9, 'auto, 1, 2, 3 or 4'),
@@ -373,6 +380,7 @@ class TestOneNode:
             'marker_topic': ('others', 'read-only'),
             'bodies': (['other'], 'parameter bodies cannot be set while the node is active'),
             'windows': (0.3, 'unknown parameter windows; known are bodies, '),
+            'qos_overrides./others.subscription.depth': (5, 'is read at the start only; set it'),
         }
         for name, (value, reason) in refused.items():
             (result,) = shared.set(**{name: value})

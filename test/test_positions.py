@@ -37,7 +37,7 @@ TURN, SHIFT = np.exp(0.7j), 0.3 - 0.2j
 def settings(scene: str, hidden: str = '') -> dict[str, Any]:
     loaded = load_scene(scene)
     bodies = [body for body in loaded.markers if body != hidden]
-    values: dict[str, Any] = {'bodies': bodies, 'window': 0.1, 'lag': 0.02, 'effort': 'low'}
+    values: dict[str, Any] = {'bodies': bodies, 'window': 0.1, 'lag': 0.02}
     for body in bodies:
         values[f'{body}.markers'] = list(loaded.marker_names[body])
     return values

@@ -16,7 +16,7 @@ from kinpole_ros.messages import (
     unit_fault,
     wrong_pose_fault,
 )
-from kinpole_ros.settings import DEPRECATED, Settings, deprecation_warnings
+from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.rejection import OFF_PATH
 
 # By the reasons that the tracker gives.
@@ -56,9 +56,7 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
         Lines on what makes its results fewer or worse.
 
     """
-    defaults = Settings()
-    changed = (name for name in DEPRECATED if hasattr(settings, name))
-    lines = deprecation_warnings(n for n in changed if getattr(settings, n) != getattr(defaults, n))
+    lines = []
     if result.unreadable:
         lines.append(f'{result.unreadable} messages left out, the first: {result.problem}')
     files = result.concatenated

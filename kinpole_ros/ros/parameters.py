@@ -7,7 +7,7 @@ other and may contradict each other meanwhile; until they agree the node cannot 
 
 from abc import ABC, abstractmethod
 from array import array
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
@@ -20,15 +20,16 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from kinpole_ros.messages import WITH_TF, theory_of
 from kinpole_ros.ros.private import wrap_service
 from kinpole_ros.settings import (
+    INACTIVE,
     NODE_PARAMETERS,
     PARAMETERS,
+    START,
     Parameter,
     ParameterError,
     Settings,
     check_value,
-    deprecation_warnings,
-    is_of_bodies,
     known_rows,
+    own_name,
     own_parameters,
     settings_from,
 )
@@ -49,17 +50,20 @@ class ParameterNode(LifecycleNode, ABC):
     """
 
     def __init__(self, name: str) -> None:
-        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        # Parameters of bodies to come are undeclared, and the same check refuses unknown ones.
+        super().__init__(
+            name,
+            allow_undeclared_parameters=True,
+            automatically_declare_parameters_from_overrides=True,
+        )
         self.active = False
         given = _values(self)
         self.has_given_parameters = bool({*PARAMETERS, *NODE_PARAMETERS} & given.keys())
         self.settings = _declare_all(self, given)
         self.theory = _checked_theory(self.settings)
         self.incomplete = ''
-        self._warn_of_deprecated(given)
         # While a request sets several parameters, and whether one of the table has changed.
         self._in_request = self._has_changed = False
-        self._is_declaring = False
 
     @abstractmethod
     def use_settings(self) -> None:
@@ -80,6 +84,7 @@ class ParameterNode(LifecycleNode, ABC):
         self, namespace: str, parameters: Sequence[tuple[Any, ...]], ignore_override: bool = False
     ) -> list[RosParameter]:
         """As in rclpy, but name the parameters that were given without a value."""
+        self._is_declaring = True
         try:
             return list(super().declare_parameters(namespace, parameters, ignore_override))
         except ValueError:
@@ -89,25 +94,12 @@ class ParameterNode(LifecycleNode, ABC):
             raise ParameterError(
                 f'parameter {", ".join(names)} has no value; leave it out or give it one'
             ) from None
+        finally:
+            self._is_declaring = False
 
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
-        """
-        As in rclpy, but accept read-only parameters that keep their value, as in a dump.
-
-        An unknown parameter is refused with the names of the known ones. New bodies are set first,
-        so that their markers are known.
-        """
+        """As in rclpy, but accept read-only parameters that keep their value, as in a dump."""
         changes = [p for p in parameter_list if not self._is_unchanged(p)]
-        if not changes:
-            return SetParametersResult(successful=True)
-        if not all(self.has_parameter(p.name) for p in changes):
-            result = self._check_changes(changes)
-            if not result.successful:
-                return result
-            name_lists = [p for p in changes if p.name in _NAME_LISTS]
-            changes = [p for p in changes if p.name not in _NAME_LISTS]
-            if name_lists:
-                super().set_parameters_atomically(name_lists)
         return super().set_parameters_atomically(changes)
 
     def _is_unchanged(self, change: RosParameter) -> bool:
@@ -151,49 +143,44 @@ class ParameterNode(LifecycleNode, ABC):
         if self._is_declaring:
             return SetParametersResult(successful=True)
         new = {p.name: p.value for p in changes}
+        may_follow = False
         try:
-            self._check_each(new)
-        except ParameterError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        try:
+            may_follow = self._check_each(new)
             settings = settings_from(_known_values(self, new))
             _checked_theory(settings)
             self.check_settings(settings)
         except ParameterError as error:
-            # Bodies and their markers may disagree until the last of them is set.
-            may_follow = self.incomplete != '' or any(map(is_of_bodies, new))
-            successful = not self.active and may_follow
-            return SetParametersResult(successful=successful, reason=str(error))
+            return SetParametersResult(successful=may_follow, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _check_each(self, new: dict[str, Any]) -> None:
-        """Raise ParameterError for a change that is wrong whatever the other parameters are."""
-        for name in new:
-            # rclpy declares these itself, and reads them only when it subscribes.
-            if name.startswith('qos_overrides.') and self.has_parameter(name):
-                raise ParameterError(f'parameter {name} is read at the start only; set it there')
-        of_bodies = [name for name in new if is_of_bodies(name)]
+    def _check_each(self, new: dict[str, Any]) -> bool:
+        """
+        Whether these changes may contradict other parameters until those are set too.
+
+        Raises ParameterError for a change that is wrong whatever the other parameters are.
+        """
         rows = known_rows(_known_values(self, new))
-        for name in new.keys() & rows.keys():
-            check_value(name, rows[name], new)
+        for name in new:
+            # rclpy reads these only when it subscribes.
+            if name.startswith('qos_overrides.'):
+                raise ParameterError(f'parameter {name} is read at the start only; set it there')
+            if name in rows:
+                check_value(name, rows[name], new)
+        of_bodies = [name for name in new if name in rows and rows[name].settable == INACTIVE]
         if of_bodies and self.active:
             raise ParameterError(
                 f'parameter {", ".join(of_bodies)} cannot be set while the node is active, as its '
                 'topics go by it; fix: ros2 lifecycle set '
                 f'{self.get_fully_qualified_name()} deactivate, set it, and activate again'
             )
+        return not self.active and bool(self.incomplete or of_bodies)
 
     def _apply_changes(self, changes: Sequence[RosParameter]) -> None:
         names = {p.name for p in changes}
-        if self._is_declaring or not any(n in PARAMETERS or is_of_bodies(n) for n in names):
+        if self._is_declaring or not any(n in PARAMETERS or own_name(n) for n in names):
             return
-        self._warn_of_deprecated(names)
         if names & {*_NAME_LISTS}:
-            self._is_declaring = True
-            try:
-                _redeclare_own(self)
-            finally:
-                self._is_declaring = False
+            _redeclare_own(self)
         if self._in_request:
             self._has_changed = True
         else:
@@ -210,10 +197,6 @@ class ParameterNode(LifecycleNode, ABC):
             return
         self.settings, self.incomplete = settings, ''
         self.use_settings()
-
-    def _warn_of_deprecated(self, names: Collection[str]) -> None:
-        for text in deprecation_warnings(names):
-            self.get_logger().warning(text)
 
 
 def qos_overrides_without_effect(node: Node, topic: str) -> list[str]:
@@ -252,24 +235,24 @@ def _redeclare_own(node: Node) -> None:
     given = _values(node)
     rows = own_parameters(given['bodies'], given['joints'])
     for name in given.keys() - rows.keys():
-        if is_of_bodies(name) and name not in PARAMETERS:
+        if own_name(name):
             node.undeclare_parameter(name)
-    _declare(node, {name: row for name, row in rows.items() if name not in given}, {})
+    _declare(node, rows, given)
 
 
 def _declare(node: Node, rows: Mapping[str, Parameter], given: Mapping[str, Any]) -> None:
     for name, row in rows.items():
         descriptor = ParameterDescriptor(
             description=row.description,
-            additional_constraints=row.allowed,
-            read_only=row.fixed,
+            additional_constraints=row.kind.allowed,
+            read_only=row.settable == START,
             dynamic_typing=True,
         )
         value = given.get(name, row.default)
-        if row.lowest is not None and row.highest is not None:
-            descriptor.floating_point_range = [
-                FloatingPointRange(from_value=row.lowest, to_value=row.highest)
-            ]
+        if row.kind.span:
+            lowest, highest = row.kind.span
+            span = FloatingPointRange(from_value=lowest, to_value=highest)
+            descriptor.floating_point_range = [span]
             value = float(value)
         if node.has_parameter(name):
             node.undeclare_parameter(name)

@@ -1,29 +1,28 @@
 """Parameters checked against each other, and made into settings."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 from kinpole_ros.files import cut
-from kinpole_ros.settings.parameter_table import (
-    DEPRECATED,
+from kinpole_ros.settings.kinds import FIT, ParameterError
+from kinpole_ros.settings.settings import (
+    GROUND,
     NODE_PARAMETERS,
     PARAMETERS,
-    Parameter,
-    check_value,
-    own_parameters,
-)
-from kinpole_ros.settings.settings import (
-    FIT,
-    GROUND,
     POSE_POINTS,
     POSE_TYPES,
-    ParameterError,
+    Parameter,
     Settings,
+    check_value,
+    own_name,
+    own_parameters,
 )
 
-# Parameters of ROS and of the node in the same file.
-_NODE_ONLY = ('use_sim_time', 'start_type_description_service', *NODE_PARAMETERS)
+# Parameters of ROS in the same file.
+_OF_ROS = ('use_sim_time', 'start_type_description_service')
+# Parameters of old files, without effect since long.
+_GONE = ('effort', 'method')
 
 
 def settings_from(values: Mapping[str, Any]) -> Settings:
@@ -33,66 +32,68 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     Raises ParameterError for a name that is not known, for a value out of its range, and for values
     that contradict each other.
     """
-    known = known_rows(values)
-    names, joints = (tuple(values.get(name, known[name].default)) for name in ('bodies', 'joints'))
+    rows = known_rows(values)
     for name, row in NODE_PARAMETERS.items():
         check_value(name, row, values)
-    checked = {name: check_value(name, row, values) for name, row in known.items()}
-    bodies = {name: checked.pop(f'{name}.markers') for name in names}
-    checked['bodies'] = bodies
-    shapes = {name: checked.pop(f'{name}.shape') for name in names}
-    checked['shapes'] = shapes = {name: shape for name, shape in shapes.items() if shape}
-    pins = {name: checked.pop(f'{name}.pin') for name in names}
-    checked['pins'] = pins = {name: pin for name, pin in pins.items() if pin}
-    if without := next((name for name in pins if name not in shapes), None):
+    checked = {name: check_value(name, row, values) for name, row in rows.items()}
+    bodies, joints = checked['bodies'], checked['joints']
+    settings = Settings(
+        **{name: checked[name] for name in PARAMETERS}
+        | {
+            'bodies': {name: checked[f'{name}.markers'] for name in bodies},
+            'shapes': {name: shape for name in bodies if (shape := checked[f'{name}.shape'])},
+            'pins': {name: pin for name in bodies if (pin := checked[f'{name}.pin'])},
+            'joints': {name: checked[f'{name}.bodies'] for name in joints},
+        }
+    )
+    if without := next((name for name in settings.pins if name not in settings.shapes), None):
         raise ParameterError(
             f'parameter {without}.pin is in the frame of {without}.shape, which is missing: give '
             'both, as kinpole discover finds them'
         )
-    checked['joints'] = {name: checked.pop(f'{name}.bodies') for name in joints}
-    for name, pair in checked['joints'].items():
-        if unknown := set(pair) - {*names, GROUND}:
+    for name, pair in settings.joints.items():
+        if unknown := set(pair) - {*bodies, GROUND}:
             raise ParameterError(
                 f'parameter {name}.bodies names {cut(", ".join(sorted(unknown)))}; a joint is '
-                f'between two of {", ".join(names)} and {GROUND}'
+                f'between two of {", ".join(bodies)} and {GROUND}'
             )
-    if checked['marker_type'] in POSE_TYPES:
-        settings = Settings(**checked)
+    if settings.marker_type in POSE_TYPES:
         check_poses(settings, settings.marker_type)
-        return _consistent(settings)
-    _check_markers(Settings(**checked))
-    return _consistent(Settings(**checked))
+    else:
+        _check_markers(settings)
+    if settings.lag >= settings.window:
+        raise ParameterError(
+            f'parameter lag is {settings.lag:g} s; it must be less than window, '
+            f'{settings.window:g} s'
+        )
+    return settings
 
 
 def _check_markers(settings: Settings) -> None:
     """Check that the markers and shapes of bodies agree, and suffice to identify them."""
     bodies, shapes = settings.bodies, settings.shapes
-    for name, shape in shapes.items():
-        if bodies[name] and len(bodies[name]) != len(shape):
-            raise ParameterError(
-                f'parameter {name}.shape has x and y of {len(shape)} markers, and {name}.markers '
-                f'names {len(bodies[name])}; give both of each marker, in the same order'
-            )
-    if settings.marker_identity == 'shape':
-        if settings.plane == FIT:
-            raise ParameterError(
-                'parameter plane is fit; with marker_identity shape give its normal, as kinpole '
-                'discover finds it'
-            )
-        for name, markers in bodies.items():
-            if not markers and name not in shapes:
-                raise ParameterError(
-                    f'parameter {name}.shape is missing: with marker_identity shape give the shape '
-                    'of each body, as kinpole discover finds it'
-                )
-    elif len(bodies) > 1 or shapes:
-        for name, markers in bodies.items():
-            if not markers:
-                raise ParameterError(
-                    f'parameter {name}.markers is missing: with several bodies, or shapes, list '
-                    'the markers of each, or set marker_identity to shape and give all shapes'
-                )
+    by_shape = settings.marker_identity == 'shape'
+    if by_shape and settings.plane == FIT:
+        raise ParameterError(
+            'parameter plane is fit; with marker_identity shape give its normal, as kinpole '
+            'discover finds it'
+        )
     for name, markers in bodies.items():
+        if markers and len(markers) != len(shapes.get(name, markers)):
+            raise ParameterError(
+                f'parameter {name}.shape has x and y of {len(shapes[name])} markers, and '
+                f'{name}.markers names {len(markers)}; give both of each marker, in the same order'
+            )
+        if by_shape and not markers and name not in shapes:
+            raise ParameterError(
+                f'parameter {name}.shape is missing: with marker_identity shape give the shape of '
+                'each body, as kinpole discover finds it'
+            )
+        if not by_shape and not markers and (len(bodies) > 1 or shapes):
+            raise ParameterError(
+                f'parameter {name}.markers is missing: with several bodies, or shapes, list the '
+                'markers of each, or set marker_identity to shape and give all shapes'
+            )
         if len(markers) == 1:
             raise ParameterError(
                 f'parameter {name}.markers names one marker; a body needs at least two, or a '
@@ -107,18 +108,17 @@ def of_poses(settings: Settings) -> Settings:
     The frame of the pose is that of the body.
     """
     shapes = dict.fromkeys(settings.bodies, POSE_POINTS)
-    return replace(settings, shapes=shapes, marker_identity='auto', method='pose')
+    return replace(settings, shapes=shapes, marker_identity='auto')
 
 
 def check_poses(settings: Settings, kind: str) -> None:
     """Raise ParameterError for what does not go with poses of this kind as input."""
     bodies = settings.bodies
-    for name, value, fix in (('marker_identity', 'shape', 'auto'), ('method', 'landmarks', 'pose')):
-        if getattr(settings, name) == value:
-            raise ParameterError(
-                f'parameter {name} is {value}, which takes markers, and marker_type {kind} brings '
-                f'poses; set {name} to {fix}'
-            )
+    if settings.marker_identity == 'shape':
+        raise ParameterError(
+            f'parameter marker_identity is shape, which takes markers, and marker_type {kind} '
+            'brings poses; set marker_identity to auto'
+        )
     if settings.shapes:
         raise ParameterError(
             f'parameter {min(settings.shapes)}.shape is of markers, and marker_type {kind} brings '
@@ -150,42 +150,25 @@ def check_poses(settings: Settings, kind: str) -> None:
         )
 
 
-def _consistent(settings: Settings) -> Settings:
-    """The settings as they are; raises ParameterError where they contradict each other."""
-    if settings.lag >= settings.window:
-        raise ParameterError(
-            f'parameter lag is {settings.lag:g} s; it must be less than window, '
-            f'{settings.window:g} s'
-        )
-    return settings
-
-
 def known_rows(values: Mapping[str, Any]) -> dict[str, Parameter]:
     """
     The rows of all parameters there are with these bodies and joints.
 
     Raises ParameterError for a name among `values` that is not one of them.
     """
-    names = check_value('bodies', PARAMETERS['bodies'], values)
-    joints = check_value('joints', PARAMETERS['joints'], values)
-    known = {**PARAMETERS, **own_parameters(names, joints)}
+    bodies, joints = (check_value(name, PARAMETERS[name], values) for name in ('bodies', 'joints'))
+    known = {**PARAMETERS, **own_parameters(bodies, joints)}
+    taken = {*known, *NODE_PARAMETERS, *_OF_ROS}
     for name in values:
-        if name not in known and name not in _NODE_ONLY and not name.startswith('qos_overrides.'):
-            hint = ''
-            body, _, last = name.rpartition('.')
-            if last in ('markers', 'shape', 'pin'):
-                hint = f'; {cut(body)} is not among the bodies {", ".join(names)}'
-            elif last == 'bodies':
-                hint = f'; {cut(body)} is not among the joints {", ".join(joints) or "(none)"}'
-            raise ParameterError(
-                f'unknown parameter {cut(name)}{hint}; known are {", ".join(sorted(known))}'
-            )
+        if name in taken or name.startswith('qos_overrides.'):
+            continue
+        hint = '; leave it out, as it has no effect' if name in _GONE else ''
+        owner = cut(name.rpartition('.')[0])
+        if own_name(name).startswith('<body>'):
+            hint = f'; {owner} is not among the bodies {", ".join(bodies)}'
+        elif own_name(name):
+            hint = f'; {owner} is not among the joints {", ".join(joints) or "(none)"}'
+        raise ParameterError(
+            f'unknown parameter {cut(name)}{hint}; known are {", ".join(sorted(known))}'
+        )
     return known
-
-
-def deprecation_warnings(names: Iterable[str]) -> list[str]:
-    """Return a warning for each deprecated parameter among the names."""
-    return [
-        f'parameter {name} is deprecated, since {DEPRECATED[name]}; fix: leave it out'
-        for name in sorted(DEPRECATED.keys() & set(names))
-    ]

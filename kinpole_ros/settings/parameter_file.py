@@ -9,8 +9,9 @@ import yaml
 from kinpole_ros.files import cut, cut_line, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML, load_yaml
 from kinpole_ros.settings.consistency import settings_from
+from kinpole_ros.settings.kinds import ParameterError
 from kinpole_ros.settings.ros_yaml import RosLoader
-from kinpole_ros.settings.settings import ParameterError, Settings
+from kinpole_ros.settings.settings import Settings
 
 # Raised for malformed YAML; PyYAML lets some errors of Python through.
 _MALFORMED = (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError)

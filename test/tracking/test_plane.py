@@ -165,12 +165,11 @@ def test_a_fitted_plane_is_as_good_as_a_level_one(
     assert squares[0] < 1.05 * squares[1]
 
 
-@pytest.mark.parametrize('method', ['pose', 'landmarks'])
-def test_live_and_at_once_a_fitted_plane_gives_the_same(method: str) -> None:
+def test_live_and_at_once_a_fitted_plane_gives_the_same() -> None:
     points = body(1.6, 100) @ rotation((1, 1, 0), 25).T
     points[50:53, 1] = np.nan
-    tracker, every = tracked(points, 100, 1, plane='fit', method=method)
-    other, ones = tracked(points, 100, 1, plane='fit', method=method, block=1)
+    tracker, every = tracked(points, 100, 1, plane='fit')
+    other, ones = tracked(points, 100, 1, plane='fit', block=1)
     assert tracker.plane is not None and other.plane is not None
     np.testing.assert_allclose(other.plane.basis, tracker.plane.basis, atol=1e-12)
     for one, more in zip(in_space(ones), in_space(every), strict=True):

@@ -528,7 +528,6 @@ def test_messages_that_are_cut_or_claim_too_much_are_errors_and_no_more(kind: st
         ({'marker_type': 'pose_stamped', 'bodies': ['a', 'b']}, 'or run a node for each'),
         ({'marker_type': 'body_poses', 'bodies': ['a', 'b']}, 'a.markers names 0 poses'),
         ({'marker_type': 'body_poses', 'marker_identity': 'shape'}, 'marker_identity is shape'),
-        ({'marker_type': 'pose_stamped', 'method': 'landmarks'}, 'method is landmarks'),
         (
             {'marker_type': 'body_poses', 'body.shape': [0.0, 0.0, 1.0, 0.0]},
             'body.shape is of markers',

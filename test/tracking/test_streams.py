@@ -76,16 +76,15 @@ def test_a_repeated_stamp_is_left_out() -> None:
     assert all(np.array_equal(a.angle, b.angle) for a, b in zip(found, plain, strict=True))
 
 
-@pytest.mark.parametrize('method', ['pose', 'landmarks'])
 @pytest.mark.parametrize('jump', [-3 * STEP + 1, -90 * STEP, -(10**12), 501_000_000, 10**15])
-def test_a_clock_that_jumps_starts_everything_anew(jump: int, method: str) -> None:
+def test_a_clock_that_jumps_starts_everything_anew(jump: int) -> None:
     seen = record('four_bar')
     frames = seen.frames[:100]
     # Another place, another shape: nothing of before may be left.
     other = record('four_bar', turn=0.5j, shift=3.0)
     last = frames[-1].stamps[0]
     late = [f._replace(stamps=f.stamps - START + last + jump) for f in other.frames]
-    tracker, found = follow([*frames, *late], {**seen.values, 'method': method})
+    tracker, found = follow([*frames, *late], seen.values)
     assert tracker.counts['resets'] == 1
     # Whether a step back lasts is seen from its second frame, beyond the window from its first.
     assert tracker.counts['late'] == (-500_000_000 <= jump < 0)
@@ -95,8 +94,7 @@ def test_a_clock_that_jumps_starts_everything_anew(jump: int, method: str) -> No
     check(other, after)
 
 
-@pytest.mark.parametrize('method', ['pose', 'landmarks'])
-def test_a_single_late_frame_is_left_out(method: str) -> None:
+def test_a_single_late_frame_is_left_out() -> None:
     """Overtaken by one frame, by several, again and again, told twice, and at the very end."""
     seen = record('four_bar')
     order = list(range(200))
@@ -106,7 +104,7 @@ def test_a_single_late_frame_is_left_out(method: str) -> None:
     late = [k for place, k in enumerate(order) if any(j > k for j in order[:place])]
     assert late == [20, 60, 120, 122, 124, 198]
     order.insert(order.index(124), 124)
-    values = {**seen.values, 'window': 0.25, 'method': method}
+    values = {**seen.values, 'window': 0.25}
     tracker, found = follow([seen.frames[k] for k in order], values, every=1)
     plain, expected = follow([f for k, f in enumerate(seen.frames) if k not in late], values, 4, 1)
     # Frames that were taken away seem lost.
@@ -135,13 +133,12 @@ def test_a_bag_that_loops_within_the_window_starts_anew_and_loses_one_frame(coun
     assert tracker.samples == count - 1
 
 
-@pytest.mark.parametrize('method', ['pose', 'landmarks'])
-def test_another_frame_id_starts_everything_anew(method: str) -> None:
+def test_another_frame_id_starts_everything_anew() -> None:
     seen = record('four_bar')
     # Another place, another shape, as another camera sees it: nothing of before may be left.
     other = record('four_bar', turn=0.5j, shift=3.0)
     frames = [*seen.frames[:100], *(f._replace(frame_id='camera') for f in other.frames[100:])]
-    tracker, found = follow(frames, {**seen.values, 'method': method}, every=5)
+    tracker, found = follow(frames, seen.values, every=5)
     assert (tracker.counts['frame_changes'], tracker.counts['resets']) == (1, 0)
     before = [e for e in found if e.frame_id == 'world']
     after = [e for e in found if e.frame_id == 'camera']
@@ -151,7 +148,7 @@ def test_another_frame_id_starts_everything_anew(method: str) -> None:
     check(seen, before, (1e-5, 1e-5, 1e-5, 2e-5))
     check(other, after[-10:])
     # From the first frame on, as if there had been none before.
-    _, alone = follow(frames[100:], {**seen.values, 'method': method}, every=5)
+    _, alone = follow(frames[100:], seen.values, every=5)
     assert [e.stamp for e in after] == [e.stamp for e in alone]
     assert all(np.array_equal(a.angle, b.angle) for a, b in zip(after, alone, strict=True))
 
@@ -252,9 +249,9 @@ def test_a_gap_within_the_window_resets_nothing() -> None:
     assert tracker.samples <= 101
 
 
-@pytest.mark.parametrize('step', [100_000, 1_000_000_000])
+@pytest.mark.parametrize('step', [100_000, 500_000_000])
 def test_the_rate_of_the_frames_does_not_matter(step: int) -> None:
-    """The same frames at 10 kHz and at 1 Hz: all times scale."""
+    """The same frames at 10 kHz and at 2 Hz: all times scale."""
     seen = record('cardan')
     factor = step / STEP
     frames = [f._replace(stamps=np.array([START + k * step])) for k, f in enumerate(seen.frames)]
@@ -281,13 +278,12 @@ def test_nothing_is_computed_when_nothing_is_asked() -> None:
     assert len(instants(tracker.add(more, 4))) == 1
 
 
-@pytest.mark.parametrize(('method', 'drop'), [('pose', 0.3), ('landmarks', 0.0)])
-def test_what_is_found_does_not_depend_on_the_order_asked_for(method: str, drop: float) -> None:
+@pytest.mark.parametrize('drop', [0.3, 0.0])
+def test_what_is_found_does_not_depend_on_the_order_asked_for(drop: float) -> None:
     seen = record('four_bar', count=120, noise=1e-4, drop=drop)
-    values = {**seen.values, 'method': method}
-    _, full = follow(seen.frames, values, order=4, every=4)
+    _, full = follow(seen.frames, seen.values, order=4, every=4)
     for order in (1, 2, 3):
-        _, part = follow(seen.frames, values, order=order, every=4)
+        _, part = follow(seen.frames, seen.values, order=order, every=4)
         assert [e.stamp for e in part] == [e.stamp for e in full]
         for few, all_ in zip(part, full, strict=True):
             assert few.order == order
@@ -302,13 +298,11 @@ def test_what_is_found_does_not_depend_on_the_order_asked_for(method: str, drop:
 
 
 @pytest.mark.parametrize(
-    ('step', 'jitter', 'method'),
-    [(1e9 / 240, 0.0, 'pose'), (STEP, 0.1, 'pose'), (STEP, 0.0, 'landmarks')],
-    ids=['ns-pose', 'jitter-pose', 'even-landmarks'],
+    ('step', 'jitter'),
+    [(1e9 / 240, 0.0), (STEP, 0.1), (STEP, 0.0)],
+    ids=['ns', 'jitter', 'even'],
 )
-def test_frames_all_at_once_give_what_they_give_one_by_one(
-    step: float, jitter: float, method: str
-) -> None:
+def test_frames_all_at_once_give_what_they_give_one_by_one(step: float, jitter: float) -> None:
     """With markers and whole bodies that drop out, one that is elsewhere for a frame, and a gap."""
     seen = record('four_bar', count=260, noise=1e-4, step=step, jitter=jitter)
     points = np.concatenate([frame.points for frame in seen.frames])
@@ -318,7 +312,7 @@ def test_frames_all_at_once_give_what_they_give_one_by_one(
     keep = np.r_[0:30, 31:160, 168:260]
     stamps = np.concatenate([frame.stamps for frame in seen.frames])[keep]
     frames = MarkerFrames(stamps, 'world', seen.frames[0].identities, points[keep])
-    settings = settings_from({**seen.values, 'window': 0.25, 'method': method})
+    settings = settings_from({**seen.values, 'window': 0.25})
     whole, single = Tracker(settings), Tracker(settings)
     together = whole.add(frames, 4)
     one_by_one = []
@@ -518,19 +512,18 @@ def everything(found: list[Estimate]) -> dict[str, np.ndarray]:
     st.sampled_from((1e-5, 1e-3)),
     st.sampled_from(((0.1, 0.0), (0.2, 0.1), (0.5, 0.02), (0.1, 0.099))),
     st.sampled_from((0.0, 1e-3)),
-    st.sampled_from(('pose', 'pose', 'landmarks')),
     st.integers(1, 4),
     st.booleans(),
 )
 @example(  # a body that begins anew amid a block, and is deformed before
     [Fault('mirror', 10, 1, 0)],
     [1] * 60,
-    *(3.0, 0.0, 1e-5, (0.1, 0.0), 0.0, 'landmarks', 4, False),
+    *(3.0, 0.0, 1e-5, (0.1, 0.0), 0.0, 4, False),
 )
 @example(  # a clock whose ticks are whole numbers but for rounding
     [Fault('twice', 13, 1, 0), Fault('twice', 16, 1, 0)],
     [30] * 60,
-    *(-40.0, 0.0, 1e-5, (0.5, 0.02), 1e-3, 'landmarks', 1, False),
+    *(-40.0, 0.0, 1e-5, (0.5, 0.02), 1e-3, 1, False),
 )
 def test_any_partition_of_any_stream_gives_the_same(
     spoilt: list[Fault],
@@ -540,7 +533,6 @@ def test_any_partition_of_any_stream_gives_the_same(
     noise: float,
     window: tuple[float, float],
     given_noise: float,
-    method: str,
     order: int,
     alone: bool,
 ) -> None:
@@ -557,7 +549,6 @@ def test_any_partition_of_any_stream_gives_the_same(
         'window': window[0],
         'lag': window[1],
         'noise': given_noise,
-        'method': method,
     }
     count = len(stamps)
     results = []
@@ -599,7 +590,7 @@ def test_any_partition_of_any_stream_gives_the_same(
     st.floats(-3, 3),
     st.complex_numbers(max_magnitude=3),
     st.sampled_from((1e-6, 1e-3, 0.7, 40.0)),
-    st.sampled_from((0.2, 0.5, 1.0, 3.0, 1000.0)),
+    st.sampled_from((0.2, 0.5, 1.0, 3.0, 300.0)),
     st.booleans(),
     st.permutations(range(8)),
     st.booleans(),
@@ -610,7 +601,7 @@ def test_any_partition_of_any_stream_gives_the_same(
         Fault('hide the body', 24, 60, 7),
         Fault('twice', 80, 60, 5),
     ],
-    *(0.0, 0j, 1.0, 1000.0, False, list(range(8)), False),
+    *(0.0, 0j, 1.0, 300.0, False, list(range(8)), False),
 )
 def test_a_scene_turned_moved_scaled_mirrored_slowed_or_renamed_gives_the_answer_so(
     spoilt: list[Fault],

@@ -25,23 +25,21 @@ pytestmark = pytest.mark.filterwarnings('error')
 # --- exact markers ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize('method', ['pose', 'landmarks'])
 @pytest.mark.parametrize('lag', [0.1, 0.02, 0.0])
 @pytest.mark.parametrize('scene', SCENES)
-def test_exact_markers_give_exact_poles(scene: str, lag: float, method: str) -> None:
+def test_exact_markers_give_exact_poles(scene: str, lag: float) -> None:
     seen = record(scene)
-    _, found = follow(seen.frames, {**seen.values, 'lag': lag, 'method': method})
+    _, found = follow(seen.frames, {**seen.values, 'lag': lag})
     # With little lag the very first window is short, and the snap wants a longer one; without any
     # the end of a window decides.
     isp = {0.1: 1e-5, 0.02: 1e-4, 0.0: 3e-3}[lag]
     check(seen, found[1:], (1e-5, 1e-5, 2e-3 if lag == 0 else 1e-5, isp))
 
 
-@pytest.mark.parametrize('method', ['pose', 'landmarks'])
 @pytest.mark.parametrize('scene', SCENES)
-def test_markers_may_be_missing_now_and_then(scene: str, method: str) -> None:
+def test_markers_may_be_missing_now_and_then(scene: str) -> None:
     seen = record(scene, drop=0.1)
-    tracker, found = follow(seen.frames, {**seen.values, 'method': method})
+    tracker, found = follow(seen.frames, seen.values)
     # The very first windows hold too few samples of some markers.
     check(seen, found[2:])
     holes = sum(int(np.isnan(frame.points[0, :, 0]).sum()) for frame in seen.frames)
@@ -160,10 +158,9 @@ def test_links_turn_about_their_joints() -> None:
 # --- noise --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize('method', ['pose', 'landmarks'])
-def test_noisy_markers_give_what_the_variance_says(method: str) -> None:
+def test_noisy_markers_give_what_the_variance_says() -> None:
     seen = record('four_bar', count=400, noise=2e-4)
-    tracker, found = follow(seen.frames, {**seen.values, 'method': method}, every=5)
+    tracker, found = follow(seen.frames, seen.values, every=5)
     found = found[10:]
     assert tracker.noise() == pytest.approx(2e-4, rel=0.2)
     truth = seen.truth(estimate.stamp for estimate in found)
@@ -197,15 +194,14 @@ def test_a_given_noise_is_believed() -> None:
     assert (found[-1].rate(1).variance > 2 * measured[-1].rate(1).variance).all()
 
 
-@pytest.mark.parametrize('method', ['pose', 'landmarks'])
 @pytest.mark.parametrize('noise', [1e-20, 1e-200])
-def test_no_given_noise_is_below_rounding(noise: float, method: str) -> None:
+def test_no_given_noise_is_below_rounding(noise: float) -> None:
     body = np.array([[0.09, 0.02, 0], [-0.03, 0.1, 0], [-0.08, -0.05, 0], [0.05, -0.06, 0]])
     turn = np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]])
     points = np.repeat(body[None], 400, axis=0)
     points[..., :2] = points[..., :2] @ turn + [0.3, 0.2]
     frames = MarkerFrames(START + STEP * np.arange(400), 'world', ('a', 'b', 'c', 'd'), points)
-    (found,) = Tracker(settings_from({'noise': noise, 'method': method})).add(frames, 4)
+    (found,) = Tracker(settings_from({'noise': noise})).add(frames, 4)
     for order in range(1, 5):
         assert not found.pole(order).determined.any()
         assert (found.rate(order).variance > 0).all()
@@ -333,8 +329,7 @@ def test_a_tracker_that_finds_its_markers_late_is_followed_from_then_on() -> Non
 # --- a body of all markers ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize('method', ['pose', 'landmarks'])
-def test_a_body_of_all_markers_takes_in_what_it_meets(method: str) -> None:
+def test_a_body_of_all_markers_takes_in_what_it_meets() -> None:
     seen = record('cardan', count=300)
     frames = []
     for k, frame in enumerate(seen.frames):
@@ -342,7 +337,7 @@ def test_a_body_of_all_markers_takes_in_what_it_meets(method: str) -> None:
         frames.append(
             frame._replace(identities=frame.identities[:met], points=frame.points[:, :met])
         )
-    tracker, found = follow(frames, {'method': method, 'window': 0.5})
+    tracker, found = follow(frames, {'window': 0.5})
     assert tracker.bodies == ('body',)
     assert tracker.counts['markers_unknown'] == 0
     truth = seen.truth(estimate.stamp for estimate in found)['rod']
@@ -451,15 +446,14 @@ def sound(estimate: Estimate) -> None:
 @settings(max_examples=60)
 @given(
     st.lists(st.tuples(steps, messages, st.sampled_from((None, 1, 2, 3, 4))), max_size=20),
-    st.sampled_from(('pose', 'landmarks')),
     st.booleans(),
     st.sampled_from((0.0, 0.01)),
     st.sampled_from((0.0, 1e-3, 1e6)),
 )
 def test_whatever_comes_nothing_raises_and_nothing_unknown_is_called_known(
-    stream: list[Any], method: str, several: bool, lag: float, noise: float
+    stream: list[Any], several: bool, lag: float, noise: float
 ) -> None:
-    values: dict[str, Any] = {'method': method, 'lag': lag, 'noise': noise}
+    values: dict[str, Any] = {'lag': lag, 'noise': noise}
     if several:
         values |= {'bodies': ['p', 'q'], 'p.markers': ['a', 'b'], 'q.markers': ['b', 'c', 'e']}
     tracker = Tracker(settings_from(values))
@@ -472,15 +466,14 @@ def test_whatever_comes_nothing_raises_and_nothing_unknown_is_called_known(
             sound(estimate)
 
 
-@pytest.mark.parametrize('method', ['pose', 'landmarks'])
 @pytest.mark.parametrize('bad', [np.nan, np.inf, 1e300, 1e200, 1e155, 1e100, 1e20, 0.0])
-def test_frames_gone_wild_amid_good_ones_do_no_harm(bad: float, method: str) -> None:
+def test_frames_gone_wild_amid_good_ones_do_no_harm(bad: float) -> None:
     seen = record('four_bar', count=80, noise=1e-4)
     for frame in seen.frames[30:36]:
         frame.points[:, ::2] = bad
     for k in (40, 43):
         seen.frames[k].points[:] = bad
-    tracker, found = follow(seen.frames, {**seen.values, 'method': method, 'lag': 0.02}, every=2)
+    tracker, found = follow(seen.frames, {**seen.values, 'lag': 0.02}, every=2)
     for estimate in found:
         sound(estimate)
     assert np.isfinite(tracker.noise()).all()

@@ -52,9 +52,9 @@ def errors(found: list[Estimate]) -> dict[int, np.ndarray]:
 
 
 @functools.cache
-def straight_track(noise: float = 2e-4, method: str = 'pose') -> list[Estimate]:
+def straight_track(noise: float = 2e-4) -> list[Estimate]:
     """What is found where nothing is spoiled."""
-    return track(None, noise, method=method)[1]
+    return track(None, noise)[1]
 
 
 @pytest.fixture(scope='module')
@@ -142,9 +142,9 @@ def test_a_marker_that_was_moved_for_good_is_learned_anew() -> None:
     assert tracker.noise()[1] < 4e-4
 
 
-def test_landmarks_by_themselves_are_mended_alike() -> None:
-    _, found = track(swap, method='landmarks')
-    straight = straight_track(method='landmarks')
+def test_with_noise_an_exchange_of_five_frames_changes_no_figure() -> None:
+    _, found = track(swap)
+    straight = straight_track()
     for one, other in zip(found, straight, strict=True):
         assert np.allclose(one.angle, other.angle, rtol=1e-9, equal_nan=True)
 
@@ -168,14 +168,13 @@ def test_heights_go_with_the_markers_that_are_exchanged() -> None:
     assert np.isfinite(tracker.space().size).all()
 
 
-@pytest.mark.parametrize('method', ['pose', 'landmarks'])
-def test_figures_go_on_as_they_were_when_two_markers_are_exchanged_for_good(method: str) -> None:
+def test_figures_go_on_as_they_were_when_two_markers_are_exchanged_for_good() -> None:
     def swapped(points: np.ndarray) -> None:
         points[150:, [3, 5]] = points[150:, [5, 3]]
 
-    tracker, found = track(swapped, method=method)
+    tracker, found = track(swapped)
     assert 200 <= tracker.counts['markers_exchanged'] < 300
-    straight, truth = straight_track(method=method), errors(found)
+    straight, truth = straight_track(), errors(found)
     usual = np.sqrt(np.nanmean(np.square(list(errors(straight).values())), axis=0))
     off = [abs(truth[frame] - error) for frame, error in errors(straight).items() if frame > 150]
     assert (np.max(off, axis=0)[:, 1] < 0.1 * usual[:, 1]).all()

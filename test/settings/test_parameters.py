@@ -1,27 +1,27 @@
 """Parameters: what is wrong is refused by name with what is allowed, from a file as set live."""
 
+import re
 from array import array
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kinpole_ros.settings import (
-    DEPRECATED,
-    MARKERS,
     NODE_PARAMETERS,
+    OWN_PARAMETERS,
     PARAMETERS,
-    SHAPE,
     ParameterError,
     Settings,
     load_settings,
     settings_from,
 )
 
-CONFIG = Path(__file__).parents[1] / 'config'
+CONFIG = Path(__file__).parents[2] / 'config'
 DESIGNED = {
     'marker_topic': 'markers',
     'marker_type': 'auto',
@@ -65,10 +65,9 @@ def test_nothing_given_is_one_body_of_all_markers_and_the_defaults() -> None:
 
 def test_every_setting_is_a_parameter_and_every_parameter_says_what_it_means() -> None:
     assert {field.name for field in fields(Settings)} - {'shapes', 'pins'} == set(PARAMETERS)
-    for row in (*PARAMETERS.values(), *NODE_PARAMETERS.values(), MARKERS, SHAPE):
+    for row in (PARAMETERS | NODE_PARAMETERS | OWN_PARAMETERS).values():
         assert row.description.endswith('.')
-        assert row.allowed
-        row.check(row.default)
+        assert row.kind.allowed
 
 
 WRONG = [
@@ -97,8 +96,6 @@ WRONG = [
     ('derivative_order', [0, 5, 2.0, 'all', True, None, -1, '²'], 'auto, 1, 2, 3 or 4'),
     ('noise', [-1e-9, 'low', float('nan'), float('-inf')], '0 to 1e+06 m'),
     ('stamps', ['arrivals', 0, None, True], 'auto, capture, arrival'),
-    ('effort', ['lots', 0, None], 'low, normal, high'),
-    ('method', ['poses', 0, None], 'pose, landmarks'),
     ('scene', [0, None, ['four_bar'], True], 'the name of a scene'),
     ('autostart', ['no', 0, 1, None], 'true or false'),
     ('executor', ['EventsExecutor', '', 1, None], 'one of lean, rclpy'),
@@ -187,6 +184,12 @@ def test_an_unknown_parameter_is_refused_with_the_known_ones() -> None:
     text = refusal({'windows': 0.3})
     assert text.startswith('unknown parameter windows;')
     assert all(name in text for name in PARAMETERS)
+
+
+@pytest.mark.parametrize('name', ['effort', 'method'])
+def test_a_parameter_of_old_files_is_refused_with_the_advice_to_leave_it_out(name: str) -> None:
+    text = refusal({name: 'low'})
+    assert text.startswith(f'unknown parameter {name}; leave it out, as it has no effect; known')
 
 
 def test_markers_of_a_body_that_is_not_there_are_told_apart_from_a_misspelt_name() -> None:
@@ -335,9 +338,19 @@ def test_the_files_that_come_along_are_good(path: Path) -> None:
     load_settings(path)
 
 
-def test_the_commented_file_holds_every_parameter_with_its_default() -> None:
-    assert load_settings(CONFIG / 'kinpole.yaml') == Settings()
+def test_the_commented_file_holds_every_parameter_with_default_unit_and_choices() -> None:
     text = (CONFIG / 'kinpole.yaml').read_text()
-    # An empty list is no value in such a file.
-    own = [name for name in PARAMETERS if name not in ('joints', *DEPRECATED)]
-    assert all(f'\n    {name}: ' in text for name in own) and '\n    # joints: [' in text
+    assert load_settings(CONFIG / 'kinpole.yaml') == Settings()
+    values = yaml.safe_load(text)['/**']['ros__parameters']
+    # An empty list is no value in such a file: the joints are in a comment.
+    rows = {n: row for n, row in (PARAMETERS | NODE_PARAMETERS).items() if row.default != []}
+    assert values == {name: row.default for name, row in rows.items()}
+    for name, row in rows.items():
+        # The comment of a parameter goes on to the next one.
+        [comment] = re.findall(rf'^    {name}: .*?#(.*?)(?:^    \w|\Z)', text, re.M | re.S)
+        if row.kind.unit:
+            assert re.search(rf'^ {row.kind.unit}\b', comment), name
+        choices = re.match(r'one of (.+?)(?:, or|$)', row.kind.allowed)
+        for choice in choices[1].split(', ') if choices else ():
+            assert re.search(rf'\b{choice}\b', comment), (name, choice)
+    assert all(f'    {name}: [' in text for name in ('# joints', '#   markers', '#   shape'))
