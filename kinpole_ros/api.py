@@ -4,16 +4,18 @@ The Python API, without ROS: markers in an array, or a bag, to the motion of bod
 The pipeline is that of node and replay, so the results are the same.
 """
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kinpole_ros.files import did_you_mean
 from kinpole_ros.packages import install_command
 from kinpole_ros.planar import to_plane
 from kinpole_ros.settings import Settings, load_settings, settings_from
@@ -45,10 +47,9 @@ class _Records(dict[_Key, _Record]):
     def __missing__(self, key: object) -> NoReturn:
         names = {_shown(name): name for name in self}
         if isinstance(key, tuple) and key[::-1] in self:
-            closest = [_shown(key[::-1])]
+            suggestion = f'did you mean {_shown(key[::-1])}? '
         else:
-            closest = get_close_matches(_shown(key), names, n=1)
-        suggestion = f'did you mean {closest[0]}? ' if closest else ''
+            suggestion = did_you_mean(_shown(key), names)
         raise UnknownNameError(
             f'{_shown(key)} is not tracked; {suggestion}known: {", ".join(names) or "none"}'
         )
@@ -65,10 +66,9 @@ class _Motion:
 
         def __getattr__(self, name: str) -> NoReturn:
             names = list(type(self).__dataclass_fields__)
-            closest = get_close_matches(name, names, n=1)
-            suggestion = f'did you mean {closest[0]}? ' if closest else ''
             raise AttributeError(
-                f'{type(self).__name__} has no {name}; {suggestion}known: {", ".join(names)}',
+                f'{type(self).__name__} has no {name}; {did_you_mean(name, names)}known: '
+                f'{", ".join(names)}',
                 name=name,
                 obj=self,
             )
@@ -162,7 +162,7 @@ class Tracked:
     def __getitem__(self, body: str) -> BodyMotion:
         return self.bodies[body]
 
-    def to_frame(self) -> 'pandas.DataFrame':
+    def to_frame(self) -> pandas.DataFrame:
         """
         Return a pandas frame with a row an instant, indexed by `t`.
 

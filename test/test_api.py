@@ -1,5 +1,6 @@
 """The door for Python: arrays in, arrays out, the figures of replay."""
 
+import inspect
 import pickle
 import sys
 from collections.abc import Callable
@@ -11,7 +12,7 @@ import pytest
 from conftest import bodies_of, write_config
 
 import kinpole_ros
-from kinpole_ros import UnknownNameError, replay, track
+from kinpole_ros import UnknownNameError, mechanism, planar, replay, track
 from kinpole_ros.bags import read_frames
 from kinpole_ros.bags import replay as replay_bag
 from kinpole_ros.settings import ParameterError, Settings
@@ -20,6 +21,15 @@ from kinpole_ros.settings import ParameterError, Settings
 @pytest.fixture(scope='module')
 def rig(simulated: Callable[..., Path]) -> Path:
     return simulated('four_bar', duration=0.5, noise=2e-4, dropout=0.02)
+
+
+@pytest.mark.parametrize('module', [kinpole_ros, planar, mechanism], ids=lambda one: one.__name__)
+def test_signatures_name_types_and_do_not_spell_them_out(module: Any) -> None:
+    """ArrayLike is a union of protocols, which takes 20 lines of help()."""
+    for name in module.__all__:
+        if inspect.isfunction(function := getattr(module, name)):
+            assert 'NestedSequence' not in (shown := str(inspect.signature(function))), name
+            assert len(shown) < 700, name
 
 
 def all_arrays(tracked: kinpole_ros.Tracked) -> dict[str, np.ndarray]:

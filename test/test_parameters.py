@@ -135,6 +135,7 @@ def test_a_bad_value_is_refused_with_its_name_and_what_is_allowed(
         ({'joints': ['j'], 'j.bodies': ['body']}, 'two different names of bodies'),
         ({'joints': ['j'], 'j.bodies': ['body', 'body']}, 'two different names of bodies'),
         ({'joints': ['j'], 'j.bodies': ['body', 'b']}, 'j.bodies names b; a joint is between two'),
+        ({'lagg': 0.1}, 'unknown parameter lagg; did you mean lag? known are'),
         ({'j.bodies': ['ground', 'body']}, 'unknown parameter j.bodies; j is not among the joints'),
     ],
 )

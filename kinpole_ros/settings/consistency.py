@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from kinpole_ros.files import cut
+from kinpole_ros.files import cut, did_you_mean
 from kinpole_ros.settings.parameter_table import (
     DEPRECATED,
     NODE_PARAMETERS,
@@ -178,7 +178,8 @@ def known_rows(values: Mapping[str, Any]) -> dict[str, Parameter]:
             elif last == 'bodies':
                 hint = f'; {cut(body)} is not among the joints {", ".join(joints) or "(none)"}'
             raise ParameterError(
-                f'unknown parameter {cut(name)}{hint}; known are {", ".join(sorted(known))}'
+                f'unknown parameter {cut(name)}{hint}; {did_you_mean(name[:100], known)}known are '
+                f'{", ".join(sorted(known))}'
             )
     return known
 
