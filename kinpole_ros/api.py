@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
@@ -60,7 +61,12 @@ def _shown(key: object) -> str:
 
 
 class _Motion:
-    """A dataclass that lists its fields where an unknown one is read."""
+    """A dataclass of arrays (M, ...) that lists its fields, and so where an unknown one is read."""
+
+    def __repr__(self) -> str:
+        names = [one.name for one in fields(self)]  # type: ignore[arg-type]
+        count = len(getattr(self, names[0]))
+        return f'{type(self).__name__} at {count} instants: {", ".join(names)}'
 
     if not TYPE_CHECKING:
 
@@ -97,7 +103,7 @@ class Events:
         return len(self.t)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class BodyMotion(_Motion):
     """
     The motion of one body at M instants; NaN where undetermined, or beyond `derivative_order`.
@@ -132,7 +138,7 @@ class BodyMotion(_Motion):
     centrode_curvature_sigma: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PairMotion(_Motion):
     """The motion of body j with respect to body i at M instants, in arrays as those of a body."""
 
@@ -142,7 +148,7 @@ class PairMotion(_Motion):
     icr_covariance: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Tracked:
     """
     The motion of bodies at M instants: `tracked['crank'].angular_velocity` (M,), and so on.
@@ -161,6 +167,37 @@ class Tracked:
 
     def __getitem__(self, body: str) -> BodyMotion:
         return self.bodies[body]
+
+    def __repr__(self) -> str:
+        title, rows = self._summary()
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ['  '.join(map(str.ljust, row, widths)).rstrip() for row in rows]
+        return '\n'.join([title, *lines])
+
+    def _repr_html_(self) -> str:
+        """Return the summary as a table, as notebooks show it."""
+        title, (head, *rows) = self._summary()
+        cells = ''.join(f'<th>{escape(cell)}</th>' for cell in head)
+        for row in rows:
+            cells += '</tr><tr>' + ''.join(f'<td>{escape(cell)}</td>' for cell in row)
+        return f'<p>{escape(title)}</p><table><tr>{cells}</tr></table>'
+
+    def _summary(self) -> tuple[str, list[list[str]]]:
+        """Return a line on the instants, and a table of the bodies below its head."""
+        span = f', t = {self.t[0]:.6g} to {self.t[-1]:.6g} s' if len(self.t) else ''
+        rows = [['body', 'angular velocity, rad/s', 'deviation', 'known at', 'ICR at']]
+        for name, body in self.bodies.items():
+            is_known = np.isfinite(body.angular_velocity)
+            row = [name, '-', '-', '-', '-']
+            if is_known.any():
+                known = body.angular_velocity[is_known]
+                sigma = np.median(body.angular_velocity_sigma[is_known])
+                row[1:3] = f'{known.min():.4g} to {known.max():.4g}', f'{sigma:.2g}'
+            if len(self.t):
+                icr = np.isfinite(body.icr[:, 0])
+                row[3:] = f'{is_known.mean():.1%}', f'{icr.mean():.1%}'
+            rows.append(row)
+        return f'Tracked at {len(self.t)} instants{span}', rows
 
     def to_frame(self) -> pandas.DataFrame:
         """
