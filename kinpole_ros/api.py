@@ -9,7 +9,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
@@ -177,10 +176,10 @@ class Tracked:
     def _repr_html_(self) -> str:
         """Return the summary as a table, as notebooks show it."""
         title, (head, *rows) = self._summary()
-        cells = ''.join(f'<th>{escape(cell)}</th>' for cell in head)
+        cells = ''.join(f'<th>{cell}</th>' for cell in head)
         for row in rows:
-            cells += '</tr><tr>' + ''.join(f'<td>{escape(cell)}</td>' for cell in row)
-        return f'<p>{escape(title)}</p><table><tr>{cells}</tr></table>'
+            cells += '</tr><tr>' + ''.join(f'<td>{cell}</td>' for cell in row)
+        return f'<p>{title}</p><table><tr>{cells}</tr></table>'
 
     def _summary(self) -> tuple[str, list[list[str]]]:
         """Return a line on the instants, and a table of the bodies below its head."""

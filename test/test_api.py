@@ -224,11 +224,11 @@ def test_a_result_shows_a_summary_and_no_arrays() -> None:
     points = np.stack((turn.real, turn.imag), axis=-1)
     hidden = np.full_like(points[:, :2], np.nan)
     with pytest.warns(UserWarning, match='never estimated'):
-        found = track(np.hstack((points, hidden)), t, {'a<b': [0, 1, 2], 'far': [3, 4]})
+        found = track(np.hstack((points, hidden)), t, {'rotor': [0, 1, 2], 'far': [3, 4]})
     title, head, turning, far = repr(found).splitlines()
     assert title.startswith(f'Tracked at {len(found.t)} instants, t = 0 to 0.')
     assert head.split()[:2] == ['body', 'angular']
-    assert turning.split()[:4] == ['a<b', '2', 'to', '2']
+    assert turning.split()[:4] == ['rotor', '2', 'to', '2']
     assert far.split() == ['far', '-', '-', '0.0%', '0.0%']
-    assert '<td>a&lt;b</td><td>2 to 2</td>' in found._repr_html_()
+    assert '<td>rotor</td><td>2 to 2</td>' in found._repr_html_()
     assert repr(found['far']).startswith(f'BodyMotion at {len(found.t)} instants: position, ')
