@@ -4,16 +4,18 @@ The Python API, without ROS: markers in an array, or a bag, to the motion of bod
 The pipeline is that of node and replay, so the results are the same.
 """
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kinpole_ros.files import did_you_mean
 from kinpole_ros.packages import install_command
 from kinpole_ros.planar import to_plane
 from kinpole_ros.settings import Settings, load_settings, settings_from
@@ -45,10 +47,9 @@ class _Records(dict[_Key, _Record]):
     def __missing__(self, key: object) -> NoReturn:
         names = {_shown(name): name for name in self}
         if isinstance(key, tuple) and key[::-1] in self:
-            closest = [_shown(key[::-1])]
+            suggestion = f'did you mean {_shown(key[::-1])}? '
         else:
-            closest = get_close_matches(_shown(key), names, n=1)
-        suggestion = f'did you mean {closest[0]}? ' if closest else ''
+            suggestion = did_you_mean(_shown(key), names)
         raise UnknownNameError(
             f'{_shown(key)} is not tracked; {suggestion}known: {", ".join(names) or "none"}'
         )
@@ -59,16 +60,20 @@ def _shown(key: object) -> str:
 
 
 class _Motion:
-    """A dataclass that lists its fields where an unknown one is read."""
+    """A dataclass of arrays (M, ...) that lists its fields, and so where an unknown one is read."""
+
+    def __repr__(self) -> str:
+        names = [one.name for one in fields(self)]  # type: ignore[arg-type]
+        count = len(getattr(self, names[0]))
+        return f'{type(self).__name__} at {count} instants: {", ".join(names)}'
 
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> NoReturn:
             names = list(type(self).__dataclass_fields__)
-            closest = get_close_matches(name, names, n=1)
-            suggestion = f'did you mean {closest[0]}? ' if closest else ''
             raise AttributeError(
-                f'{type(self).__name__} has no {name}; {suggestion}known: {", ".join(names)}',
+                f'{type(self).__name__} has no {name}; {did_you_mean(name, names)}known: '
+                f'{", ".join(names)}',
                 name=name,
                 obj=self,
             )
@@ -97,7 +102,7 @@ class Events:
         return len(self.t)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class BodyMotion(_Motion):
     """
     The motion of one body at M instants; NaN where undetermined, or beyond `derivative_order`.
@@ -132,7 +137,7 @@ class BodyMotion(_Motion):
     centrode_curvature_sigma: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PairMotion(_Motion):
     """The motion of body j with respect to body i at M instants, in arrays as those of a body."""
 
@@ -142,7 +147,7 @@ class PairMotion(_Motion):
     icr_covariance: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Tracked:
     """
     The motion of bodies at M instants: `tracked['crank'].angular_velocity` (M,), and so on.
@@ -162,7 +167,38 @@ class Tracked:
     def __getitem__(self, body: str) -> BodyMotion:
         return self.bodies[body]
 
-    def to_frame(self) -> 'pandas.DataFrame':
+    def __repr__(self) -> str:
+        title, rows = self._summary()
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ['  '.join(map(str.ljust, row, widths)).rstrip() for row in rows]
+        return '\n'.join([title, *lines])
+
+    def _repr_html_(self) -> str:
+        """Return the summary as a table, as notebooks show it."""
+        title, (head, *rows) = self._summary()
+        cells = ''.join(f'<th>{cell}</th>' for cell in head)
+        for row in rows:
+            cells += '</tr><tr>' + ''.join(f'<td>{cell}</td>' for cell in row)
+        return f'<p>{title}</p><table><tr>{cells}</tr></table>'
+
+    def _summary(self) -> tuple[str, list[list[str]]]:
+        """Return a line on the instants, and a table of the bodies below its head."""
+        span = f', t = {self.t[0]:.6g} to {self.t[-1]:.6g} s' if len(self.t) else ''
+        rows = [['body', 'angular velocity, rad/s', 'deviation', 'known at', 'ICR at']]
+        for name, body in self.bodies.items():
+            is_known = np.isfinite(body.angular_velocity)
+            row = [name, '-', '-', '-', '-']
+            if is_known.any():
+                known = body.angular_velocity[is_known]
+                sigma = np.median(body.angular_velocity_sigma[is_known])
+                row[1:3] = f'{known.min():.4g} to {known.max():.4g}', f'{sigma:.2g}'
+            if len(self.t):
+                icr = np.isfinite(body.icr[:, 0])
+                row[3:] = f'{is_known.mean():.1%}', f'{icr.mean():.1%}'
+            rows.append(row)
+        return f'Tracked at {len(self.t)} instants{span}', rows
+
+    def to_frame(self) -> pandas.DataFrame:
         """
         Return a pandas frame with a row an instant, indexed by `t`.
 

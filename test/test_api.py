@@ -1,5 +1,6 @@
 """The door for Python: arrays in, arrays out, the figures of replay."""
 
+import inspect
 import pickle
 import sys
 from collections.abc import Callable
@@ -11,7 +12,7 @@ import pytest
 from conftest import bodies_of, write_config
 
 import kinpole_ros
-from kinpole_ros import UnknownNameError, replay, track
+from kinpole_ros import UnknownNameError, mechanism, planar, replay, track
 from kinpole_ros.bags import read_frames
 from kinpole_ros.bags import replay as replay_bag
 from kinpole_ros.settings import ParameterError, Settings
@@ -20,6 +21,15 @@ from kinpole_ros.settings import ParameterError, Settings
 @pytest.fixture(scope='module')
 def rig(simulated: Callable[..., Path]) -> Path:
     return simulated('four_bar', duration=0.5, noise=2e-4, dropout=0.02)
+
+
+@pytest.mark.parametrize('module', [kinpole_ros, planar, mechanism], ids=lambda one: one.__name__)
+def test_signatures_name_types_and_do_not_spell_them_out(module: Any) -> None:
+    """ArrayLike is a union of protocols, which takes 20 lines of help()."""
+    for name in module.__all__:
+        if inspect.isfunction(function := getattr(module, name)):
+            assert 'NestedSequence' not in (shown := str(inspect.signature(function))), name
+            assert len(shown) < 700, name
 
 
 def all_arrays(tracked: kinpole_ros.Tracked) -> dict[str, np.ndarray]:
@@ -206,3 +216,19 @@ def test_replay_warns_as_the_command_does(rig: Path) -> None:
         replay(rig, **{'bodies': ['rod'], 'rod.markers': ['tip', 'heel']})
     with pytest.raises(ParameterError, match='windo'):
         replay(rig, windo=1)
+
+
+def test_a_result_shows_a_summary_and_no_arrays() -> None:
+    t = np.arange(200) / 200
+    turn = np.exp(2j * t)[:, None] * np.array([0.1, -0.05 + 0.08j, -0.05 - 0.08j])
+    points = np.stack((turn.real, turn.imag), axis=-1)
+    hidden = np.full_like(points[:, :2], np.nan)
+    with pytest.warns(UserWarning, match='never estimated'):
+        found = track(np.hstack((points, hidden)), t, {'rotor': [0, 1, 2], 'far': [3, 4]})
+    title, head, turning, far = repr(found).splitlines()
+    assert title.startswith(f'Tracked at {len(found.t)} instants, t = 0 to 0.')
+    assert head.split()[:2] == ['body', 'angular']
+    assert turning.split()[:4] == ['rotor', '2', 'to', '2']
+    assert far.split() == ['far', '-', '-', '0.0%', '0.0%']
+    assert '<td>rotor</td><td>2 to 2</td>' in found._repr_html_()
+    assert repr(found['far']).startswith(f'BodyMotion at {len(found.t)} instants: position, ')

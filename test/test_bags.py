@@ -480,7 +480,7 @@ def test_file_that_is_no_mcap_bag_is_refused_at_the_call(tmp_path, name, content
 
 
 def test_no_such_bag(tmp_path):
-    with pytest.raises(BagError, match='no such bag: ') as error:
+    with pytest.raises(BagError, match='no such file or folder: ') as error:
         read_messages(tmp_path / 'nothing.mcap')
     one_line(error)
     os.mkfifo(tmp_path / 'pipe')  # opening it would wait forever

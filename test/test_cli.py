@@ -21,12 +21,13 @@ from geometry_msgs.msg import PoseArray
 from mcap.writer import Writer
 
 from kinpole_ros.bags import RECORDER, BagWriter, Truncated, read_messages
-from kinpole_ros.mechanism import scene_names, scenes_folder
+from kinpole_ros.mechanism import scene_names, scene_text, scenes_folder
 from kinpole_ros.messages import to_message
 from kinpole_ros.packages import EXTRAS
 from kinpole_ros.settings import Settings
 from kinpole_ros.tools import cli
 from kinpole_ros.tools.commands import COMMANDS as COMMAND_MODULES
+from kinpole_ros.tools.usage import make_parser
 
 Bag = Callable[..., Path]
 ROOT = Path(__file__).parents[1]
@@ -139,13 +140,16 @@ def test_version_is_told(kinpole: Any) -> None:
     'words, complaint',
     [
         ([], 'COMMAND'),
-        (['fly'], 'invalid choice'),
+        (['fly'], 'no command fly; known: node, '),
+        (['reprot', 'a.csv'], 'no command reprot; did you mean report? known: node, '),
+        (['replay', 'a.mcap', '--sctrict'], 'arguments: --sctrict; did you mean --strict?'),
+        (['simulate', 'cardan', '--noise', '2 kg', '--output', 'x'], "--noise: it is '2 kg', w"),
         (['replay'], 'BAG'),
         (['replay', 'a.mcap', '--speed', '2'], 'unrecognized arguments: --speed 2'),
         (['simulate', 'cardan'], '--output'),
         (
             ['simulate', 'cardan', '--output', 'x', '--rate', 'fast'],
-            "--rate: invalid float value: 'f",
+            "--rate: it is 'fast': give a finite number",
         ),
         (['plot', 'a.mcap'], '--output'),
         (['import', 'a.csv'], '--output'),
@@ -161,6 +165,27 @@ def test_bad_usage_is_status_2_and_names_what_is_missing(
     assert complaint in said.err.splitlines()[-1]
 
 
+def test_options_take_units_as_scenes_do() -> None:
+    words = 'simulate cardan --output x --noise 0.2mm --duration 500ms --rate 1e2 --tilt 0.5rad'
+    given = make_parser().parse_args([*shlex.split(words), '--arrival', '0.001'])
+    found = [given.noise, given.duration, given.rate, given.tilt, given.arrival]
+    assert found == pytest.approx([2e-4, 0.5, 100.0, np.degrees(0.5), 0.001])
+
+
+def test_strict_is_1_where_scene_and_markers_differ(
+    kinpole: Any, simulated: Bag, tmp_path: Path
+) -> None:
+    bag = simulated('four_bar', rate=100, duration=2, noise=2e-4)
+    long = tmp_path / 'long.yaml'
+    long.write_text(scene_text('four_bar').replace('B: [0.36, 0]', 'B: [0.361, 0]'))
+    assert long.read_text() != scene_text('four_bar')
+    words = ['replay', bag, '--config', ROOT / 'config' / 'four_bar.yaml']
+    for scene, strict, status in (('four_bar', 1, 0), (long, 1, 1), (long, 0, 0)):
+        changes = ['--set', f'scene:={scene}', *['--strict'][:strict]]
+        assert kinpole(*words, *changes).status == status
+    assert '--strict compares with a scene' in refusal(kinpole(*words, '--strict'))
+
+
 def test_scenes_are_listed(kinpole: Any) -> None:
     said = kinpole('simulate', '--list')
     assert (said.status, said.out.split()) == (0, scene_names())
@@ -171,7 +196,9 @@ def test_scenes_are_listed(kinpole: Any) -> None:
 
 
 def test_as_a_process_a_refusal_is_one_line_and_status_2(rod: Path, tmp_path: Path) -> None:
-    assert 'no such bag: none.mcap' in refusal(process('replay', 'none.mcap', cwd=tmp_path))
+    assert 'no such file or folder: nofile.csv' in refusal(
+        process('replay', 'nofile.csv', cwd=tmp_path)
+    )
     config = tmp_path / 'config.yaml'
     config.write_text('/**: {ros__parameters: {windows: 1}}\n')
     line = refusal(process('replay', rod, '--config', config))
@@ -182,7 +209,7 @@ def test_a_bag_that_is_not_there_or_no_bag_is_named(kinpole: Any, tmp_path: Path
     nothing, text = tmp_path / 'none.mcap', tmp_path / 'text.mcap'
     text.write_text('hello, this is no bag')
     for command in (['replay'], ['plot', '--output', tmp_path / 'x.png'], ['play']):
-        assert f'no such bag: {nothing}' in refusal(kinpole(*command, nothing))
+        assert f'no such file or folder: {nothing}' in refusal(kinpole(*command, nothing))
         assert f'{text} is not an MCAP file' in refusal(kinpole(*command, text))
         assert f'{tmp_path}' in refusal(kinpole(*command, tmp_path / 'text.mcap'))
 

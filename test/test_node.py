@@ -363,7 +363,7 @@ class TestOneNode:
 
     def test_bad_values_set_live_are_refused_with_the_reason(self, shared: Peer) -> None:
         refused = {
-            'window': (-1.0, 'Parameter window out of range Min: 1e-06, Max: 60.0'),
+            'window': (-1.0, 'Parameter window out of range Min: 1e-06, Max: 3600.0'),
             'stamps': (
                 'late',
                 "parameter stamps is 'late'; it must be one of auto, capture, arrival",
@@ -379,7 +379,7 @@ class TestOneNode:
             **({} if WITH_TF else {'publish_tf': (True, 'tf2_msgs is not installed; install')}),
             'marker_topic': ('others', 'read-only'),
             'bodies': (['other'], 'parameter bodies cannot be set while the node is active'),
-            'windows': (0.3, 'unknown parameter windows; known are bodies, '),
+            'windows': (0.3, 'parameter windows; did you mean window? known are bodies, '),
             'qos_overrides./others.subscription.depth': (5, 'is read at the start only; set it'),
         }
         for name, (value, reason) in refused.items():
@@ -869,7 +869,7 @@ def test_told_to_stop_node_and_recorder_end_at_once_and_the_recording_is_whole(
 
 
 REFUSED = [
-    (['-p', 'windows:=0.3'], 'unknown parameter windows; known are '),
+    (['-p', 'windows:=0.3'], 'unknown parameter windows; did you mean window? known are '),
     (['-p', 'window:=-1.0'], 'parameter window is -1.0; it must be a number from 1e-06 to'),
     (['-p', 'plane:=zz'], 'one of xy, yz, zx'),
     (['-p', 'autostart:=5'], 'parameter autostart is 5; it must be true or false'),

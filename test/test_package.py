@@ -301,7 +301,14 @@ def test_set_up_shows_what_is_installed_and_fails_with_its_reason(tmp_path):
         shutil.copy(ROOT / name, tmp_path)
     version = f'{sys.version_info.major}.{sys.version_info.minor}'
     install = 'INSTALL=echo Collecting numpy; until test -e go; do sleep 0.05; done; false'
-    words = ['make', f'PYTHON={sys.executable}', 'LOCK=', 'PROGRESS=0.1', install]
+    words = [
+        'make',
+        '--no-print-directory',
+        f'PYTHON={sys.executable}',
+        'LOCK=',
+        'PROGRESS=0.1',
+        install,
+    ]
     # One that is there already is used again.
     (tmp_path / '.venv' / 'bin').mkdir(parents=True)
     (tmp_path / '.venv' / 'bin' / 'python').symlink_to(sys.executable)

@@ -80,7 +80,7 @@ def bag_files(path: str | Path) -> list[Path]:
                 'fix: save what it gives as a file'
             )
         else:
-            raise BagError(f'no such bag: {path}; fix: give an .mcap file or a rosbag2 folder')
+            raise BagError(f'no such file or folder: {path}; fix: see to the path')
         # A recorder that was killed leaves empty files among others.
         check_magic(next((file for file in files if file.stat().st_size), files[0]))
     except OSError as error:

@@ -5,13 +5,21 @@ All readers of bags, tables, scenes and parameters open their files by these fun
 `bounded_yaml` is a module of its own, as only readers of YAML need PyYAML.
 """
 
-from kinpole_ros.files._reading import cut, cut_line, open_regular, printable, read_limited
+from kinpole_ros.files._reading import (
+    cut,
+    cut_line,
+    did_you_mean,
+    open_regular,
+    printable,
+    read_limited,
+)
 from kinpole_ros.files._writing import as_cell, lock, whole_file
 
 __all__ = [
     'as_cell',
     'cut',
     'cut_line',
+    'did_you_mean',
     'lock',
     'open_regular',
     'printable',

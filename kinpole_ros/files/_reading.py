@@ -8,6 +8,8 @@ faults are an OSError, as of `open`. Texts are shown in one short line without c
 import errno
 import os
 import stat
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 from typing import BinaryIO
 
@@ -93,6 +95,12 @@ def cut(text: str, most: int = _MOST_SHOWN) -> str:
     short = text[: most + 1]
     short = short if short.isprintable() else repr(short)
     return short if len(short) <= most else f'{short[:most]}...'
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """Return 'did you mean X? ' for the name that is nearest, '' if none is near."""
+    closest = get_close_matches(name, list(names), n=1, cutoff=0.7)
+    return f'did you mean {closest[0]}? ' if closest else ''
 
 
 def printable(line: str) -> str:

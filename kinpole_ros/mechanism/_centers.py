@@ -21,7 +21,7 @@ from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.planar._plane import Complex, Real
 
 # Two bodies whose rates differ by this share of the largest one have equal motions.
-_EQUAL_RATES = 1e-9
+EQUAL_RATES = 1e-9
 
 
 class Centers(NamedTuple):
@@ -121,4 +121,4 @@ def centers_by_rates(mechanism: Mechanism, values: Real, rates: Real | None = No
     i, j = np.array(pairs_of(mechanism)).reshape(-1, 2).T
     toward, w = 1j * (shift[j] - shift[i]), omega[j] - omega[i]
     vectors, length = unit(np.stack((toward.real, toward.imag, w)))
-    return outward(np.where(length > _EQUAL_RATES * largest, vectors, np.nan), middle, size)
+    return outward(np.where(length > EQUAL_RATES * largest, vectors, np.nan), middle, size)

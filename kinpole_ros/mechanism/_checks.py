@@ -12,7 +12,7 @@ from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._scene_inputs import Driven
 from kinpole_ros.mechanism._scene_values import SceneError
-from kinpole_ros.mechanism._start import close_near, mobility
+from kinpole_ros.mechanism._start import close_near, closing_starts, mobility
 from kinpole_ros.planar._plane import Real
 
 # Errors of a stated start, rad: it gives roughly the branch of loops, but exactly the phase of
@@ -22,8 +22,10 @@ _BRANCH_TOLERANCE, _GEAR_TOLERANCE = pi / 2, 0.02
 
 def check_mobility(assembly: Assembly, start: Real, drivers: int) -> None:
     """Raise SceneError unless there are as many drivers as degrees of freedom."""
-    near, _ = close_near(assembly.loops, start)
-    count, by_rank = mobility(assembly, near)
+    near, is_closed = close_near(assembly.loops, start)
+    # Where loops stay open, as with all links on one line, the rank is too low.
+    closed = [near] if is_closed else closing_starts(assembly.loops, start)
+    count, by_rank = min(mobility(assembly, values) for values in closed or [near])
     counts = (
         f"Gruebler's count gives {count} degrees of freedom, the rank of the loops at the start "
         f'{by_rank}'

@@ -159,12 +159,21 @@ def propagate_tolerances(
     up, down = found[1 : 2 * count + 1 : 2], found[2 : 2 * count + 1 : 2]
     for error, part in zip(errors, up - down, strict=True):
         if np.isnan(part).all():
-            raise LinkageError(
-                f'{error.name} cannot be off by itself: the loops close nowhere then, since they '
-                'hold one distance twice, such as that of a wheel from a guided rack'
-            )
+            raise LinkageError(_why_nowhere(scene, error))
     names = _names(scene.mechanism.assembly, list(moving))
     return ToleranceSpread(names, found[0], (up - down) / 2, found[2 * count + 1 :])
+
+
+def _why_nowhere(scene: Scene, error: Tolerance) -> str:
+    """The message about an error with which the loops close at no position."""
+    blocks = scene.mechanism.linkage.blocks
+    if any(len(block.unknown) < 2 * len(block.loops.loops) for block in blocks):
+        return (
+            f'{error.name} cannot be off by itself: the loops close nowhere then, since they hold '
+            'one distance twice, such as that of a wheel from a guided rack'
+        )
+    size = f'{error.deviation:.4g} m or rad'
+    return f'{error.name} is off by {size}, and the loops close nowhere then: give less'
 
 
 def _drawn(errors: Sequence[Tolerance], count: int, rng: np.random.Generator) -> Real:

@@ -1,5 +1,7 @@
 """Loads on a linkage: forces and torques, and those of springs and of the inertia of masses."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -5,6 +5,8 @@ Combines bodies and joints (`_assembly`), the algebra of their loops (`_loops`),
 on (`_path`) and their drivers (`_laws`).
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -23,8 +23,8 @@ from kinpole_ros.mechanism._dead_points import (
     unit_input,
 )
 from kinpole_ros.mechanism._loop_closure import Solution, solve
-from kinpole_ros.mechanism._loops import Linkage, LinkageError
-from kinpole_ros.mechanism._start import closing_starts
+from kinpole_ros.mechanism._loops import Linkage, LinkageError, Loops
+from kinpole_ros.mechanism._start import closing_starts, open_gaps
 from kinpole_ros.planar._plane import Real
 
 # The largest error of a predicted variable, rad or lengths over the largest, and limits of steps.
@@ -124,30 +124,56 @@ def trace(
 def _why_open(linkage: Linkage, guess: Real) -> str:
     """The message about loops that do not close from `guess` (n,), with starts that do."""
     loops, is_angle = linkage.loops, linkage.loops.is_angle
-
-    def described(values: Real, numbers: Sequence[int]) -> str:
-        # Rounded so that no angle is a rounding error, or minus zero.
-        return ', '.join(
-            f'{loops.variables[k]}: '
-            + (f'{round(np.degrees(x), 2) + 0.0:g} deg' if is_angle[k] else f'{x:.4g} m')
-            for k, x in ((k, float(values[k])) for k in numbers)
-        )
-
     driven = [int(k) for k in np.flatnonzero(loops.drives.any(axis=0))]
-    at = f' with {{{described(guess, driven)}}}' if driven else ''
+    at = f' with {{{_described(loops, guess, driven)}}}' if driven else ''
     starts = closing_starts(loops, guess)
     if not starts:
         return (
-            f'the loops do not close{at}, from wherever they were tried: check the lengths, and '
+            f'the loops do not close{at}, from wherever they were tried: '
+            f'{_widest_gap(loops, guess)}{_reach(linkage, guess, driven)}: check the lengths, and '
             'where the drivers are at time 0'
         )
     # Slides and struts follow from the angles of the bodies.
     free = [k for k in linkage.unknown if is_angle[k]] or list(linkage.unknown)
-    near = ', or '.join(f'{{{described(values, free)}}}' for values in starts)
+    near = ', or '.join(f'{{{_described(loops, values, free)}}}' for values in starts)
     return (
-        f'the loops do not close{at} from {{{described(guess, free)}}}, but they do near {near}: '
-        'write the one that is meant as start'
+        f'the loops do not close{at} from {{{_described(loops, guess, free)}}}, but they do near '
+        f'{near}: write the one that is meant as start'
     )
+
+
+def _described(loops: Loops, values: Real, numbers: Sequence[int]) -> str:
+    """Some variables with their values; rounded so that no angle is -0 or a rounding error."""
+    return ', '.join(
+        f'{loops.variables[k]}: '
+        + (f'{round(np.degrees(x), 2) + 0.0:g} deg' if loops.is_angle[k] else f'{x:.4g} m')
+        for k, x in ((k, float(values[k])) for k in numbers)
+    )
+
+
+def _widest_gap(loops: Loops, guess: Real) -> str:
+    """Words on the loop that stays open most where all loops close as well as they can."""
+    gaps = open_gaps(loops, guess)
+    widest = int(gaps.argmax())
+    around = ', '.join(dict.fromkeys(loops.around[widest]))
+    return f'the loop {around} stays open by {gaps[widest]:.4g} m'
+
+
+def _reach(linkage: Linkage, guess: Real, driven: Sequence[int]) -> str:
+    """Words on how far the one driver goes towards its value in `guess` (n,)."""
+    loops = linkage.loops
+    starts = closing_starts(loops._replace(drives=loops.drives[:0]), guess)
+    if len(loops.drives) != 1 or not starts:
+        return ''
+    row, wanted = loops.drives[0], float(loops.drives[0] @ guess)
+    start = min(starts, key=lambda values: abs(row @ values - wanted))
+    here = float(row @ start)
+    try:
+        path = trace(linkage, here, start, min(here, wanted), max(here, wanted))
+    except LinkageError:
+        return ''
+    nearest = path.values[0, :, -1 if wanted > here else 0]
+    return f'; it closes with {{{_described(loops, nearest, driven)}}}'
 
 
 def _follow(

@@ -4,6 +4,8 @@ Scene files: a mechanism, its drivers and the markers on its bodies, in a few li
 Errors are one line with the file, the key and the fix.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -100,7 +102,7 @@ def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
 
     """
     if isinstance(source, Mapping):
-        path, data = Path('scene'), dict(source)
+        path, data = Path('scene'), _with_key_on(dict(source))
     elif is_text(source):
         path, data = Path('scene'), parse_scene('scene', str(source))
     else:
@@ -112,6 +114,13 @@ def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
             return _scene(path, data)
     except (SceneError, LinkageError) as error:
         raise SceneError(f'{path}: {cut_line(str(error))}') from None
+
+
+def _with_key_on(data: Any) -> Any:
+    """Data with the key `on` where YAML 1.1, as of `yaml.safe_load`, reads it as True."""
+    if isinstance(data, dict):
+        return {'on' if key is True else key: _with_key_on(value) for key, value in data.items()}
+    return [_with_key_on(value) for value in data] if isinstance(data, list) else data
 
 
 def _scene(path: Path, data: Any) -> Scene:

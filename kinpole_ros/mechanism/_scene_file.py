@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from kinpole_ros.files import read_limited
+from kinpole_ros.files import did_you_mean, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML, Loader, load_yaml
 from kinpole_ros.mechanism._equations import Dimension
 from kinpole_ros.mechanism._scene_values import SceneError
@@ -90,16 +90,17 @@ def scene_names() -> list[str]:
 def scene_path(path_or_name: str | Path) -> Path:
     """The path of a scene's file; raises SceneError if it does not exist."""
     path = Path(path_or_name)
-    names = ''
+    names = hint = ''
     if path.suffix == '' and len(path.parts) <= 1:
         try:
             path = scenes_folder() / f'{path_or_name}.yaml'
             local = f' as {path_or_name}.yaml' if Path(f'{path_or_name}.yaml').is_file() else ''
             names = f'{local}, or a name: {", ".join(scene_names())}'
+            hint = did_you_mean(str(path_or_name)[:100], scene_names())
         except FileNotFoundError as error:
             raise SceneError(str(error)) from None
     if not path.exists():
-        raise SceneError(f'{path}: there is no such scene file: give the path of one{names}')
+        raise SceneError(f'{path}: there is no such scene file: {hint}give the path of one{names}')
     return path
 
 

@@ -11,6 +11,8 @@ from contextlib import suppress
 from math import isfinite, pi
 from typing import Any
 
+from kinpole_ros.files import did_you_mean
+
 
 class SceneError(ValueError):
     """A scene file that cannot be used: one line with the file, the key and the fix."""
@@ -157,7 +159,8 @@ def refuse_unknown(where: str, data: dict[str, Any], allowed: tuple[str, ...]) -
     """Refuse the first key that is not among those `allowed`."""
     for key in data:
         if key not in allowed:
-            raise SceneError(f"{where}: unknown key '{key}': use {', '.join(allowed)}")
+            hint = did_you_mean(key[:100], allowed)
+            raise SceneError(f"{where}: unknown key '{key}': {hint}use {', '.join(allowed)}")
 
 
 def need(where: str, data: dict[str, Any], keys: tuple[str, ...], example: str) -> None:

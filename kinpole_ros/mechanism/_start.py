@@ -77,11 +77,7 @@ def closing_starts(loops: Loops, values: Real, most: int = 4) -> list[Real]:
 
     The drivers stay at their `values` (n,). Angles all around are tried, the same at each call.
     """
-    angles = loops.is_angle
-    driven = loops._replace(
-        ties=np.concatenate((loops.ties, loops.drives)),
-        tie0=np.concatenate((loops.tie0, loops.drives @ values)),
-    )
+    angles, driven = loops.is_angle, _with_drivers(loops, values)
     size, draw = _size(loops, values), np.random.default_rng(0)
     starts: list[Real] = []
     for _ in range(_TRIALS):
@@ -94,6 +90,43 @@ def closing_starts(loops: Loops, values: Real, most: int = 4) -> list[Real]:
             if len(starts) == most:
                 break
     return starts
+
+
+def open_gaps(loops: Loops, values: Real) -> Real:
+    """
+    How far each loop (m,) stays open, m, where they close as well as they can.
+
+    The drivers stay at their `values` (n,). Angles all around are tried, the same at each call.
+    """
+    driven, ends = _with_drivers(loops, values), 2 * len(loops.loops)
+    spread = np.where(loops.is_angle, np.pi, 0.1 * _size(loops, values))
+    draw = np.random.default_rng(0)
+    found = []
+    for _ in range(_TRIALS // 3):
+        gap = _least_gap(driven, ends, values + spread * draw.uniform(-1.0, 1.0, len(values)))
+        found.append(np.abs(gap[: ends // 2] + 1j * gap[ends // 2 :]))
+    return min(found, key=lambda gaps: float(gaps.max()))
+
+
+def _least_gap(loops: Loops, ends: int, values: Real) -> Real:
+    """The last `ends` residuals where all are least, by Levenberg's steps; ties all but hold."""
+
+    def gaps(values: Real) -> tuple[Real, Real]:
+        gap, matrix = _gaps(loops, values)
+        weight = np.where(np.arange(len(gap)) < len(gap) - ends, _TIE_WEIGHT, 1.0)
+        return weight * gap, weight[:, None] * matrix
+
+    gap, matrix = gaps(values)
+    ease = 1.0
+    for _ in range(100):
+        least = ease * np.eye(len(values))
+        step = np.linalg.solve(matrix.T @ matrix + least, matrix.T @ gap)
+        new_gap, new_matrix = gaps(values - step)
+        is_better = new_gap @ new_gap < gap @ gap
+        if is_better:
+            values, gap, matrix = values - step, new_gap, new_matrix
+        ease = max(ease * (0.3 if is_better else 4.0), 1e-12)
+    return gap[-ends:]
 
 
 def mobility(assembly: Assembly, values: Real) -> tuple[int, int]:
@@ -128,6 +161,14 @@ def mobility(assembly: Assembly, values: Real) -> tuple[int, int]:
     singular = np.linalg.svd(matrix, compute_uv=False) if len(matrix) else np.zeros(0)
     rank = int((singular > _RANK_TOLERANCE * singular.max(initial=1.0)).sum())
     return count - ties - 2 * len(loops.loops), count - rank
+
+
+def _with_drivers(loops: Loops, values: Real) -> Loops:
+    """The loops with ties that keep the drivers at their `values` (n,)."""
+    return loops._replace(
+        ties=np.concatenate((loops.ties, loops.drives)),
+        tie0=np.concatenate((loops.tie0, loops.drives @ values)),
+    )
 
 
 def _gaps(loops: Loops, values: Real) -> tuple[Real, Real]:

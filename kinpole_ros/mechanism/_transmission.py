@@ -5,12 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import largest_length
+from kinpole_ros.mechanism._centers import EQUAL_RATES
 from kinpole_ros.mechanism._equilibrium import Statics
 from kinpole_ros.mechanism._loads import Force, Holder, Load, Torque
 from kinpole_ros.mechanism._loop_closure import SINGULAR
 from kinpole_ros.mechanism._loops import Block, LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, UnitRates
-from kinpole_ros.planar._plane import ROUNDING, Real
+from kinpole_ros.planar._plane import Real
 
 # A port for power, in or out: along a force, with a torque, or with a variable by its name.
 Port = Force | Torque | str
@@ -121,10 +122,10 @@ def advantage(mechanism: Mechanism, values: Real, into: Port, out: Port) -> Real
         else:
             rate, is_length = next(powers), isinstance(port, Force)
         scale = fastest if is_length else fastest / length
-        rates.append(np.where(np.abs(rate) > ROUNDING * scale, rate, 0.0))
+        rates.append(np.where(np.abs(rate) > EQUAL_RATES * scale, rate, 0.0))
     with np.errstate(divide='ignore', invalid='ignore'):
         ratio = rates[0] / rates[1]
-    # The sign of an infinite advantage is that of a rounding error: it has none.
+    # The sign of an infinite advantage is that of a rounding error, of the scene or ours.
     return np.where(statics.determined, np.where(np.isinf(ratio), np.inf, ratio), np.nan)
 
 

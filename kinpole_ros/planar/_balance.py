@@ -5,6 +5,8 @@ The sum of the powers of all forces and torques is zero, whatever mechanism is b
 neither the joints nor the bodies without loads need be known. Friction and inertia are neglected.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -7,6 +7,8 @@ Symbols: v, acc and jerk are the derivatives of the reference point, w, a and j 
 u is the velocity of the ICR and du its rate of change.
 """
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -1,5 +1,7 @@
 """Rates, poles and centrode of bodies straight from the derivatives of landmarks (seed 000)."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -172,16 +174,22 @@ def im2kin2d(
     Raises
     ------
     ValueError
-        As `landmark_kinematics`.
+        For arrays of other shapes, and as `landmark_kinematics`.
 
     Notes
     -----
     Seed 000, pages 7 to 9, where it is printed as lm2kin2d. Undetermined results are NaN.
 
     """
-    points, velocities, accelerations, jerks = (
-        np.asarray(array, float).T for array in (r, rd, rdd, rddd)
-    )
+    arrays = {'r': r, 'rd': rd, 'rdd': rdd, 'rddd': rddd}
+    shape = 2, np.size(f)
+    for name, array in arrays.items():
+        if np.shape(array) != shape:
+            raise ValueError(
+                f'{name} must have shape {shape}, two rows and a column for each weight in f, not '
+                f'{np.shape(array)}'
+            )
+    points, velocities, accelerations, jerks = (np.asarray(a, float).T for a in arrays.values())
     motion = landmark_kinematics(points, velocities, accelerations, jerks, weights=f)
     return (
         float(motion.angular_velocity),

@@ -1,5 +1,7 @@
 """Vectors of the plane, written as (x, y) or as the complex number x + iy."""
 
+from __future__ import annotations
+
 from typing import TypeAlias
 
 import numpy as np

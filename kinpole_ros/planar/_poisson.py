@@ -5,6 +5,8 @@ Vectors have shape (..., 2) and are in the ground's axes; rates have shape (...)
 vector r rotated by +90 degrees, times w.
 """
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -10,6 +10,8 @@ where the rotation coefficients a_1 to a_4 are the matrices w R, B, H and G of s
 complex numbers. The pole of order n is the point of the body where P(n) = 0.
 """
 
+from __future__ import annotations
+
 from math import comb
 
 import numpy as np

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from kinpole_ros.files import cut
+from kinpole_ros.files import cut, did_you_mean
 from kinpole_ros.settings.kinds import FIT, ParameterError
 from kinpole_ros.settings.settings import (
     GROUND,
@@ -169,6 +169,7 @@ def known_rows(values: Mapping[str, Any]) -> dict[str, Parameter]:
         elif own_name(name):
             hint = f'; {owner} is not among the joints {", ".join(joints) or "(none)"}'
         raise ParameterError(
-            f'unknown parameter {cut(name)}{hint}; known are {", ".join(sorted(known))}'
+            f'unknown parameter {cut(name)}{hint}; {did_you_mean(name[:100], known)}known are '
+            f'{", ".join(sorted(known))}'
         )
     return known

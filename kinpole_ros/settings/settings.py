@@ -90,7 +90,7 @@ class Settings:
         INACTIVE,
     )
     window: float = _parameter(
-        0.3, kinds.number(1e-6, 60.0, 's'), 'Length of past data that results are computed from.'
+        0.3, kinds.number(1e-6, 3600.0, 's'), 'Length of past data that results are computed from.'
     )
     lag: float = _parameter(
         0.1,

@@ -1,7 +1,8 @@
 """
 The command `kinpole`: run one subcommand, and report the user's errors in one line.
 
-The exit status is 0 if all is done, and 2 for bad usage or bad input, with one line on stderr.
+The exit status is 0 if all is done, 2 for bad usage or bad input, with one line on stderr, and 1
+for a difference that `replay --strict` finds.
 """
 
 import io

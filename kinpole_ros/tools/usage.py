@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from kinpole_ros import __version__
+from kinpole_ros.files import cut, did_you_mean
 from kinpole_ros.tools.commands import COMMANDS
 from kinpole_ros.tools.commands._command import Option
 
@@ -62,9 +63,20 @@ def make_parser() -> argparse.ArgumentParser:
 
 def parse_words(words: Sequence[str]) -> argparse.Namespace:
     """Parse the words after `kinpole`; end the process for --help and for bad usage."""
+    parser = make_parser()
     if words and words[0] in COMMANDS:
         words = [words[0], *_files_first(words[1:], COMMANDS[words[0]].options)]
-    return make_parser().parse_args(words)
+    elif words and not words[0].startswith('-') and words[0] != 'node':
+        known = ['node', *COMMANDS]
+        hint = did_you_mean(words[0], known)
+        parser.error(f'no command {cut(words[0])}; {hint}known: {", ".join(known)}')
+    options, rest = parser.parse_known_args(words)
+    if rest:
+        known = ['--help', *(option.name for option in COMMANDS[options.command].options)]
+        hints = [did_you_mean(word, known) for word in rest if word.startswith('-')]
+        hint = '; '.join(filter(None, [' '.join(rest), ''.join(hints).strip()]))
+        parser.error(f'unrecognized arguments: {hint}')
+    return options
 
 
 def _files_first(words: Sequence[str], options: Sequence[Option]) -> list[str]:

@@ -11,9 +11,9 @@ from kinpole_ros.tracking.rejection import HELD
 from kinpole_ros.tracking.state import MIN_HISTORY_FRAMES, State, restart_bodies
 from kinpole_ros.tracking.thresholds import MEMORY_FRAMES
 
-# The history has at least this many windows, and at most so many bytes, whatever the window: 25 s
-# of 20 bodies at 1 kHz. Results of a longer window are from what is kept of it.
-MIN_HISTORY_WINDOWS, MAX_HISTORY_BYTES = 4, 2**27
+# The history has at least this many windows, and at most so many bytes, whatever the window: 30 s
+# of 20 bodies with four markers at 200 Hz. Results of a longer window are from what is kept of it.
+MIN_HISTORY_WINDOWS, MAX_HISTORY_BYTES = 4, 2**25
 # Frames between two updates: this share of all frames so far, and at most so many.
 UPDATE_SHARE, MAX_UPDATE_INTERVAL = 1 / 8, 128
 

@@ -488,7 +488,7 @@ def test_the_scenes_of_the_docs_can_be_used(tmp_path: Path) -> None:
     text = (Path(__file__).parents[2] / 'docs' / 'scenes.md').read_text(encoding='utf-8')
     blocks = re.findall(r'```yaml\n(.*?)```', text, re.DOTALL)
     scenes = [block for block in blocks if 'ros__parameters' not in block]
-    assert len(scenes) == 3
+    assert len(scenes) == 4
     for block in scenes:
         path = tmp_path / 'crank.yaml'
         path.write_text(block)
@@ -593,12 +593,14 @@ BAD = [
     (
         'four_bar',
         put([0.9, 0], 'bodies', 'ground', 'C'),
-        'the loops do not close with {crank: 0 deg}, from wherever they were tried: check the len',
+        'the loops do not close with {crank: 0 deg}, from wherever they were tried: the loop O, A, '
+        'B, C stays open by 0.14 m: check the lengths',
     ),
     (
         'four_bar',
         put([0.8, 0], 'bodies', 'coupler', 'B'),
-        'the loops do not close with {crank: 0 deg}, from wherever they were tried: check the len',
+        'the loops do not close with {crank: 0 deg}, from wherever they were tried: the loop O, A, '
+        'B, C stays open by 0.24 m: check the lengths',
     ),
     (
         'four_bar',
@@ -805,6 +807,56 @@ def refusal(path: Path) -> str:
     assert message.startswith(f'{path}: ')
     assert '\n' not in message
     return message
+
+
+STRUT = """
+bodies: {ground: {O: [0, 0], C: [0.4, 0]}, arm: {O: [0, 0], A: [0.3, 0]}}
+joints: [{strut: [ground.C, arm.A], name: cylinder}]
+drivers: [{drive: cylinder, mean: 50 cm, amplitude: 1 cm, frequency: 1 Hz}]
+"""
+FOUR_BAR = """
+bodies:
+  ground:  {O: [0, 0], C: [400 mm, 0]}
+  crank:   {O: [0, 0], A: [120 mm, 0]}
+  coupler: {A: [0, 0], B: [360 mm, 0]}
+  rocker:  {C: [0, 0], B: [280 mm, 0]}
+drivers: [{drive: crank, rate: 1}, {drive: rocker, rate: 1}]
+"""
+TRIANGLE = """
+bodies:
+  ground: {O: [0, 0], C: [0.4, 0]}
+  one:    {O: [0, 0], A: [0.3, 0]}
+  other:  {C: [0, 0], A: [0.28, 0]}
+drivers: [{drive: one, rate: 1}]
+"""
+
+
+@pytest.mark.parametrize(
+    ('text', 'words'),
+    [
+        (
+            STRUT.replace('50 cm', '1 m'),
+            'the loop cylinder, O stays open by 0.3 m; it closes with {cylinder: 0.7 m}',
+        ),
+        (
+            STRUT.replace('50 cm', '5 cm'),
+            'the loop cylinder, O stays open by 0.05 m; it closes with {cylinder: 0.1 m}',
+        ),
+        # From links on one line no loop closes, and the rank there is too low.
+        (FOUR_BAR, "'drivers' are 2, but Gruebler's count gives 1 degrees of freedom"),
+        (TRIANGLE, 'the bodies cannot move'),
+    ],
+)
+def test_what_cannot_close_is_told_by_its_count_or_its_gap(text: str, words: str) -> None:
+    with pytest.raises(SceneError, match=re.escape(words)):
+        load_scene(text)
+
+
+def test_data_of_yaml_1_1_has_true_for_the_key_on() -> None:
+    text = scene_text('slider_crank')
+    assert True in yaml.safe_load(text)['joints'][0]
+    data = load_scene(yaml.safe_load(text)).motion(0.1)['rod']
+    np.testing.assert_array_equal(data.angle, scene('slider_crank').motion(0.1)['rod'].angle)
 
 
 @pytest.mark.parametrize(('name', 'edit', 'words'), BAD)

@@ -458,6 +458,13 @@ def test_advantage_at_a_toggle_is_infinite_and_its_inverse_zero() -> None:
     assert np.isnan(advantage(slider_crank('slide'), values, 'slide', Torque('crank', 1.0))).all()
 
 
+def test_the_advantage_of_a_body_that_stands_but_for_printed_digits_is_infinite() -> None:
+    """The lengths of exercise_seat have nine digits, so the seat turns with 5e-11 of the rate."""
+    seat = load_scene('exercise_seat').mechanism
+    values = seat.sweep(np.zeros(1)).values[0]
+    assert np.isposinf(advantage(seat, values, 'link_2', Torque('link_3', 1.0)))
+
+
 def test_advantage_with_several_drivers_names_the_mend() -> None:
     """With two drivers the motion between two ports is open, and the line says what to give."""
     joints: list[Joint] = [

@@ -118,6 +118,9 @@ def test_the_function_of_the_seed_has_its_eight_outputs() -> None:
     # A landmark that is not available may hold anything.
     more = [np.column_stack((part, [np.nan, 7.0])) for part in matrices]
     again = planar.im2kin2d([1, 1, 0], *more)
+    # A row for each landmark, as other functions take them.
+    with pytest.raises(ValueError, match=r'rd must have shape \(2, 3\), two rows .* not \(3, 2\)'):
+        planar.im2kin2d([1, 1, 1], more[0], np.transpose(more[1]), *more[2:])
     assert np.concatenate(list(map(np.ravel, again))) == pytest.approx(
         np.concatenate([[w], icr, [wd], iap, [wdd], ijp, velocity, [curvature]]), rel=1e-12
     )

@@ -3,6 +3,7 @@
 import argparse
 import textwrap
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 Run = Callable[[argparse.Namespace], int]
@@ -90,6 +91,27 @@ def option(usage: str, text: str, kind: Any = str, default: Any = None, **settin
     return Option(name, settings.get('nargs', 1), settings)
 
 
+def measured(kind: str, unit: str) -> Callable[[str], float]:
+    """Return what reads a number in `unit`, or with a unit of its own as scenes have them."""
+
+    def read(text: str) -> float:
+        from kinpole_ros.mechanism import SceneError, quantity
+        from kinpole_ros.mechanism._scene_values import UNITS
+
+        with suppress(ValueError):
+            return float(text)
+        try:
+            return quantity('it', text, kind) / UNITS[kind][unit]
+        except SceneError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return read
+
+
+LENGTH, TIME = measured('length', 'm'), measured('time', 's')
+FREQUENCY, DEGREES = measured('frequency', 'Hz'), measured('angle', 'deg')
+
+
 def flag(name: str, text: str, action: Any = 'store_true') -> Option:
     """Return an option without a value."""
     return Option(name, 0, {'action': action, 'help': text})
@@ -108,7 +130,7 @@ TOPIC = option('--topic T', "topic of the markers (the parameter file's, or /mar
 BAG_OUTPUT = option('--output BAG', '.mcap file to write', required=True)
 # Options for data that a file of points may lack.
 POINT_OPTIONS = (
-    option('--rate HZ', 'frames per second of a file of points, instead of its times', float),
+    option('--rate HZ', 'frames per second of a file of points, instead of its times', FREQUENCY),
     option('--scale M_PER_UNIT', 'meters per unit of a file of points (as it says)', float),
     flag(
         '--y-down',

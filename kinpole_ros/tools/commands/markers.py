@@ -5,8 +5,12 @@ from typing import Any
 
 from kinpole_ros.tools.commands._command import (
     BAG_OUTPUT,
+    DEGREES,
+    FREQUENCY,
+    LENGTH,
     POINT_OPTIONS,
     SCENE,
+    TIME,
     command,
     flag,
     option,
@@ -33,15 +37,15 @@ class _ListScenes(argparse.Action):
     SCENE,
     flag('--list', 'print the names of the scenes that come with kinpole', _ListScenes),
     BAG_OUTPUT,
-    option('--rate HZ', 'frames per second (200)', float, 200.0),
-    option('--duration S', 'length of the recording, s (5)', float, 5.0),
-    option('--noise M', 'noise of a marker per axis, m (0)', float, 0.0),
+    option('--rate HZ', 'frames per second (200)', FREQUENCY, 200.0),
+    option('--duration S', 'length of the recording, s (5)', TIME, 5.0),
+    option('--noise M', 'noise of a marker per axis, m, or as 0.2mm (0)', LENGTH, 0.0),
     option('--seed N', 'seed of the random numbers (0)', int, 0),
     option('--dropout P', 'share of markers not seen (0)', float, 0.0),
     option(
         '--jitter S',
         'jitter of the times of the frames, s (0); the stamps have the true times',
-        float,
+        TIME,
         0.0,
     ),
     option(
@@ -53,10 +57,10 @@ class _ListScenes(argparse.Action):
     option(
         '--arrival S',
         'mean of an exponential delay of the stamps, s (0); the frames keep their order',
-        float,
+        TIME,
         0.0,
     ),
-    option('--tilt DEG', 'angle of the plane of motion about the x axis, degrees (0)', float, 0.0),
+    option('--tilt DEG', 'turn of the plane of motion about the x axis, degrees (0)', DEGREES, 0.0),
     option('--scale F', 'units per meter: 1000 for mm (1)', float, 1.0),
     flag(
         '--unlabeled',

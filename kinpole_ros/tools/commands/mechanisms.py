@@ -2,7 +2,7 @@
 
 import argparse
 
-from kinpole_ros.tools.commands._command import BAG, SCENE, TOPIC, command, flag, option
+from kinpole_ros.tools.commands._command import BAG, SCENE, TIME, TOPIC, command, flag, option
 from kinpole_ros.tools.commands._output_files import check_outputs
 from kinpole_ros.tools.commands._terminal import UsageError, print_error, print_lines, progress_bar
 
@@ -149,7 +149,7 @@ def tolerance(options: argparse.Namespace) -> int:
     option(
         '--seconds S',
         'use the first S seconds of a bag (60), or S seconds of a live topic (20)',
-        float,
+        TIME,
     ),
     option(
         '--plane P',

@@ -11,6 +11,7 @@ from kinpole_ros.packages import install_command
 from kinpole_ros.tools.commands._command import CONFIG, SET, TOPIC, command, flag, option
 from kinpole_ros.tools.commands._output_files import check_outputs
 from kinpole_ros.tools.commands._terminal import (
+    UsageError,
     erased_bar,
     on_terminal,
     one_line,
@@ -52,6 +53,7 @@ def settings_of(options: argparse.Namespace) -> 'Settings':
         f'the same table for pandas and others ({install_command("parquet")})',
     ),
     TOPIC,
+    flag('--strict', 'exit with 1 if the scene differs from what is measured'),
 )
 def replay(options: argparse.Namespace) -> int:
     """
@@ -67,6 +69,8 @@ def replay(options: argparse.Namespace) -> int:
     from kinpole_ros.tracking.plane import AXES
 
     settings = settings_of(options)
+    if options.strict and not settings.scene:
+        raise UsageError('--strict compares with a scene; fix: add --set scene:=SCENE')
     outputs = options.output, options.csv, options.parquet
     kinds = 'an MCAP bag', 'a CSV table', 'a Parquet table'
     names = '--output', '--csv', '--parquet'
@@ -98,7 +102,13 @@ def replay(options: argparse.Namespace) -> int:
         print_error('replay', warning)
     if result.truncated is not None:
         print_error('replay', result.truncated)
-    return 2 if result.truncated is not None or result.unknown else 0
+    if result.truncated is not None or result.unknown:
+        return 2
+    return int(options.strict and not _agrees(result.scene_positions))
+
+
+def _agrees(positions: 'PositionReport | None') -> bool:
+    return positions is not None and not positions.words
 
 
 def _result_lines(result: Any) -> Iterator[str]:
@@ -136,12 +146,10 @@ def _position_lines(positions: 'PositionReport | None') -> Iterator[str]:
             f'joint {joint.joint}: off {joint.rms:.2g} m, {joint.deviations:.1f} deviations, rms '
             f'over {joint.instants} instants'
         )
-    agreement = (
-        'differs from what is measured' if positions.words else 'agrees with what is measured'
-    )
+    agreement = 'agrees with' if _agrees(positions) else 'differs from'
     yield (
-        f'the scene {agreement}: residuals are {positions.ratio**0.5:.3g} times their noise, over '
-        f'{positions.instants} instants'
+        f'the scene {agreement} what is measured: residuals are {positions.ratio**0.5:.3g} times '
+        f'their noise, over {positions.instants} instants'
     )
 
 
