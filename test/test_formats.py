@@ -157,9 +157,11 @@ def trc(unit: str = 'mm', frames: int = 4) -> bytes:
     return '\r\n'.join(lines).encode('cp1252')
 
 
-def c3d_file(unit: str = 'mm') -> bytes:
-    """Floats in Intel order, frames 5 to 8 at 200 Hz, and an angle among the points."""
-    names = ['tip', 'heel', 'Knee']
+def c3d_file(
+    unit: str = 'mm', points: Any = SEEN, rate: float = 200.0, names: Any = ('tip', 'heel')
+) -> bytes:
+    """Floats in Intel order, frames from 5 on, and an angle among the points."""
+    names, count = [*names, 'Knee'], len(points)
 
     def group(number: int, name: str) -> bytes:
         return struct.pack('<bb', len(name), -number) + name.encode() + struct.pack('<hb', 3, 0)
@@ -172,17 +174,18 @@ def c3d_file(unit: str = 'mm') -> bytes:
         return -1, (8, len(words)), b''.join(word.ljust(8).encode() for word in words)
 
     parameters = b'\0\0\x01\x54' + group(1, 'POINT')
-    parameters += value('USED', 2, (), struct.pack('<h', 3))
+    parameters += value('USED', 2, (), struct.pack('<h', len(names)))
     parameters += value('SCALE', 4, (), struct.pack('<f', -1.0))
-    parameters += value('RATE', 4, (), struct.pack('<f', 200.0))
+    parameters += value('RATE', 4, (), struct.pack('<f', rate))
     parameters += value('DATA_START', 2, (), struct.pack('<h', 3))
-    parameters += value('FRAMES', 2, (), struct.pack('<h', 4))
+    parameters += value('FRAMES', 2, (), struct.pack('<h', count))
     parameters += value('LABELS', *texts(*names)) + value('UNITS', -1, (4,), unit.ljust(4).encode())
     parameters += value('ANGLES', *texts('Knee')) + b'\0\0'
     assert len(parameters) < 512
-    header = struct.pack('<BBHHHHHfHHf', 2, 0x50, 3, 0, 5, 8, 10, -1.0, 3, 0, 200.0)
+    words = len(names), 0, 5, 4 + count, 10, -1.0, 3, 0, rate
+    header = struct.pack('<BBHHHHHfHHf', 2, 0x50, *words)
     data = b''
-    for row in SEEN:
+    for row in points:
         for point in (*row, np.full(3, 90.0)):
             # A point that is not seen has places of any kind, and a negative residual.
             lost = np.isnan(point).any()
@@ -426,7 +429,7 @@ def test_the_command_says_what_it_recognized(tmp_path, capsys):
     (tmp_path / 'run.trc').write_bytes(trc(frames=9))
     assert main(['import', str(tmp_path / 'run.trc'), '--output', str(tmp_path / 'run.mcap')]) == 0
     out, err = capsys.readouterr()
-    assert out.startswith('4 frames of 2 markers (trc, in mm) written to ')
+    assert out.startswith('4 frames of 2 markers (trc, in mm), 0.02 s at 150 Hz, written to ')
     assert 'says that it has 9 frames' in err
     words = ['--rate', '100', '--scale', '0.5', '--no-y-down', '--likelihood', '0.1']
     (tmp_path / 'dlc.csv').write_text(deeplabcut())
@@ -701,6 +704,7 @@ def test_a_c3d_filled_up_with_zeros_gives_no_points_at_the_origin(tmp_path, cut)
     content = bytearray(c3d_file())
     frames, first = 70, struct.unpack_from('<H', content, 6)[0]
     struct.pack_into('<H', content, 8, first + frames - 1)
+    struct.pack_into('<h', content, content.index(b'FRAMES') + 10, frames)
     content[1024 + 4 * 48 - cut :] = bytes(cut)
     content += bytes(-(-(1024 + frames * 48 - len(content)) // 512) * 512)
     done, _, points = bring(tmp_path, bytes(content))

@@ -293,7 +293,9 @@ def test_a_report_of_a_table_imports_it(tmp_path, capsys) -> None:
     words = ['report', str(table), '--scale', '0.001', '--output', str(output)]
     assert main(words) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith('file: 300 frames of 2 markers (table, 1 unit = 0.001 m)')
+    assert lines[0].startswith(
+        'file: 300 frames of 2 markers (table, 1 unit = 0.001 m), 2.99 s at 100 Hz'
+    )
     assert len([line for line in lines if 'to change: ' in line]) == 5
     assert output.exists()
 

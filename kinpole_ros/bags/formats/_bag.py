@@ -34,6 +34,7 @@ from kinpole_ros.messages import (
 
 _SECOND = 1_000_000_000  # ns
 _LARGEST_MESSAGE = 1 << 22  # bytes; as objects these take 20 times as much
+_SAME_RATE = 0.02  # of two trackers, whose clocks may differ
 _SAME_FRAME = 0.25  # share of the interval of a topic within which stamps are of one frame
 # Kinds of types by name: a list of markers or bodies, one body, or frames of bodies.
 _KINDS = {
@@ -110,6 +111,7 @@ def _read(file: File, options: Options) -> Points:
         file.notes.append(f'{file.path} has no stamps in its messages: log times are taken')
         series = [part._replace(stamps=part.log_times) for part in series]
     series = _first_pass(file, series)
+    _check_clocks(file, series)
     stamps, rows = _group_into_frames(series)
     markers, bodies = (_number_columns(series, width) for width in (3, 7))
     names = list(markers or bodies)
@@ -164,6 +166,39 @@ def _first_pass(file: File, series: list[_Series]) -> list[_Series]:
         for part, k in kept
         if k.any()
     ]
+
+
+def _check_clocks(file: File, series: list[_Series]) -> None:
+    """
+    Raise BagError where topics that came together are stamped at other times: by two clocks.
+
+    Note topics of other rates: each frame has what came with it, and lacks the others.
+    """
+    spans: dict[str, tuple[float, ...]] = {}
+    for part in series:
+        times = (part.stamps.min(), part.stamps.max(), part.log_times.min(), part.log_times.max())
+        spans[part.source] = tuple(map(float, times))
+    (one, first), *others = spans.items()
+    for other, span in others:
+        came_together = first[2] < span[3] and span[2] < first[3]
+        if came_together and not (first[0] <= span[1] and span[0] <= first[1]):
+            raise BagError(
+                f'{file.path}: messages of {shown(one)} and {shown(other)} came together, and are '
+                f'stamped {abs(span[0] - first[0]) / _SECOND:.6g} s apart, by two clocks; fix: '
+                'synchronize the clocks, or record one of the two'
+            )
+    steps = {
+        part.source: float(np.median(np.diff(part.stamps)))
+        for part in series
+        if len(part.stamps) > 1 and part.source
+    }
+    rates = {source: _SECOND / step for source, step in steps.items() if step > 0}
+    if rates and max(rates.values()) > (1 + _SAME_RATE) * min(rates.values()):
+        listed = ', '.join(f'{shown(source)} at {rate:.4g} Hz' for source, rate in rates.items())
+        file.notes.append(
+            f'{file.path}: {listed}: most frames have one of them, so that stamps are uneven; fix: '
+            'record each in a bag of its own, or set the trackers to one rate'
+        )
 
 
 def _number_columns(series: list[_Series], width: int) -> dict[str, int]:
