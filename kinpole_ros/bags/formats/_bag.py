@@ -170,34 +170,36 @@ def _first_pass(file: File, series: list[_Series]) -> list[_Series]:
 
 def _check_clocks(file: File, series: list[_Series]) -> None:
     """
-    Raise BagError where topics that came together are stamped at other times: by two clocks.
+    Raise BagError where sources that came together are stamped at other times: by two clocks.
 
-    Note topics of other rates: each frame has what came with it, and lacks the others.
+    Note sources of other rates: frames lack what did not come with them.
     """
-    spans: dict[str, tuple[float, ...]] = {}
-    for part in series:
-        times = (part.stamps.min(), part.stamps.max(), part.log_times.min(), part.log_times.max())
-        spans[part.source] = tuple(map(float, times))
+    spans, steps = {}, {}
+    for source in dict.fromkeys(part.source for part in series):
+        parts = [part for part in series if part.source == source]
+        stamps = np.sort(np.concatenate([part.stamps for part in parts]))
+        log_times = np.concatenate([part.log_times for part in parts])
+        spans[source] = int(stamps[0]), int(stamps[-1]), log_times.min(), log_times.max()
+        if len(stamps) > 1 and (step := float(np.median(np.diff(stamps)))) > 0:
+            steps[source] = step
     (one, first), *others = spans.items()
     for other, span in others:
         came_together = first[2] < span[3] and span[2] < first[3]
-        if came_together and not (first[0] <= span[1] and span[0] <= first[1]):
+        if came_together and (first[1] < span[0] or span[1] < first[0]):
+            cause = 'by two clocks' if first[1] and span[1] else 'one of them with 0'
             raise BagError(
-                f'{file.path}: messages of {shown(one)} and {shown(other)} came together, and are '
-                f'stamped {abs(span[0] - first[0]) / _SECOND:.6g} s apart, by two clocks; fix: '
-                'synchronize the clocks, or record one of the two'
+                f'{file.path}: {shown(one)} and {shown(other)} came together, and are stamped '
+                f'{abs(span[0] - first[0]) / _SECOND:.6g} s apart, {cause}; fix: stamp both by one '
+                'clock, or record each in a bag of its own'
             )
-    steps = {
-        part.source: float(np.median(np.diff(part.stamps)))
-        for part in series
-        if len(part.stamps) > 1 and part.source
-    }
-    rates = {source: _SECOND / step for source, step in steps.items() if step > 0}
-    if rates and max(rates.values()) > (1 + _SAME_RATE) * min(rates.values()):
-        listed = ', '.join(f'{shown(source)} at {rate:.4g} Hz' for source, rate in rates.items())
+    if steps and max(steps.values()) > (1 + _SAME_RATE) * min(steps.values()):
+        listed = ' and '.join(
+            f'{shown(source)} at {_SECOND / steps[source]:.4g} Hz'
+            for source in (min(steps, key=steps.__getitem__), max(steps, key=steps.__getitem__))
+        )
         file.notes.append(
-            f'{file.path}: {listed}: most frames have one of them, so that stamps are uneven; fix: '
-            'record each in a bag of its own, or set the trackers to one rate'
+            f'{file.path}: {listed}: frames lack what did not come with them, and stamps may be '
+            'uneven; fix: record each in a bag of its own, or set both to one rate'
         )
 
 

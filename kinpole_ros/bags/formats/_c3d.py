@@ -15,6 +15,7 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats._file import (
+    SAME_RATE,
     File,
     Format,
     Options,
@@ -75,6 +76,11 @@ def _read(file: File, options: Options) -> Points:
         others = ' and '.join(name for name in _OTHERS if any(numbers(f'{name}:USED')))
         only = f', only {others.lower()} data, which are not read' if others else ''
         raise BagError(f'{file.path} has no points{only}; fix: export positions of markers, too')
+    if header.rate > 0 and abs(rate / header.rate - 1.0) > SAME_RATE:
+        file.notes.append(
+            f'{file.path} has {rate:.6g} Hz as its parameter and {header.rate:.6g} Hz in its '
+            'header: the former is taken; fix: give --rate if it is wrong'
+        )
     first, count = _frame_range(file, header, numbers)
     values = _read_frames(file, header, processor, scale, count)
     frames = first + np.arange(len(values))

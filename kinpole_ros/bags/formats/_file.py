@@ -37,7 +37,7 @@ _MOST_ELEMENTS = 400_000  # of XML, at some 200 bytes each, and as much for each
 # many others; this share of its steps is shorter.
 _FAR_STEPS, _FEWEST_SEEN, _MOST_STEPS = 10.0, 5, 0.9
 _SLICE_POINTS = 1 << 14  # that are looked at together
-_SAME_RATE = 0.01  # within which a rate is the one of the times, which may be rounded
+SAME_RATE = 0.01  # within which a rate is the one of the times, which may be rounded
 _MOST_DECIMALS = 17  # no float64 needs more digits
 
 
@@ -217,7 +217,7 @@ def frame_times(
     if np.nanmax(np.abs(times - even - start), initial=0.0) > most:
         steps = np.diff(times) / np.diff(frames)
         own_rate = 1.0 / float(np.nanmedian(steps)) if np.nanmedian(steps) else math.inf
-        if abs(own_rate / rate - 1.0) > _SAME_RATE:
+        if abs(own_rate / rate - 1.0) > SAME_RATE:
             file.notes.append(
                 f'{file.path} says {rate:.6g} Hz, and its times go on at {own_rate:.6g} Hz: the '
                 f'times are taken; fix: give --rate {rate:.6g} if they are wrong'
