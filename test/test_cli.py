@@ -934,7 +934,7 @@ def test_a_table_of_points_becomes_results(kinpole: Any, tmp_path: Path) -> None
     said = kinpole('import', table, *words)
     assert (said.status, said.out) == (
         0,
-        f'60 frames of 2 markers (table, 1 unit = 0.01 m) written to {bag}\n',
+        f'60 frames of 2 markers (table, 1 unit = 0.01 m), 0.59 s at 100 Hz, written to {bag}\n',
     )
     assert kinpole('replay', bag, '--output', tmp_path / 'out.mcap').status == 0
     found = decoded(tmp_path / 'out.mcap')

@@ -1,5 +1,6 @@
 """Files laid out as each program writes them import in one call, exactly, oddities and all."""
 
+import json
 import os
 import pickle
 import struct
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 from kinpole_ros.bags import BagError, Imported, import_points, read_messages
-from kinpole_ros.bags.formats import FORMATS, read_points
+from kinpole_ros.bags.formats import FORMATS, Options, read_points
 from kinpole_ros.messages import deserialize_message
 from kinpole_ros.messages._types import MarkerArray
 from kinpole_ros.tools.cli import main
@@ -157,9 +158,11 @@ def trc(unit: str = 'mm', frames: int = 4) -> bytes:
     return '\r\n'.join(lines).encode('cp1252')
 
 
-def c3d_file(unit: str = 'mm') -> bytes:
-    """Floats in Intel order, frames 5 to 8 at 200 Hz, and an angle among the points."""
-    names = ['tip', 'heel', 'Knee']
+def c3d_file(
+    unit: str = 'mm', points: Any = SEEN, rate: float = 200.0, names: Any = ('tip', 'heel')
+) -> bytes:
+    """Floats in Intel order, frames from 5 on, and an angle among the points."""
+    names, count = [*names, 'Knee'], len(points)
 
     def group(number: int, name: str) -> bytes:
         return struct.pack('<bb', len(name), -number) + name.encode() + struct.pack('<hb', 3, 0)
@@ -172,17 +175,18 @@ def c3d_file(unit: str = 'mm') -> bytes:
         return -1, (8, len(words)), b''.join(word.ljust(8).encode() for word in words)
 
     parameters = b'\0\0\x01\x54' + group(1, 'POINT')
-    parameters += value('USED', 2, (), struct.pack('<h', 3))
+    parameters += value('USED', 2, (), struct.pack('<h', len(names)))
     parameters += value('SCALE', 4, (), struct.pack('<f', -1.0))
-    parameters += value('RATE', 4, (), struct.pack('<f', 200.0))
+    parameters += value('RATE', 4, (), struct.pack('<f', rate))
     parameters += value('DATA_START', 2, (), struct.pack('<h', 3))
-    parameters += value('FRAMES', 2, (), struct.pack('<h', 4))
+    parameters += value('FRAMES', 2, (), struct.pack('<h', count))
     parameters += value('LABELS', *texts(*names)) + value('UNITS', -1, (4,), unit.ljust(4).encode())
     parameters += value('ANGLES', *texts('Knee')) + b'\0\0'
     assert len(parameters) < 512
-    header = struct.pack('<BBHHHHHfHHf', 2, 0x50, 3, 0, 5, 8, 10, -1.0, 3, 0, 200.0)
+    words = len(names), 0, 5, 4 + count, 10, -1.0, 3, 0, rate
+    header = struct.pack('<BBHHHHHfHHf', 2, 0x50, *words)
     data = b''
-    for row in SEEN:
+    for row in points:
         for point in (*row, np.full(3, 90.0)):
             # A point that is not seen has places of any kind, and a negative residual.
             lost = np.isnan(point).any()
@@ -426,7 +430,7 @@ def test_the_command_says_what_it_recognized(tmp_path, capsys):
     (tmp_path / 'run.trc').write_bytes(trc(frames=9))
     assert main(['import', str(tmp_path / 'run.trc'), '--output', str(tmp_path / 'run.mcap')]) == 0
     out, err = capsys.readouterr()
-    assert out.startswith('4 frames of 2 markers (trc, in mm) written to ')
+    assert out.startswith('4 frames of 2 markers (trc, in mm), 0.02 s at 150 Hz, written to ')
     assert 'says that it has 9 frames' in err
     words = ['--rate', '100', '--scale', '0.5', '--no-y-down', '--likelihood', '0.1']
     (tmp_path / 'dlc.csv').write_text(deeplabcut())
@@ -701,6 +705,7 @@ def test_a_c3d_filled_up_with_zeros_gives_no_points_at_the_origin(tmp_path, cut)
     content = bytearray(c3d_file())
     frames, first = 70, struct.unpack_from('<H', content, 6)[0]
     struct.pack_into('<H', content, 8, first + frames - 1)
+    struct.pack_into('<h', content, content.index(b'FRAMES') + 10, frames)
     content[1024 + 4 * 48 - cut :] = bytes(cut)
     content += bytes(-(-(1024 + frames * 48 - len(content)) // 512) * 512)
     done, _, points = bring(tmp_path, bytes(content))
@@ -749,3 +754,97 @@ def test_rows_of_separators_at_the_end_are_no_frames(tmp_path, case):
     content = 'a_x,a_y\n1,2\n,\n3,4\n,\n,\n' if case == 'table' else tracker_one() + '\n\t\t\t\n'
     done, *_ = bring(tmp_path, content, rate=10.0, scale=1.0)
     assert done.frames == (3 if case == 'table' else 4)
+
+
+def test_a_c3d_says_what_it_has_in_place_of_points(tmp_path):
+    content = bytearray(c3d_file(names=()).replace(b'POINT', b'XOINT'))
+    struct.pack_into('<H', content, 2, 0)
+    with pytest.raises(BagError, match='has no points; fix: export positions of markers'):
+        bring(tmp_path, bytes(content))
+    begin = struct.pack('<bb', 8, -1) + b'ROTATION'
+    rotations = content.replace(struct.pack('<bb', 5, -1) + b'XOINT', begin)
+    with pytest.raises(BagError, match='has no points, only rotation data, which are not read'):
+        bring(tmp_path, bytes(rotations))
+
+
+def test_counts_and_rates_of_a_c3d_that_differ_are_named(tmp_path):
+    content = bytearray(c3d_file())
+    struct.pack_into('<h', content, content.index(b'FRAMES') + 10, 3)
+    (note,) = bring(tmp_path, bytes(content))[0].notes
+    assert note.endswith('says that it has 3 frames, and has 4')
+    content = bytearray(c3d_file())
+    struct.pack_into('<f', content, 20, 100.0)
+    done, stamps, _ = bring(tmp_path, bytes(content))
+    assert 'has 200 Hz as its parameter and 100 Hz in its header: the former' in done.notes[0]
+    np.testing.assert_allclose(np.diff(stamps), 0.005, atol=1e-9)
+
+
+def sleap_orders(axes: str, dims: bool, shape: tuple[int, int, int], scores: bool) -> bytes:
+    """An .h5 with axes in this order, f, t, n, x, and places 1000 f + 100 t + 10 n + x."""
+    h5py = pytest.importorskip('h5py')
+    from io import BytesIO
+
+    f, t, n, x = np.ogrid[: shape[0], : shape[1], : shape[2], :2]
+    places = (1000 * f + 100 * t + 10 * n + x + 1).astype(float)
+    names = {'f': 'frame', 't': 'track', 'n': 'node', 'x': 'xy'}
+    with BytesIO() as file:
+        with h5py.File(file, 'w') as content:
+            arrays = {'tracks': (axes, places)}
+            if scores:
+                doubt = np.where((f + t + n)[..., 0] % 3, 0.9, 0.1)
+                arrays['point_scores'] = axes.replace('x', ''), doubt
+            for name, (order, array) in arrays.items():
+                plain = 'ftnx' if 'x' in order else 'ftn'
+                content[name] = array.transpose([plain.index(axis) for axis in order])
+                if dims:
+                    content[name].attrs['dims'] = json.dumps([names[axis] for axis in order])
+            content['node_names'] = np.array([f'n{k}'.encode() for k in range(shape[2])])
+            content['track_names'] = np.array([f't{k}'.encode() for k in range(shape[1])])
+        return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    'shape', [(2, 2, 2), (7, 2, 2), (7, 1, 2), (2, 3, 5), (7, 2, 1), (3, 3, 2)]
+)
+@pytest.mark.parametrize(
+    ('axes', 'dims'),
+    [
+        *((axes, True) for axes in ('txnf', 'fnxt', 'ftnx', 'xnft')),
+        ('txnf', False),
+        ('fnxt', False),
+    ],
+)
+def test_axes_of_sleap_are_as_the_file_says_or_the_only_ones_that_fit(tmp_path, shape, axes, dims):
+    path = tmp_path / 'a.h5'
+    path.write_bytes(sleap_orders(axes, dims, shape, scores=True))
+    expected = [1000 * f + 100 * t + 10 * n + 1 for f in range(shape[0])
+                for t in range(shape[1]) for n in range(shape[2])]  # fmt: skip
+    try:
+        _, found = read_points(path)
+    except BagError as error:
+        assert not dims
+        assert 'may be by track, xy, node, frame or the reverse; fix: ' in str(error)
+        assert shape[2] == 2
+        return
+    assert found.points[..., 0].ravel().tolist() == expected
+    _, sure = read_points(path, options=Options(likelihood=0.5))
+    doubtful = (np.indices(shape).sum(axis=0) % 3 == 0).ravel().tolist()
+    assert np.isnan(sure.points[..., 0]).ravel().tolist() == doubtful
+
+
+def test_axes_of_sleap_that_fit_no_names_are_refused(tmp_path):
+    (tmp_path / 'a.h5').write_bytes(sleap_orders('ftnx', False, (7, 1, 2), scores=False))
+    with pytest.raises(BagError, match=r'has places by \(7, 1, 2, 2\), which fit no names; fix: '):
+        read_points(tmp_path / 'a.h5')
+
+
+@pytest.mark.parametrize('is_text', [True, False])
+def test_a_sleap_file_without_scores_refuses_a_likelihood(tmp_path, is_text):
+    path = tmp_path / 'a.dat'
+    if is_text:
+        path.write_text('track,frame_idx,tip.x,tip.y\na,0,1,2\na,1,2,2\n')
+    else:
+        path.write_bytes(sleap_orders('txnf', False, (7, 1, 3), scores=False))
+    read_points(path)
+    with pytest.raises(BagError, match='has no scores of points; fix: leave'):
+        read_points(path, options=Options(likelihood=0.5))

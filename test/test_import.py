@@ -429,3 +429,38 @@ def test_a_format_without_likelihoods_refuses_the_option(tmp_path) -> None:
                 monkeyed = format._replace(recognizes=lambda _: True)
                 with mock.patch.dict(FORMATS, {name: monkeyed}):
                     import_points(path, tmp_path / 'out.mcap', format=name, likelihood=0.5)
+
+
+@pytest.mark.parametrize('format', ['trc', 'table'])
+@pytest.mark.parametrize('decimals', [1, 4])
+def test_a_last_row_that_is_whole_is_kept_without_its_end(tmp_path, format, decimals) -> None:
+    rows = [f'{k + 1}\t{k / 100:.2f}\t{10 * k:.{decimals}f}\t2.5' for k in range(12)]
+    head = ['t1\tt\ta_x\ta_y']
+    if format == 'trc':
+        head = FORMATS['trc'].example.split('\n')[:3] + ['Frame#\tTime\ttip', '\t\tX1\tY1\tZ1']
+        rows = [f'{row}\t{k:.{decimals}f}' for k, row in enumerate(rows)]
+    whole = '\n'.join((*head, *rows))
+    path, output = tmp_path / 'a.txt', tmp_path / 'out.mcap'
+    path.write_text(whole)
+    done = import_points(path, output, rate=100.0, scale=1.0)
+    assert done.frames == 12
+    assert not any('cut off' in note for note in done.notes)
+    path.write_text(whole.removesuffix(whole[-1]))
+    assert 'may be cut off' in ''.join(import_points(path, output, rate=100.0, scale=1.0).notes)
+
+
+def test_values_in_the_head_of_a_trc_may_be_tabs_apart(tmp_path) -> None:
+    head = 'DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate'
+    body = 'Frame#\tTime\ttip\n\t\tX1\tY1\tZ1\n' + ''.join(
+        f'{k}\t{k / 100:.3f}\t1\t2\t{k}\n' for k in range(1, 9)
+    )
+    for values in (
+        '100\t100\t8\t1\tmm\t100',
+        '100\t\t100\t\t8\t\t1\t\tmm\t\t100',
+        '100\t100\t8\t1\t\tmm',
+    ):
+        text = f'PathFileType\t4\t(X/Y/Z)\trun.trc\n{head}\n{values}\n{body}'
+        (tmp_path / 'a.trc').write_text(text)
+        done = import_points(tmp_path / 'a.trc', tmp_path / 'out.mcap')
+        assert (done.unit, done.frames, done.notes) == ('mm', 8, ())
+        assert str(done) == '8 frames of 1 markers (trc, in mm), 0.07 s at 100 Hz'

@@ -360,3 +360,30 @@ def test_a_recording_of_a_bag_played_in_a_loop_is_read_up_to_the_jump(tmp_path, 
     assert done.frames == 100
     (note,) = (note for note in done.notes if 'jump back' in note)
     assert re.search(r'stamps jump back by 0\.99 s after message 100\b.*played in a loop', note)
+
+
+def two_trackers(path: Path, kind: str, rates: tuple[float, float], apart: float) -> None:
+    """Bodies arm and rod of two trackers, which come together and are stamped `apart`, s."""
+    events = [(k / rate, body) for body, rate in enumerate(rates) for k in range(int(rate))]
+    with BagWriter(path) as writer:
+        for time, body in sorted(events):
+            name, topic = ('arm', 'rod')[body], '/tf'
+            if kind == 'pose_stamped':
+                topic = f'/vrpn/{name}/pose'
+            stamp = round(1e9 * (1000 + time + body * apart))
+            pose = np.array([[time, 1.0, 0, 0, 0, np.sin(time), np.cos(time)]])
+            data = poses_data(kind, stamp, 'world', [name], pose)
+            writer.write_raw(topic, INPUT_TYPES[kind], data, round(1e9 * (5000 + time)))
+
+
+@pytest.mark.parametrize('kind', ['pose_stamped', 'tf'])
+def test_bodies_stamped_by_two_clocks_are_refused_and_two_rates_are_named(tmp_path, kind):
+    bag, output = tmp_path / 'two.mcap', tmp_path / 'out.mcap'
+    two_trackers(bag, kind, (100.0, 100.0), 1.7e9)
+    with pytest.raises(BagError, match=r'arm and rod came together, .* 1\.7e\+09 s apart, by two'):
+        import_points(bag, output)
+    two_trackers(bag, kind, (100.0, 120.0), 0.0)
+    (note,) = import_points(bag, output).notes[:1]
+    assert re.search(r'rod at 120 Hz and arm at 100 Hz: .*; fix: record each in a bag', note)
+    two_trackers(bag, kind, (100.0, 100.0), 0.0)
+    assert not any('Hz' in note or 'clock' in note for note in import_points(bag, output).notes)

@@ -84,15 +84,22 @@ def kinovea_text(is_old: bool) -> str:
 
 
 def kinovea_xml() -> str:
-    """The sheet of Excel, with key images before the tracks."""
-    rows = [['Key Images'], ['Title', 'Time'], ['0:00:00:04 (1)', '0:00:00:04']]
-    for name, marker in (('hip', 0), ('knee', 1)):
-        rows += [[''], ['Track'], ['Label :', name], ['Coords (x,y:cm; t:time)'], ['x', 'y', 't']]
-        rows += [
+    return kinovea_sheet({
+        name: [
             [f'{x:.3f}', f'{y:.3f}', f'0:00:00:{4 * k:02d}']
             for k, (x, y, _) in enumerate(SEEN[:, marker])
             if not np.isnan(x)
         ]
+        for name, marker in (('hip', 0), ('knee', 1))
+    }, 'cm')  # fmt: skip
+
+
+def kinovea_sheet(tracks: dict[str, list[list[str]]], unit: str) -> str:
+    """The sheet of Excel, with key images before the tracks."""
+    rows = [['Key Images'], ['Title', 'Time'], ['0:00:00:04 (1)', '0:00:00:04']]
+    for name, track in tracks.items():
+        title = f'Coords (x,y:{unit}; t:time)'
+        rows += [[''], ['Track'], ['Label :', name], [title], ['x', 'y', 't'], *track]
     space = 'urn:schemas-microsoft-com:office:spreadsheet'
     body = ''.join(
         '<Row>'
@@ -107,7 +114,18 @@ def kinovea_xml() -> str:
 
 
 def tracker_project(scale: float, angle: float, unit: str = '') -> str:
-    """Marks in the picture, y down, of points that are SEEN in the user's axes."""
+    tracks = {
+        name: {10 + k: (x, y) for k, (x, y, _) in enumerate(SEEN[:, marker]) if not np.isnan(x)}
+        for name, marker in (('mass A', 0), ('mass B', 1))
+    }
+    return tracker_project_of(tracks, scale, angle, unit, 10, 500.0, 40.0)
+
+
+def tracker_project_of(
+    points: dict[str, Any], scale: float, angle: float, unit: str, first: int, start: float,
+    step: float,
+) -> str:  # fmt: skip
+    """Marks in the picture, y down, of points in the user's axes, by name and frame."""
 
     def value(name: str, text: object, kind: str = 'double') -> str:
         return f'<property name="{name}" type="{kind}">{text}</property>'
@@ -125,13 +143,12 @@ def tracker_project(scale: float, angle: float, unit: str = '') -> str:
         return f'<property name="framedata" type="array">{"".join(items)}</property>'
 
     turn, tracks = np.radians(angle), ''
-    for name, marker in (('mass A', 0), ('mass B', 1)):
+    for name, places in points.items():
         marks = {}
-        for k, (x, y, _) in enumerate(SEEN[:, marker]):
-            if not np.isnan(x):
-                right = x * np.cos(turn) - y * np.sin(turn)
-                up = x * np.sin(turn) + y * np.cos(turn)
-                marks[10 + k] = {'x': float(320 + scale * right), 'y': float(240 - scale * up)}
+        for k, (x, y) in places.items():
+            right = x * np.cos(turn) - y * np.sin(turn)
+            up = x * np.sin(turn) + y * np.cos(turn)
+            marks[k] = {'x': float(320 + scale * right), 'y': float(240 - scale * up)}
         point_mass = 'cabrillo.tracker.PointMass'
         tracks += thing('<property name="item" type="object">', point_mass,
                         value('mass', 1.0), value('name', name, 'string'),
@@ -142,9 +159,9 @@ def tracker_project(scale: float, angle: float, unit: str = '') -> str:
     system = 'media.core.ImageCoordSystem'
     panel = [
         thing('<property name="videoclip" type="object">', 'media.core.VideoClip',
-              value('startframe', 10, 'int'), value('starttime', 500.0)),
+              value('startframe', first, 'int'), value('starttime', start)),
         thing('<property name="clipcontrol" type="object">', 'media.core.StepperClipControl',
-              value('delta_t', 40.0)),
+              value('delta_t', step)),
         thing('<property name="coords" type="object">', system, framedata(system, axes)),
         value('length_unit', unit, 'string') if unit else '',
         f'<property name="tracks" type="collection">{tracks}</property>',

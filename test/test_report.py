@@ -293,9 +293,47 @@ def test_a_report_of_a_table_imports_it(tmp_path, capsys) -> None:
     words = ['report', str(table), '--scale', '0.001', '--output', str(output)]
     assert main(words) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith('file: 300 frames of 2 markers (table, 1 unit = 0.001 m)')
+    assert lines[0].startswith(
+        'file: 300 frames of 2 markers (table, 1 unit = 0.001 m), 2.99 s at 100 Hz'
+    )
     assert len([line for line in lines if 'to change: ' in line]) == 5
     assert output.exists()
+
+
+def test_a_report_prints_what_discover_prints_of_markers_in_no_body(tmp_path, capsys) -> None:
+    """As where the columns of two markers are exchanged in a table."""
+    t = np.arange(400) / 200
+    arm, rod = np.exp(3j * t), np.exp(2j * np.sin(4 * t))
+    places = [0.1 * arm, 0.1j * arm, -0.1 * arm, 1 + 0.1 * rod, 1 + 0.1j * rod, 1 - 0.1 * rod]
+    noise = np.random.default_rng(0).normal(size=(400, 12), scale=1e-4)
+    columns = np.stack([part for one in places for part in (one.real, one.imag)], axis=1) + noise
+    titles = ['t', *(f'{name}_{axis}' for name in 'abcdef' for axis in 'xy')]
+    titles[1], titles[3] = titles[3], titles[1]
+    table, bag = tmp_path / 'film.csv', tmp_path / 'film.mcap'
+    rows = np.column_stack((t, columns))
+    np.savetxt(table, rows, delimiter=',', header=','.join(titles), comments='')
+    assert main(['import', str(table), '--output', str(bag)]) == 0
+    assert main(['discover', str(bag)]) == 0
+    (line,) = (
+        line
+        for line in capsys.readouterr().out.splitlines()
+        if line.startswith('markers of no body: ')
+    )
+    for file in table, bag:
+        assert main(['report', str(file), '--output', str(tmp_path / 'a.html')]) == 0
+        assert line in capsys.readouterr().out.splitlines()
+
+
+@pytest.mark.parametrize('words', [['--rate', '50'], ['--scale', '0.1'], ['--no-y-down']])
+def test_a_report_of_a_bag_refuses_what_only_files_of_points_lack(tmp_path, capsys, words) -> None:
+    bag = tmp_path / 'a.mcap'
+    simulate(load_scene('four_bar'), bag, duration=0.5)
+    assert main(['report', str(bag), *words, '--output', str(tmp_path / 'a.html')]) == 2
+    option = words[0].replace('--no-', '--')
+    assert re.search(
+        rf'is a bag, .*; {option} are for files of points; fix: ', capsys.readouterr().err
+    )
+    assert not (tmp_path / 'a.html').exists()
 
 
 def test_a_report_says_that_it_took_all_markers_as_one_body(tmp_path, capsys) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from kinpole_ros.bags._files import BagError, in_place_of
 from kinpole_ros.bags._reader import Progress
 from kinpole_ros.bags._writer import BagWriter
-from kinpole_ros.bags.formats import Options, Points, read_points, shown
+from kinpole_ros.bags.formats import UNITS, Options, Points, read_points, shown
 from kinpole_ros.messages import INPUT_TYPES, TF, marker_arrays, poses_data
 
 _BLOCK_BYTES = 1 << 20  # of messages in memory at a time
@@ -30,6 +30,10 @@ class Imported:
     markers : tuple of str
     frames : int
         Their number.
+    span : float
+        s, from the first frame to the last.
+    rate : float
+        Hz, by the median of the steps between frames; NaN of one frame.
     unit : str
         As the file calls it.
     scale : float
@@ -42,9 +46,20 @@ class Imported:
     format: str
     markers: tuple[str, ...]
     frames: int
+    span: float
+    rate: float
     unit: str
     scale: float
     notes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Say what was read: frames, markers, format, unit, span and rate."""
+        at_rate = f' at {self.rate:.4g} Hz' if self.frames > 1 else ''
+        unit = f'in {self.unit}' if UNITS.get(self.unit.lower()) == self.scale else ''
+        return (
+            f'{self.frames} frames of {len(self.markers)} markers ({self.format}, '
+            f'{unit or f"1 unit = {self.scale:g} m"}), {self.span:.4g} s{at_rate}'
+        )
 
 
 def import_points(
@@ -135,8 +150,17 @@ def import_points(
             f'poses are on {TF}, to be read with marker_type: tf and marker_topic: {TF}: '
             f'{_listed(read.bodies)}'
         )
-    unit = shown(read.unit)
-    return Imported(name, tuple(read.names), len(stamps), unit, used_scale, tuple(notes))
+    steps = np.diff(stamps) * 1e-9
+    return Imported(
+        name,
+        tuple(read.names),
+        len(stamps),
+        float(steps.sum()),
+        1.0 / float(np.median(steps)) if len(steps) else math.nan,
+        shown(read.unit),
+        used_scale,
+        tuple(notes),
+    )
 
 
 def import_csv(

@@ -14,6 +14,7 @@ from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats._bag import BAG
 from kinpole_ros.bags.formats._c3d import C3D
 from kinpole_ros.bags.formats._file import (
+    UNITS,
     File,
     Format,
     Options,
@@ -28,7 +29,7 @@ from kinpole_ros.bags.formats._sheet import shown
 from kinpole_ros.bags.formats._table import ANIPOSE, TABLE, header_row
 from kinpole_ros.bags.formats._video import KINOVEA, TRACKER
 
-__all__ = ['FORMATS', 'Options', 'Points', 'read_points', 'shown']
+__all__ = ['FORMATS', 'UNITS', 'Options', 'Points', 'read_points', 'shown']
 
 # Tried in this order: the plain table is the least particular.
 FORMATS: dict[str, Format] = {

@@ -34,6 +34,7 @@ from kinpole_ros.messages import (
 
 _SECOND = 1_000_000_000  # ns
 _LARGEST_MESSAGE = 1 << 22  # bytes; as objects these take 20 times as much
+_SAME_RATE = 0.02  # of two trackers, whose clocks may differ
 _SAME_FRAME = 0.25  # share of the interval of a topic within which stamps are of one frame
 # Kinds of types by name: a list of markers or bodies, one body, or frames of bodies.
 _KINDS = {
@@ -110,6 +111,7 @@ def _read(file: File, options: Options) -> Points:
         file.notes.append(f'{file.path} has no stamps in its messages: log times are taken')
         series = [part._replace(stamps=part.log_times) for part in series]
     series = _first_pass(file, series)
+    _check_clocks(file, series)
     stamps, rows = _group_into_frames(series)
     markers, bodies = (_number_columns(series, width) for width in (3, 7))
     names = list(markers or bodies)
@@ -164,6 +166,41 @@ def _first_pass(file: File, series: list[_Series]) -> list[_Series]:
         for part, k in kept
         if k.any()
     ]
+
+
+def _check_clocks(file: File, series: list[_Series]) -> None:
+    """
+    Raise BagError where sources that came together are stamped at other times: by two clocks.
+
+    Note sources of other rates: frames lack what did not come with them.
+    """
+    spans, steps = {}, {}
+    for source in dict.fromkeys(part.source for part in series):
+        parts = [part for part in series if part.source == source]
+        stamps = np.sort(np.concatenate([part.stamps for part in parts]))
+        log_times = np.concatenate([part.log_times for part in parts])
+        spans[source] = int(stamps[0]), int(stamps[-1]), log_times.min(), log_times.max()
+        if len(stamps) > 1 and (step := float(np.median(np.diff(stamps)))) > 0:
+            steps[source] = step
+    (one, first), *others = spans.items()
+    for other, span in others:
+        came_together = first[2] < span[3] and span[2] < first[3]
+        if came_together and (first[1] < span[0] or span[1] < first[0]):
+            cause = 'by two clocks' if first[1] and span[1] else 'one of them with 0'
+            raise BagError(
+                f'{file.path}: {shown(one)} and {shown(other)} came together, and are stamped '
+                f'{abs(span[0] - first[0]) / _SECOND:.6g} s apart, {cause}; fix: stamp both by one '
+                'clock, or record each in a bag of its own'
+            )
+    if steps and max(steps.values()) > (1 + _SAME_RATE) * min(steps.values()):
+        listed = ' and '.join(
+            f'{shown(source)} at {_SECOND / steps[source]:.4g} Hz'
+            for source in (min(steps, key=steps.__getitem__), max(steps, key=steps.__getitem__))
+        )
+        file.notes.append(
+            f'{file.path}: {listed}: frames lack what did not come with them, and stamps may be '
+            'uneven; fix: record each in a bag of its own, or set both to one rate'
+        )
 
 
 def _number_columns(series: list[_Series], width: int) -> dict[str, int]:

@@ -14,13 +14,22 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import File, Format, Options, Points, frame_times
+from kinpole_ros.bags.formats._file import (
+    SAME_RATE,
+    File,
+    Format,
+    Options,
+    Points,
+    count_notes,
+    frame_times,
+)
 from kinpole_ros.bags.formats._sheet import check_cells, number_names
 
 _BLOCK = 512
 _INTEL, _DEC, _MIPS = 84, 85, 86  # how a file says which processor its numbers are of
 # Parameters with the names of quantities that are stored as points.
 _NO_POINTS = ('ANGLES', 'FORCES', 'MOMENTS', 'POWERS', 'SCALARS')
+_OTHERS = ('ROTATION', 'ANALOG')  # groups of what a file may hold beside points
 _FIX = 'fix: export it again'
 
 
@@ -63,7 +72,16 @@ def _read(file: File, options: Options) -> Points:
 
     scale = next(iter(numbers('POINT:SCALE')), header.scale)
     rate = next(iter(numbers('POINT:RATE')), 0.0) or header.rate
-    first, count = _frame_range(header, numbers)
+    if not header.points:
+        others = ' and '.join(name for name in _OTHERS if any(numbers(f'{name}:USED')))
+        only = f', only {others.lower()} data, which are not read' if others else ''
+        raise BagError(f'{file.path} has no points{only}; fix: export positions of markers, too')
+    if header.rate > 0 and abs(rate / header.rate - 1.0) > SAME_RATE:
+        file.notes.append(
+            f'{file.path} has {rate:.6g} Hz as its parameter and {header.rate:.6g} Hz in its '
+            'header: the former is taken; fix: give --rate if it is wrong'
+        )
+    first, count = _frame_range(file, header, numbers)
     values = _read_frames(file, header, processor, scale, count)
     frames = first + np.arange(len(values))
     end, is_amid = _frames_before_zeros(values)
@@ -86,7 +104,7 @@ def _read(file: File, options: Options) -> Points:
     points = values[:, indices, :3].astype(float) * (1.0 if scale < 0 else scale)
     points[values[:, indices, 3] < 0] = np.nan
     unit = next(iter(_read_labels(parameters, 'POINT:UNITS')), '')
-    times = frame_times(frames, rate)
+    times = frame_times(file, frames, rate)
     return Points(names, points, frames, times, unit)
 
 
@@ -163,7 +181,9 @@ def _read_labels(parameters: dict[str, _Parameter], parameter: str) -> list[str]
     return names
 
 
-def _frame_range(header: _Header, numbers: Callable[[str], list[float]]) -> tuple[int, int]:
+def _frame_range(
+    file: File, header: _Header, numbers: Callable[[str], list[float]]
+) -> tuple[int, int]:
     """Return the first frame number and the number of frames; parameters hold large counts."""
     first, count = header.first, (header.last - header.first + 1) % 65536
     counts = [count, *numbers('POINT:FRAMES')[:1], *numbers('POINT:LONG_FRAMES')[:1]]
@@ -173,7 +193,11 @@ def _frame_range(header: _Header, numbers: Callable[[str], list[float]]) -> tupl
         counts.append(end[0] + 65536 * end[1] - first + 1)
     # A count that does not fit in 16 bits is written as the largest that does.
     counts = [count for count in counts if count != 65535] or counts
-    return first, int(max(count for count in counts if np.isfinite(count)))
+    largest = int(max(count for count in counts if np.isfinite(count)))
+    # A count that does not fit in 16 bits may be cut to them.
+    for other in sorted({one for one in counts if one % 65536 != largest % 65536}):
+        file.notes += count_notes(file.path, f'{other:.0f}', largest)
+    return first, largest
 
 
 def _read_frames(

@@ -37,6 +37,7 @@ _MOST_ELEMENTS = 400_000  # of XML, at some 200 bytes each, and as much for each
 # many others; this share of its steps is shorter.
 _FAR_STEPS, _FEWEST_SEEN, _MOST_STEPS = 10.0, 5, 0.9
 _SLICE_POINTS = 1 << 14  # that are looked at together
+SAME_RATE = 0.01  # within which a rate is the one of the times, which may be rounded
 _MOST_DECIMALS = 17  # no float64 needs more digits
 
 
@@ -193,13 +194,14 @@ def count_notes(path: Path, claim: str, count: int, noun: str = 'frames') -> lis
 
 
 def frame_times(
-    frames: np.ndarray, rate: float, times: np.ndarray | None = None
+    file: File, frames: np.ndarray, rate: float, times: np.ndarray | None = None
 ) -> np.ndarray | None:
     """
     Return the times (T,), s, of frames by the rate (Hz) and the times that a file gives.
 
     They are exact multiples of the interval where these agree with the times of the file, which are
-    rounded; else those of the file; None where there is neither.
+    rounded; else those of the file, with a note where the rate is another; None where there is
+    neither.
     """
     if times is not None and np.isnan(times).all():
         times = None
@@ -213,6 +215,13 @@ def frame_times(
     step = 10.0 ** -_decimals(times)
     most = step * (1.01 if step * rate < 0.99 else 0.99)
     if np.nanmax(np.abs(times - even - start), initial=0.0) > most:
+        steps = np.diff(times) / np.diff(frames)
+        own_rate = 1.0 / float(np.nanmedian(steps)) if np.nanmedian(steps) else math.inf
+        if abs(own_rate / rate - 1.0) > SAME_RATE:
+            file.notes.append(
+                f'{file.path} says {rate:.6g} Hz, and its times go on at {own_rate:.6g} Hz: the '
+                f'times are taken; fix: give --rate {rate:.6g} if they are wrong'
+            )
         return times
     return even + start
 

@@ -120,7 +120,7 @@ def _read_motive(file: File, options: Options) -> Points:
         times = sheet.column(1, axes + 1, time_title)
     return replace(
         points,
-        times=frame_times(points.frames, rate, times),
+        times=frame_times(file, points.frames, rate, times),
         unit=about.get('Length Units', ''),
         time_column='Time (Seconds)',
         bodies=list(bodies),
@@ -204,7 +204,7 @@ def _read_vicon(file: File, options: Options) -> Points:
     numbers = enumerate(sheet.texts(0, first), first)
     end = next((index for index, cell in numbers if not cell.isdecimal()), len(sheet))
     points = _read_frames(sheet, markers, first, end=end)
-    times = frame_times(points.frames, number_in(sheet.cell(row + 1, 0)))
+    times = frame_times(file, points.frames, number_in(sheet.cell(row + 1, 0)))
     return replace(points, times=times, unit=found_units.pop())
 
 
@@ -257,7 +257,7 @@ def _read_qualisys(file: File, options: Options) -> Points:
     frames, times = np.arange(len(lines)), None
     if begin:
         frames = whole_numbers(path, numbers[:, 0], lines, 'Frame')
-        times = sheet.column(1, first, 'Time')
+        times = sheet.column(1, first, 'Time') if options.rate is None else None
     poses = _to_poses(values) if width > 3 else None
     points = values[..., :3]
     # A marker that was not seen is three zeros.
@@ -265,12 +265,12 @@ def _read_qualisys(file: File, options: Options) -> Points:
     file.notes += count_notes(path, ''.join(about.get('NO_OF_FRAMES', [])), len(lines))
     count = about.get('NO_OF_MARKERS' if width == 3 else 'NO_OF_BODIES', [])
     file.notes += count_notes(path, ''.join(count), len(names), 'names')
-    rate = number_in(next(iter(about.get('FREQUENCY', [])), ''))
+    rate = number_in(''.join(about.get('FREQUENCY', [])))
     return Points(
         names,
         points,
         frames,
-        frame_times(frames, rate, times),
+        frame_times(file, frames, rate, times),
         'mm',
         lines=lines,
         bodies=[] if poses is None else names,
@@ -378,7 +378,7 @@ def _is_trc(file: File) -> bool:
 
 def _read_trc(file: File, options: Options) -> Points:
     sheet, path = file.sheet, file.path
-    about = dict(zip(sheet.row(1), sheet.row(2), strict=False))
+    about = _trc_head(sheet)
     titles = next((r for r in range(1, 5) if sheet.cell(r, 0).lower() in ('frame#', 'frame')), None)
     if titles is None:
         raise BagError(f'{path} has no line with Frame# and names of markers; fix: {_TRC_FIX}')
@@ -393,9 +393,22 @@ def _read_trc(file: File, options: Options) -> Points:
     file.notes += count_notes(path, about.get('NumMarkers', ''), len(points.names), 'markers')
     return replace(
         points,
-        times=frame_times(points.frames, number_in(about.get('DataRate', '')), times),
+        times=frame_times(file, points.frames, number_in(about.get('DataRate', '')), times),
         unit=about.get('Units', ''),
     )
+
+
+def _trc_head(sheet: Sheet) -> dict[str, str]:
+    """Return values by key. The unit is the one that is no number; others may be tabs apart."""
+    keys, values = ([cell for cell in sheet.row(row) if cell] for row in (1, 2))
+    is_number = [math.isfinite(number_or_inf(value.replace(',', '.'))) for value in values]
+    numbers = [value for value, is_one in zip(values, is_number, strict=True) if is_one]
+    number_keys = [key for key in keys if key != 'Units']
+    about = dict(zip(sheet.row(1), sheet.row(2), strict=False))
+    if len(numbers) == len(number_keys):
+        about = dict(zip(number_keys, numbers, strict=True))
+    about['Units'] = '' if all(is_number) else values[is_number.index(False)]
+    return about
 
 
 def _trc_columns(sheet: Sheet, titles: int, first: int) -> dict[str, list[int]]:

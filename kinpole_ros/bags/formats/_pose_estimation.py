@@ -13,6 +13,7 @@ reverse, and names of nodes and tracks.
 """
 
 import io
+import json
 import pickle
 import pickletools
 import re
@@ -42,6 +43,8 @@ _SLICE_BYTES = 8 << 20  # of rows read at a time
 _LIKELIHOOD = 0.6  # DeepLabCut's own limit, "pcutoff"
 _AXES = ('x', 'y', 'z')
 _DLC_FIX = 'give the .csv or .h5 that analyze_videos wrote'
+# Axes of arrays in an .h5, by the names that a file may give.
+_SLEAP_AXES = {'frame': 'f', 'track': 't', 'node': 'n', 'xy': 'x'}
 _SLEAP_FIX = 'export the analysis .h5 or .csv from SLEAP again'
 
 
@@ -315,9 +318,11 @@ def _read_sleap(file: File, options: Options) -> Points:
         )
     points = np.full((len(frames), len(animals), len(nodes), 3), np.nan)
     titles = [f'{node}.{letter}' for node in nodes for letter in 'xy']
-    scored = [
-        node for node in nodes if options.likelihood is not None and f'{node}.score' in columns
-    ]
+    scored = [node for node in nodes if f'{node}.score' in columns]
+    if options.likelihood is None:
+        scored = []
+    elif not scored:
+        raise _no_scores(file)
     titles += [f'{node}.score' for node in scored]
     first = 0
     for block in sheet.blocks([columns[title] for title in titles], titles, 1):
@@ -343,25 +348,58 @@ def _read_sleap_hdf(file: File, content: Any, options: Options) -> Points:
     nodes, animals = (_read_texts(file, content, name) for name in ('node_names', 'track_names'))
     tracks = _item(file, content, 'tracks', _SLEAP_FIX)
     check_cells(file.path, 2 * tracks.size)
-    # MATLAB's order of axes is the reverse.
-    is_reversed = tracks.shape[1:3] != (2, len(nodes)) or (
-        len(nodes) == 2 and len(animals) not in (0, tracks.shape[0])
-    )
-    values = np.asarray(tracks[:], np.float64)
-    values = values if is_reversed else values.T  # by frame, node, axis and track
-    if values.ndim != 4 or values.shape[1:3] != (len(nodes), 2):
-        raise BagError(f'{file.path} has places by {tracks.shape}; fix: {_SLEAP_FIX}')
-    points = np.zeros((len(values), values.shape[3], len(nodes), 3))
-    points[..., :2] = values.transpose(0, 3, 1, 2)
-    if options.likelihood is not None and 'point_scores' in content:
+    order = _sleap_axes(file, content, tracks, len(nodes), len(animals))
+    values = np.asarray(tracks[:], np.float64).transpose([order.index(c) for c in 'ftnx'])
+    points = np.zeros((*values.shape[:3], 3))
+    points[..., :2] = values
+    if options.likelihood is not None:
+        if 'point_scores' not in content:
+            raise _no_scores(file)
         scores = np.asarray(_item(file, content, 'point_scores', _SLEAP_FIX)[:], np.float64)
-        scores = scores if is_reversed else scores.T
-        points[~(scores.swapaxes(1, 2) >= options.likelihood)] = np.nan
-    animals = animals or [f'track_{k}' for k in range(values.shape[3])]
+        order = _named_axes(content['point_scores']) or order.replace('x', '')
+        scores = scores.transpose([order.index(c) for c in 'ftn'])
+        points[~(scores >= options.likelihood)] = np.nan
+    animals = animals or [f'track_{k}' for k in range(values.shape[1])]
     names = number_names(file.path, _point_names(animals, nodes), file.notes)
     points[np.isnan(points).any(axis=-1)] = np.nan
     frames = np.arange(len(points))
     return Points(names, points.reshape(len(frames), -1, 3), frames, None, 'px', y_down=True)
+
+
+def _named_axes(item: Any) -> str:
+    """Return the axes of a dataset as it names them: f, t, n, x for frame, track, node, xy."""
+    try:
+        names = json.loads(item.attrs.get('dims', '[]'))
+        return ''.join(_SLEAP_AXES[name] for name in names)
+    except (TypeError, ValueError, KeyError):
+        return ''
+
+
+def _sleap_axes(file: File, content: Any, tracks: Any, nodes: int, animals: int) -> str:
+    """
+    Return the axes of places: as the file names them, else those of SLEAP's own orders that fit.
+
+    That is the order of Python, or of MATLAB, its reverse. Raises BagError where none or both fit.
+    """
+    sizes = {'x': 2, 'n': nodes, 't': animals or None}
+    if animals and 'track_occupancy' in content:
+        sizes['f'] = content['track_occupancy'].size // animals
+    named = _named_axes(tracks)
+    found = [
+        order
+        for order in ([named] if named else ['txnf', 'fnxt'])
+        if sorted(order) == sorted('ftnx')
+        and tracks.ndim == 4
+        and all(sizes.get(c) in (None, size) for c, size in zip(order, tracks.shape, strict=True))
+    ]
+    if len(found) == 1:
+        return found[0]
+    fault = 'may be by track, xy, node, frame or the reverse' if found else 'fit no names'
+    raise BagError(f'{file.path} has places by {tracks.shape}, which {fault}; fix: {_SLEAP_FIX}')
+
+
+def _no_scores(file: File) -> BagError:
+    return BagError(f'{file.path} has no scores of points; fix: leave the likelihood out')
 
 
 def _read_texts(file: File, content: Any, name: str) -> list[str]:

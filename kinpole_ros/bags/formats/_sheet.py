@@ -59,7 +59,7 @@ class Sheet:
         self._window: tuple[int, list[list[str]]] = 0, []  # rows read last, from an index on
         # Of the row that is being read.
         self._row_separators = self._row_characters = self._row_lines = 0
-        self._is_last_number_open = False
+        self._may_be_cut = self._is_short = False  # the last number
         self._count_rows()
 
     def __len__(self) -> int:
@@ -132,7 +132,8 @@ class Sheet:
         self._drop_rows(row_count)
         if is_ended or is_last_row_empty or row_count < 3:
             return
-        if len(row) < len(previous):
+        rows = [one for one in (*self._head[:-1], previous) if len(one) == len(previous)]
+        if any(map(str.strip, (cell for one in rows for cell in one[len(row) :]))):
             self.notes.append(
                 f'{self.path}, line {self.lines[-1]}: the file is cut off after {len(row)} of '
                 f'{len(previous)} cells; the row is left out'
@@ -140,7 +141,11 @@ class Sheet:
             self._drop_rows(row_count - 1)
             return
         # A last cell that is closed by a quote, or empty as in the row before it, is complete.
-        self._is_last_number_open = not self._data.endswith(b'"') and bool(row[-1] or previous[-1])
+        if not self._data.endswith(b'"') and any(
+            map(str.strip, (row[-1], *previous[len(row) - 1 :]))
+        ):
+            above = [one[len(row) - 1] for one in rows if len(one) >= len(row)]
+            self._may_be_cut, self._is_short = _judge_last_number(row[-1], above)
 
     def _drop_rows(self, first: int) -> None:
         del self.lines[first:], self._head[first:]
@@ -149,20 +154,22 @@ class Sheet:
         """
         Note that the last number of the file may be cut off, where no end of line follows it.
 
-        The row is left out where the program that writes such files always ends the last line.
+        It is not where it has as many decimals as all above it. The row is left out where it has
+        fewer, and the program that writes such files always ends the last line.
         """
-        if not self._is_last_number_open:
+        if not self._may_be_cut:
             return
+        is_left_out = is_always_ended and self._is_short
         fix = (
             'the row is left out'
-            if is_always_ended
+            if is_left_out
             else 'end the line if it is not, or delete the line'
         )
         self.notes.append(
             f'{self.path}, line {self.lines[-1]}: the file ends without the end of a line, so the '
             f'last number may be cut off; {fix}'
         )
-        if is_always_ended:
+        if is_left_out:
             self._drop_rows(len(self) - 1)
 
     def rows(self) -> Iterator[list[str]]:
@@ -323,6 +330,20 @@ class Sheet:
             )
         names = number_names(self.path, names, self.notes)
         return dict(zip(names, triples[1:], strict=True))
+
+
+def _judge_last_number(cell: str, above: Sequence[str]) -> tuple[bool, bool]:
+    """Return whether a number may be cut off, and is shorter than those above it in its column."""
+    own, *others = (text.strip().lower().replace(',', '.') for text in (cell, *above))
+    if own == 'nan':
+        return False, False
+    decimals = len(own.partition('.')[2])
+    number, before = number_or_inf(own), number_or_inf(others[-1] if others else '')
+    if own.isdecimal() and number == before + 1:
+        return False, False  # the number of a frame
+    counts = [len(text.partition('.')[2]) for text in others if _NUMBER.fullmatch(text)]
+    is_short = not counts or 'e' in own or decimals < max(1, min(counts))
+    return is_short or decimals < max(counts), is_short
 
 
 def number_in(cell: str) -> float:

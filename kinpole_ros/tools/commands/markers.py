@@ -161,9 +161,5 @@ def import_points(options: argparse.Namespace) -> int:
         )
     for note in imported.notes:
         print_error('import', note)
-    unit = f'in {imported.unit}' if options.scale is None else f'1 unit = {imported.scale:g} m'
-    print(
-        f'{imported.frames} frames of {len(imported.markers)} markers ({imported.format}, {unit}) '
-        f'written to {options.output}'
-    )
+    print(f'{imported}, written to {options.output}')
     return 0

@@ -13,6 +13,8 @@ from kinpole_ros.tools.report._result_bag import has_results
 
 # Files with these endings are bags, even if they cannot be read.
 _BAG_ENDINGS = ('.mcap', '.db3', '.bag')
+# Lines of discover on markers that are in no body, and on what could not be found.
+_ON_MARKERS = ('markers that stand still', 'markers of no body', 'note:')
 _MOST_NAMES = 4  # bodies that are named in a line
 
 
@@ -54,6 +56,12 @@ def prepared(
             bag = str(Path(folder) / f'{Path(file).stem}.mcap')
             imported = import_points(file, bag, points.rate, points.scale, points.y_down)
             assumed.append(_import_text(imported))
+        elif given := [name for name, value in points._asdict().items() if value is not None]:
+            options = ', '.join(f'--{name.replace("_", "-")}' for name in given)
+            raise BagError(
+                f'{file} is a bag, which has its stamps and is in m; {options} are for files of '
+                'points; fix: leave them out, or set the parameter scale'
+            )
         has_bodies = settings.bodies != Settings().bodies
         if not has_bodies and (topic is not None or not has_results(bag)):
             rig, lines = _discover(file, bag, topic, Path(folder) / 'rig.yaml', progress)
@@ -79,10 +87,7 @@ def _is_bag(file: str) -> bool:
 
 def _import_text(imported: Imported) -> str:
     notes = ''.join(f'; {note}' for note in imported.notes)
-    return (
-        f'file: {imported.frames} frames of {len(imported.markers)} markers ({imported.format}, '
-        f'1 unit = {imported.scale:g} m){notes}; to change: --scale, --rate, --y-down'
-    )
+    return f'file: {imported}{notes}; to change: --scale, --rate, --y-down'
 
 
 def _discover(
@@ -106,4 +111,5 @@ def _discover(
         f'unit: {values["unit"]}; names: {values["names"]}; to change: --set scale:=1',
         f'bodies: {", ".join(names[:_MOST_NAMES])}{suffix}, found from the motion; to change: '
         f'{first}{command}, edit it, and give --config rig.yaml',
+        *(line for line in lines if line.startswith(_ON_MARKERS)),
     ]
