@@ -240,6 +240,6 @@ def test_an_error_with_which_no_loop_closes_is_refused(tmp_path: Path) -> None:
     scene.write_text(RACK)
     with pytest.raises(LinkageError, match=r'play guide cannot be off by itself: .* guided rack'):
         tolerances(str(scene), ['play:guide=0.1mm'], samples=0)
-    with pytest.raises(LinkageError, match='coupler.B x is off by 1 m or rad, and the loops'):
+    with pytest.raises(LinkageError, match=r'coupler\.B x is off by 1 m or rad, and the loops'):
         tolerances('four_bar', ['coupler.B=1m'], samples=0)
     assert 'rack.Q x' in '\n'.join(tolerances(str(scene), ['play:mesh=0.1mm'], samples=0))
