@@ -6,18 +6,20 @@ deviation up and down for the first order, at random for the samples.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly, assemble, body_motion
 from kinpole_ros.mechanism._equations import Path
+from kinpole_ros.mechanism._joint_kinds import Joint, Rolling
 from kinpole_ros.mechanism._loop_closure import solve
 from kinpole_ros.mechanism._loops import LinkageError, reduce
 from kinpole_ros.mechanism._scene import Scene
 from kinpole_ros.mechanism._scene_bodies import read_bodies
 from kinpole_ros.mechanism._scene_values import Points, SceneError, vector
+from kinpole_ros.mechanism._start import mobility
 from kinpole_ros.mechanism._vectors import read_vectors
 from kinpole_ros.planar._plane import Real
 
@@ -143,16 +145,20 @@ def propagate_tolerances(
     """
     count, rows = len(errors), scene.mechanism.driver_rows
     deviations = np.diag([error.deviation for error in errors]).reshape(count, count)
-    linkages = [_changed(scene.data, errors, np.zeros(count))]
+    floating = _floating(scene, values[:, 0])
+    linkages = [_changed(scene.data, errors, np.zeros(count), floating)]
+    floated = linkages[0].assembly
+    rows, values = (_widened(scene, floated, array) for array in (rows.T, values))
+    rows = rows.T * np.isin(floated.loops.variables, scene.mechanism.assembly.loops.variables)
     for error, deviation in zip(errors, deviations, strict=True):
         try:
             for change in (deviation, -deviation):
-                linkages.append(_changed(scene.data, errors, change))
+                linkages.append(_changed(scene.data, errors, change, floating))
                 reduce(linkages[-1].assembly.loops._replace(drives=rows))
         except LinkageError as wrong:
             raise LinkageError(f'{error.name} cannot be off by itself: {wrong}') from None
     drawn = _drawn(errors, samples, np.random.default_rng(seed))
-    linkages += [_changed(scene.data, errors, change) for change in drawn]
+    linkages += [_changed(scene.data, errors, change, floating) for change in drawn]
     moving = _moving(scene.mechanism.assembly, scene.points)
     inputs = np.stack((rows @ values, rates))
     found = _quantities(linkages, list(moving), rows, inputs, values)
@@ -170,7 +176,7 @@ def _why_nowhere(scene: Scene, error: Tolerance) -> str:
     if any(len(block.unknown) < 2 * len(block.loops.loops) for block in blocks):
         return (
             f'{error.name} cannot be off by itself: the loops close nowhere then, since they hold '
-            'one distance twice, such as that of a wheel from a guided rack'
+            'one distance twice, as three parallel cranks do'
         )
     size = f'{error.deviation:.4g} m or rad'
     return f'{error.name} is off by {size}, and the loops close nowhere then: give less'
@@ -190,8 +196,40 @@ def _drawn(errors: Sequence[Tolerance], count: int, rng: np.random.Generator) ->
     return np.asarray(drawn)
 
 
-def _changed(data: Mapping[str, Any], errors: Sequence[Tolerance], changes: Real) -> _Linkage:
-    """The linkage and its points with changed dimensions."""
+def _floating(scene: Scene, values: Real) -> frozenset[str]:
+    """The wheels whose hubs other joints hold at their distance too, at variables (n,)."""
+    assembly, floating = scene.mechanism.assembly, frozenset[str]()
+    if assembly.loops.laws:
+        return floating
+    freedom = mobility(assembly, values)[1]
+    for joint in assembly.joints:
+        if isinstance(joint, Rolling):
+            names = floating | {joint.name}
+            floated = assemble(assembly.bodies, [_floated(j, names) for j in assembly.joints])
+            if mobility(floated, _widened(scene, floated, values))[1] == freedom:
+                floating = names
+    return floating
+
+
+def _floated(joint: Joint, names: Set[str]) -> Joint:
+    is_floating = isinstance(joint, Rolling) and joint.name in names
+    return joint.changed(floats=True) if is_floating else joint
+
+
+def _widened(scene: Scene, floated: Assembly, values: Real) -> Real:
+    """Variables (n, ...) of a scene with the distances of wheels that float."""
+    known = dict(zip(scene.mechanism.assembly.loops.variables, values, strict=True))
+    for joint in floated.joints:
+        if isinstance(joint, Rolling) and joint.floats:
+            distance = joint.arm if joint.circle else joint.radius
+            known[f'{joint.name}.distance'] = np.full(values.shape[1:], distance)
+    return np.array([known[name] for name in floated.loops.variables])
+
+
+def _changed(
+    data: Mapping[str, Any], errors: Sequence[Tolerance], changes: Real, floating: Set[str]
+) -> _Linkage:
+    """The linkage and its points with changed dimensions, and wheels that are `floating`."""
     keys = ('bodies', 'joints', 'vectors', 'loops', 'points')
     new = {key: data[key] for key in keys if key in data}
     play: dict[str, float] = {}
@@ -204,8 +242,11 @@ def _changed(data: Mapping[str, Any], errors: Sequence[Tolerance], changes: Real
         assembly, points, _ = read_vectors(new['vectors'], new['loops'], new.get('points', {}))
     else:
         assembly, points, _ = read_bodies(new['bodies'], new.get('joints'))
-    if play:
-        joints = [j.displaced(play[j.name]) if j.name in play else j for j in assembly.joints]
+    if play or floating:
+        joints = [
+            _floated(j.displaced(play[j.name]) if j.name in play else j, floating)
+            for j in assembly.joints
+        ]
         laws = assembly.loops.laws
         assembly = assemble(assembly.bodies, joints)
         assembly = assembly._replace(loops=assembly.loops._replace(laws=laws))

@@ -247,7 +247,8 @@ class Rolling(Joint):
     the name of the joint is the slide of the hub along the line, or the direction from the point of
     contact to the hub. That variable is `start` when all angles are zero. With a `pressure` angle
     (rad) the wheels have teeth, which push each other away with the tangent of that angle times the
-    force that they transmit; other joints then hold the hub at its distance.
+    force that they transmit; other joints then hold the hub at its distance. If it `floats`, that
+    distance is a variable too, NAME.distance, and only its turn is tied.
     """
 
     radius: float
@@ -255,6 +256,7 @@ class Rolling(Joint):
     circle: float = 0.0
     start: float = 0.0
     pressure: float | None = None
+    floats: bool = False
 
     has_play = True
 
@@ -271,14 +273,16 @@ class Rolling(Joint):
         (R + r) φ' = R θ_one' + r θ_other'.
         """
         name, radius, bears = self.name, self.radius, (None, ACROSS, ALONG)
+        distance = f'{name}.distance' if self.floats else ''
+        names = (name, distance) if distance else (name,)
         if self.circle:
             weights = {name: -self.arm, self.one: self.circle, self.other: radius}
-            arm, tie = Term(self.arm, 0.0, name), Tie(weights, -self.arm * self.start)
-            return LoopForm((name,), (arm,), (tie,), bears)
+            arm = Term(1.0 if distance else self.arm, 0.0, name, distance)
+            return LoopForm(names, (arm,), (Tie(weights, -self.arm * self.start),), bears)
         slide = Term(1.0, self.along, self.one, name)
-        up = Term(radius, self.along + np.pi / 2, self.one)
+        up = Term(1.0 if distance else radius, self.along + np.pi / 2, self.one, distance)
         tie = Tie({name: 1.0, self.other: radius, self.one: -radius}, self.start)
-        return LoopForm((name,), (slide, up), (tie,), bears)
+        return LoopForm(names, (slide, up), (tie,), bears)
 
     def contact(self, one: Pose, other: Pose) -> Contact:
         """The point of contact, and the tangent, which has the wheel to its left."""
