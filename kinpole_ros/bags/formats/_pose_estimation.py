@@ -97,6 +97,10 @@ def _item(file: File, group: Any, name: str, fix: str) -> Any:
     return item
 
 
+def _no_scores(file: File, name: str = 'scores') -> BagError:
+    return BagError(f'{file.path} has no {name} of points; fix: leave that option out')
+
+
 # DeepLabCut
 
 
@@ -131,6 +135,8 @@ def _points_of_table(file: File, table: _Table, options: Options) -> Points:
     columns = {label: column for column, label in enumerate(labels)}
     names = list(dict.fromkeys(name for name, _ in labels))
     check_names(file.path, names)
+    if options.likelihood is not None and not any(what == 'likelihood' for _, what in labels):
+        raise _no_scores(file, 'likelihoods')
     if len(columns) < len(labels):
         raise BagError(f'{file.path}: a point has one coordinate twice; fix: {_DLC_FIX}')
     for name, letter in product(names, 'xy'):
@@ -396,10 +402,6 @@ def _sleap_axes(file: File, content: Any, tracks: Any, nodes: int, animals: int)
         return found[0]
     fault = 'may be by track, xy, node, frame or the reverse' if found else 'fit no names'
     raise BagError(f'{file.path} has places by {tracks.shape}, which {fault}; fix: {_SLEAP_FIX}')
-
-
-def _no_scores(file: File) -> BagError:
-    return BagError(f'{file.path} has no scores of points; fix: leave the likelihood out')
 
 
 def _read_texts(file: File, content: Any, name: str) -> list[str]:
