@@ -12,6 +12,10 @@ from kinpole_ros.bags import BagError, import_points, read_messages
 from kinpole_ros.bags.formats import FORMATS
 from kinpole_ros.messages import deserialize_message
 from kinpole_ros.messages._types import MarkerArray
+from kinpole_ros.settings import settings_from
+from kinpole_ros.tools.cli import main
+from kinpole_ros.tools.report import Points as Given
+from kinpole_ros.tools.report import prepared
 
 KINDS = kinds(Path())
 NAN = float('nan')
@@ -135,3 +139,60 @@ def test_a_cell_is_right_or_says_why_not(tmp_path, kind_name, name) -> None:
 def test_all_formats_are_in_the_table() -> None:
     names = {name.partition(' ')[0].partition(',')[0] for name in KINDS}
     assert names == set(FORMATS)
+
+
+ENDINGS = {'sleap .h5': '.h5', 'keypoints': '.json', 'kinovea text': '.txt', 'kinovea .xml': '.xml',
+           'tracker': '.txt', 'tracker .trk': '.trk', 'qualisys': '.tsv', 'trc': '.trc',
+           'c3d': '.c3d', 'bag': '.mcap'}  # fmt: skip
+
+
+def written(folder: Path, kind_name: str) -> Path:
+    """A plain file of a kind, with the ending that its program gives it."""
+    path = folder / f'file{ENDINGS.get(kind_name, ".csv")}'
+    path.write_bytes(kinds(folder)[kind_name].content(Variant()))
+    return path
+
+
+@pytest.mark.parametrize('kind_name', KINDS)
+def test_the_option_format_acts_or_is_refused(tmp_path, kind_name) -> None:
+    path, needed = written(tmp_path, kind_name), KINDS[kind_name].needed()
+    for name in FORMATS:
+        try:
+            done = import_points(path, tmp_path / 'out.mcap', format=name, **needed)
+        except BagError as error:
+            assert name != kind_name.partition(' ')[0].rstrip(',')
+            assert re.search(r'not what .* begins with.*; fix: |; fix: ', str(error))
+        else:
+            assert (done.format, done.frames, done.markers[0][0]) == (name, 40, 'A')
+
+
+@pytest.mark.parametrize('kind_name', KINDS)
+@pytest.mark.parametrize(
+    ('option', 'value'), [('rate', 50.0), ('scale', 0.5), ('y_down', True), ('y_down', False)]
+)
+def test_an_option_of_report_acts_or_is_refused(tmp_path, kind_name, option, value) -> None:
+    path, kind = written(tmp_path, kind_name), KINDS[kind_name]
+    settings = settings_from({'bodies': ['rod'], 'rod.markers': list('ABC')})
+    given = {'rate': None, 'scale': None, 'y_down': None, **kind.needed(), option: value}
+    if kind_name == 'bag':
+        with pytest.raises(BagError, match=r'are for files of points; fix: leave them out'):
+            prepared(str(path), settings, {}, None, Given(**given)).__enter__()
+        return
+    with prepared(str(path), settings, {}, None, Given(**given)) as ready:
+        stamps, points = read_bag(Path(ready.bag), ('A', 'B', 'C'))
+    up = 1.0 if given['y_down'] in (None, kind.y_down) else -1.0
+    scale = (given['scale'] or kind.length(Variant())) / kind.length(Variant())
+    expected = truth(kind.is_flat)[1][1] * scale * [1.0, up, 1.0]
+    np.testing.assert_allclose(points[1], expected, atol=2e-6 * scale)
+    np.testing.assert_allclose(stamps[1], 1.0 / (given['rate'] or RATE), atol=1e-6)
+
+
+@pytest.mark.parametrize('kind_name', sorted(set(KINDS) - {'bag'}))
+@pytest.mark.parametrize('command', ['replay', 'discover'])
+def test_replay_and_discover_send_every_file_of_points_to_import(
+    tmp_path, capsys, kind_name, command
+) -> None:
+    path = written(tmp_path, kind_name)
+    words = ['--csv', str(tmp_path / 'o.csv')] if command == 'replay' else ['--seconds', '1']
+    assert main([command, str(path), *words]) == 2
+    assert re.search(r'is a file of points.*`kinpole import ', capsys.readouterr().err)

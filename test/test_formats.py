@@ -779,6 +779,19 @@ def test_counts_and_rates_of_a_c3d_that_differ_are_named(tmp_path):
     np.testing.assert_allclose(np.diff(stamps), 0.005, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ('place', 'wrong'), [('header', 2), ('header', 0), ('USED', 2), ('USED', 0)]
+)
+def test_points_of_a_c3d_are_those_that_fill_the_file(tmp_path, place, wrong):
+    """Frames are read by the wrong bytes else, so that markers are seen in other frames."""
+    content = bytearray(c3d_file())
+    where = 2 if place == 'header' else content.index(b'USED') + 8
+    struct.pack_into('<h', content, where, wrong)
+    done, _, points = bring(tmp_path, bytes(content))
+    assert '3 are taken, which fill the file' in ''.join(done.notes)
+    np.testing.assert_allclose(points, SEEN * 1e-3, rtol=1e-7)
+
+
 def sleap_orders(axes: str, dims: bool, shape: tuple[int, int, int], scores: bool) -> bytes:
     """An .h5 with axes in this order, f, t, n, x, and places 1000 f + 100 t + 10 n + x."""
     h5py = pytest.importorskip('h5py')

@@ -2,7 +2,6 @@
 
 import math
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 from kinpole_ros.bags._files import BagError, in_place_of
 from kinpole_ros.bags._reader import Progress
 from kinpole_ros.bags._writer import BagWriter
-from kinpole_ros.bags.formats import UNITS, Options, Points, read_points, shown
+from kinpole_ros.bags.formats import UNITS, Options, Points, listed, read_points, shown
 from kinpole_ros.messages import INPUT_TYPES, TF, marker_arrays, poses_data
 
 _BLOCK_BYTES = 1 << 20  # of messages in memory at a time
@@ -143,12 +142,12 @@ def import_points(
     notes = [*read.notes, *stamp_notes]
     is_seen = ~np.isnan(read.points).any(axis=-1).all(axis=0)
     if not is_seen.all():
-        unseen = [name for name, seen in zip(read.names, is_seen.tolist(), strict=True) if not seen]
-        notes.append(f'seen in no frame: {_listed(unseen)}')
+        unseen = [shown(read.names[k]) for k in np.flatnonzero(~is_seen)]
+        notes.append(f'seen in no frame: {listed(unseen)}')
     if poses is not None:
         notes.append(
             f'poses are on {TF}, to be read with marker_type: tf and marker_topic: {TF}: '
-            f'{_listed(read.bodies)}'
+            f'{listed([shown(body) for body in read.bodies])}'
         )
     steps = np.diff(stamps) * 1e-9
     return Imported(
@@ -210,11 +209,6 @@ def _incomplete(
             fix = 'give --rate HZ, or name the column of times t'
         fixes.append(fix)
     return BagError(f'{path} ({name}) {" and ".join(faults)}; fix: {"; and ".join(fixes)}')
-
-
-def _listed(names: Sequence[str]) -> str:
-    ending = f' and {len(names) - 5} more' if len(names) > 5 else ''
-    return f'{", ".join(map(shown, names[:5]))}{ending}'
 
 
 def _write(

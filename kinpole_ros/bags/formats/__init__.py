@@ -25,11 +25,11 @@ from kinpole_ros.bags.formats._file import (
 from kinpole_ros.bags.formats._keypoints import KEYPOINTS
 from kinpole_ros.bags.formats._motion_capture import MOTIVE, QUALISYS, TRC, VICON
 from kinpole_ros.bags.formats._pose_estimation import DEEPLABCUT, SLEAP
-from kinpole_ros.bags.formats._sheet import shown
+from kinpole_ros.bags.formats._sheet import listed, shown
 from kinpole_ros.bags.formats._table import ANIPOSE, TABLE, header_row
 from kinpole_ros.bags.formats._video import KINOVEA, TRACKER
 
-__all__ = ['FORMATS', 'UNITS', 'Options', 'Points', 'read_points', 'shown']
+__all__ = ['FORMATS', 'UNITS', 'Options', 'Points', 'listed', 'read_points', 'shown']
 
 # Tried in this order: the plain table is the least particular.
 FORMATS: dict[str, Format] = {
@@ -107,11 +107,10 @@ def _blank_stand_ins(path: str | Path, read: Points) -> list[str]:
     if not unseen.any():
         return []
     counts = zip(read.names, unseen.sum(axis=0).tolist(), strict=True)
-    listed = [f'{shown(name)} in {count} frames' for name, count in counts if count]
-    ending = f' and {len(listed) - 5} more' if len(listed) > 5 else ''
+    places = [f'{shown(name)} in {count} frames' for name, count in counts if count]
     return [
         f'{path}: points of one number, such as (0, 0, 0), and far from all others of their marker '
-        f'count as not seen: {", ".join(listed[:5])}{ending}'
+        f'count as not seen: {listed(places)}'
     ]
 
 

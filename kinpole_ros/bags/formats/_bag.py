@@ -175,30 +175,27 @@ def _check_clocks(file: File, series: list[_Series]) -> None:
     Note sources of other rates: frames lack what did not come with them.
     """
     spans, steps = {}, {}
-    for source in dict.fromkeys(part.source for part in series):
-        parts = [part for part in series if part.source == source]
-        stamps = np.sort(np.concatenate([part.stamps for part in parts]))
-        log_times = np.concatenate([part.log_times for part in parts])
-        spans[source] = int(stamps[0]), int(stamps[-1]), log_times.min(), log_times.max()
+    for part in sorted(series, key=lambda part: len(part.stamps)):  # the longest of a source counts
+        stamps = np.sort(part.stamps)
+        spans[part.source] = stamps[0], stamps[-1], part.log_times.min(), part.log_times.max()
         if len(stamps) > 1 and (step := float(np.median(np.diff(stamps)))) > 0:
-            steps[source] = step
+            steps[part.source] = step
     (one, first), *others = spans.items()
     for other, span in others:
         came_together = first[2] < span[3] and span[2] < first[3]
         if came_together and (first[1] < span[0] or span[1] < first[0]):
             cause = 'by two clocks' if first[1] and span[1] else 'one of them with 0'
+            apart = abs(int(span[0]) - int(first[0])) / _SECOND
             raise BagError(
                 f'{file.path}: {shown(one)} and {shown(other)} came together, and are stamped '
-                f'{abs(span[0] - first[0]) / _SECOND:.6g} s apart, {cause}; fix: stamp both by one '
-                'clock, or record each in a bag of its own'
+                f'{apart:.6g} s apart, {cause}; fix: stamp both by one clock, or record each in a '
+                'bag of its own'
             )
     if steps and max(steps.values()) > (1 + _SAME_RATE) * min(steps.values()):
-        listed = ' and '.join(
-            f'{shown(source)} at {_SECOND / steps[source]:.4g} Hz'
-            for source in (min(steps, key=steps.__getitem__), max(steps, key=steps.__getitem__))
-        )
+        ends = min(steps, key=steps.__getitem__), max(steps, key=steps.__getitem__)
+        rates = ' and '.join(f'{shown(one)} at {_SECOND / steps[one]:.4g} Hz' for one in ends)
         file.notes.append(
-            f'{file.path}: {listed}: frames lack what did not come with them, and stamps may be '
+            f'{file.path}: {rates}: frames lack what did not come with them, and stamps may be '
             'uneven; fix: record each in a bag of its own, or set both to one rate'
         )
 

@@ -72,6 +72,9 @@ def _read(file: File, options: Options) -> Points:
 
     scale = next(iter(numbers('POINT:SCALE')), header.scale)
     rate = next(iter(numbers('POINT:RATE')), 0.0) or header.rate
+    first, count = _frame_range(file, header, numbers)
+    used = int(next(iter(numbers('POINT:USED')), header.points))
+    header = _with_point_count(file, header, used, scale, count)
     if not header.points:
         others = ' and '.join(name for name in _OTHERS if any(numbers(f'{name}:USED')))
         only = f', only {others.lower()} data, which are not read' if others else ''
@@ -81,7 +84,6 @@ def _read(file: File, options: Options) -> Points:
             f'{file.path} has {rate:.6g} Hz as its parameter and {header.rate:.6g} Hz in its '
             'header: the former is taken; fix: give --rate if it is wrong'
         )
-    first, count = _frame_range(file, header, numbers)
     values = _read_frames(file, header, processor, scale, count)
     frames = first + np.arange(len(values))
     end, is_amid = _frames_before_zeros(values)
@@ -198,6 +200,22 @@ def _frame_range(
     for other in sorted({one for one in counts if one % 65536 != largest % 65536}):
         file.notes += count_notes(file.path, f'{other:.0f}', largest)
     return first, largest
+
+
+def _with_point_count(file: File, header: _Header, used: int, scale: float, frames: int) -> _Header:
+    """Return the header with that count of points by which frames fill most of the file."""
+    if used == header.points:
+        return header
+    length, size = len(file.data) - _BLOCK * (header.start - 1), 4 if scale < 0 else 2
+    filled = {
+        points: size * (4 * points + header.analog) * frames for points in (header.points, used)
+    }
+    points = max((n for n in filled if filled[n] <= length), key=filled.__getitem__, default=used)
+    file.notes.append(
+        f'{file.path} says that it has {used} points as its parameter, and {header.points} in its '
+        f'header: {points} are taken, which fill the file'
+    )
+    return header._replace(points=points)
 
 
 def _read_frames(

@@ -97,10 +97,14 @@ def _item(file: File, group: Any, name: str, fix: str) -> Any:
     return item
 
 
+def _no_scores(file: File, name: str = 'scores') -> BagError:
+    return BagError(f'{file.path} has no {name} of points; fix: leave that option out')
+
+
 # DeepLabCut
 
 
-class _Table(NamedTuple):
+class _LabeledColumns(NamedTuple):
     """Columns of a .csv or an .h5, which are read a block of rows at a time."""
 
     labels: list[tuple[str, str]]  # marker and coordinate of each column
@@ -125,12 +129,14 @@ def _read_deeplabcut(file: File, options: Options) -> Points:
     return _points_of_table(file, _csv_table(file), options)
 
 
-def _points_of_table(file: File, table: _Table, options: Options) -> Points:
+def _points_of_table(file: File, table: _LabeledColumns, options: Options) -> Points:
     labels, lines, index_name, blocks = table
     likelihood = _LIKELIHOOD if options.likelihood is None else options.likelihood
     columns = {label: column for column, label in enumerate(labels)}
     names = list(dict.fromkeys(name for name, _ in labels))
     check_names(file.path, names)
+    if options.likelihood is not None and not any(what == 'likelihood' for _, what in labels):
+        raise _no_scores(file, 'likelihoods')
     if len(columns) < len(labels):
         raise BagError(f'{file.path}: a point has one coordinate twice; fix: {_DLC_FIX}')
     for name, letter in product(names, 'xy'):
@@ -157,7 +163,7 @@ def _points_of_table(file: File, table: _Table, options: Options) -> Points:
     return Points(names, points, frames, None, '' if in_space else 'px', y_down=not in_space)
 
 
-def _csv_table(file: File) -> _Table:
+def _csv_table(file: File) -> _LabeledColumns:
     sheet = file.sheet
     titles = {sheet.cell(row, 0): row for row in reversed(range(min(5, len(sheet))))}
     if 'coords' not in titles:
@@ -176,7 +182,7 @@ def _csv_table(file: File) -> _Table:
     # Names of labeled images follow those of their folders.
     numbers = map(_image_number, sheet.texts(columns[0] - 1, first))
     numbered = ((np.array(list(islice(numbers, len(block)))), block) for block in blocks)
-    return _Table(labels, sheet.lines[first:], '1', numbered)
+    return _LabeledColumns(labels, sheet.lines[first:], '1', numbered)
 
 
 def _image_number(cell: str) -> float:
@@ -190,7 +196,7 @@ def _label(levels: Sequence[str]) -> tuple[str, str]:
     return '.'.join(level for level in levels[:-1] if level), levels[-1]
 
 
-def _hdf_table(file: File, content: Any) -> _Table:
+def _hdf_table(file: File, content: Any) -> _LabeledColumns:
     """Read a table that pandas wrote; PyTables keeps the names of columns as pickles."""
     table = _find_hdf_table(file, content)
     labels: list[tuple[str, str]] = []
@@ -205,7 +211,7 @@ def _hdf_table(file: File, content: Any) -> _Table:
     if width != len(labels):
         raise BagError(f'{file.path} has {width} columns, {len(labels)} names; fix: {_DLC_FIX}')
     blocks = _hdf_blocks(table, fields, width)
-    return _Table(labels, range(1, len(table) + 1), 'index', blocks)
+    return _LabeledColumns(labels, range(1, len(table) + 1), 'index', blocks)
 
 
 def _hdf_blocks(
@@ -318,11 +324,11 @@ def _read_sleap(file: File, options: Options) -> Points:
         )
     points = np.full((len(frames), len(animals), len(nodes), 3), np.nan)
     titles = [f'{node}.{letter}' for node in nodes for letter in 'xy']
-    scored = [node for node in nodes if f'{node}.score' in columns]
-    if options.likelihood is None:
-        scored = []
-    elif not scored:
-        raise _no_scores(file)
+    scored = []
+    if options.likelihood is not None:
+        scored = [node for node in nodes if f'{node}.score' in columns]
+        if not scored:
+            raise _no_scores(file)
     titles += [f'{node}.score' for node in scored]
     first = 0
     for block in sheet.blocks([columns[title] for title in titles], titles, 1):
@@ -369,8 +375,7 @@ def _read_sleap_hdf(file: File, content: Any, options: Options) -> Points:
 def _named_axes(item: Any) -> str:
     """Return the axes of a dataset as it names them: f, t, n, x for frame, track, node, xy."""
     try:
-        names = json.loads(item.attrs.get('dims', '[]'))
-        return ''.join(_SLEAP_AXES[name] for name in names)
+        return ''.join(_SLEAP_AXES[name] for name in json.loads(item.attrs.get('dims', '[]')))
     except (TypeError, ValueError, KeyError):
         return ''
 
@@ -381,25 +386,25 @@ def _sleap_axes(file: File, content: Any, tracks: Any, nodes: int, animals: int)
 
     That is the order of Python, or of MATLAB, its reverse. Raises BagError where none or both fit.
     """
-    sizes = {'x': 2, 'n': nodes, 't': animals or None}
-    if animals and 'track_occupancy' in content:
-        sizes['f'] = content['track_occupancy'].size // animals
+    sizes = {'x': 2, 'n': nodes}
+    if animals:
+        sizes['t'] = animals
+        if 'track_occupancy' in content:
+            sizes['f'] = content['track_occupancy'].size // animals
     named = _named_axes(tracks)
     found = [
         order
         for order in ([named] if named else ['txnf', 'fnxt'])
-        if sorted(order) == sorted('ftnx')
+        if sorted(order) == ['f', 'n', 't', 'x']
         and tracks.ndim == 4
-        and all(sizes.get(c) in (None, size) for c, size in zip(order, tracks.shape, strict=True))
+        and all(
+            sizes.get(axis, size) == size for axis, size in zip(order, tracks.shape, strict=True)
+        )
     ]
     if len(found) == 1:
         return found[0]
     fault = 'may be by track, xy, node, frame or the reverse' if found else 'fit no names'
     raise BagError(f'{file.path} has places by {tracks.shape}, which {fault}; fix: {_SLEAP_FIX}')
-
-
-def _no_scores(file: File) -> BagError:
-    return BagError(f'{file.path} has no scores of points; fix: leave the likelihood out')
 
 
 def _read_texts(file: File, content: Any, name: str) -> list[str]:

@@ -357,6 +357,12 @@ def shown(text: str) -> str:
     return printable(text if len(text) <= _SHOWN else f'{text[:_SHOWN]}...')
 
 
+def listed(texts: Sequence[str]) -> str:
+    """Return the first five texts for a message, and how many more there are."""
+    ending = f' and {len(texts) - 5} more' if len(texts) > 5 else ''
+    return f'{", ".join(texts[:5])}{ending}'
+
+
 def check_cells(path: Path, count: int) -> None:
     """Raise BagError when a file has more cells than are held in memory."""
     if count > MOST_CELLS:
@@ -391,10 +397,8 @@ def number_names(path: Path, names: Sequence[str], notes: list[str]) -> list[str
             numbered.append(f"'{shown(new_name)}'")
         unique.append(new_name)
     if numbered:
-        ending = f' and {len(numbered) - 5} more' if len(numbered) > 5 else ''
         notes.append(
-            f'{path} has several markers of one name; they are numbered: '
-            f'{", ".join(numbered[:5])}{ending}'
+            f'{path} has several markers of one name; they are numbered: {listed(numbered)}'
         )
     return unique
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats._file import File, Format, Options, Points, not_utf8
-from kinpole_ros.bags.formats._sheet import Sheet, shown, whole_numbers
+from kinpole_ros.bags.formats._sheet import Sheet, listed, shown, whole_numbers
 
 # "time", "Time (s)", "t [s]", "timestamp_ns", "time_ms".
 _TIME = re.compile(
@@ -135,8 +135,7 @@ def _read(file: File, options: Options) -> Points:
     used |= _leave_out_unlikely(sheet, header, points, list(columns), options)
     unread = [shown(name) for k, name in enumerate(header) if name and k not in used]
     if unread and not _is_anipose(file):
-        ending = f' and {len(unread) - 5} more' if len(unread) > 5 else ''
-        sheet.notes.append(f'{path}: columns that are not read: {", ".join(unread[:5])}{ending}')
+        sheet.notes.append(f'{path}: columns that are not read: {listed(unread)}')
     in_pixels = unit.lower() in ('px', 'pixel', 'pixels')
     if in_pixels:
         sheet.notes.append(f'{path} is in pixels, so y points down; to change: --no-y-down')
