@@ -249,9 +249,9 @@ def test_a_gap_within_the_window_resets_nothing() -> None:
     assert tracker.samples <= 101
 
 
-@pytest.mark.parametrize('step', [100_000, 500_000_000])
+@pytest.mark.parametrize('step', [100_000, 1_000_000_000])
 def test_the_rate_of_the_frames_does_not_matter(step: int) -> None:
-    """The same frames at 10 kHz and at 2 Hz: all times scale."""
+    """The same frames at 10 kHz and at 1 Hz: all times scale."""
     seen = record('cardan')
     factor = step / STEP
     frames = [f._replace(stamps=np.array([START + k * step])) for k, f in enumerate(seen.frames)]
@@ -590,7 +590,7 @@ def test_any_partition_of_any_stream_gives_the_same(
     st.floats(-3, 3),
     st.complex_numbers(max_magnitude=3),
     st.sampled_from((1e-6, 1e-3, 0.7, 40.0)),
-    st.sampled_from((0.2, 0.5, 1.0, 3.0, 300.0)),
+    st.sampled_from((0.2, 0.5, 1.0, 3.0, 1000.0)),
     st.booleans(),
     st.permutations(range(8)),
     st.booleans(),
@@ -601,7 +601,7 @@ def test_any_partition_of_any_stream_gives_the_same(
         Fault('hide the body', 24, 60, 7),
         Fault('twice', 80, 60, 5),
     ],
-    *(0.0, 0j, 1.0, 300.0, False, list(range(8)), False),
+    *(0.0, 0j, 1.0, 1000.0, False, list(range(8)), False),
 )
 def test_a_scene_turned_moved_scaled_mirrored_slowed_or_renamed_gives_the_answer_so(
     spoilt: list[Fault],
