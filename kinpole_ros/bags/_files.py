@@ -4,6 +4,7 @@ A file compressed by zstd is read as a stream, so that it takes neither disk nor
 it claims to hold.
 """
 
+import errno
 import io
 import os
 import re
@@ -228,8 +229,8 @@ def recorder_of(path: str | Path) -> str:
 
 def unreadable(path: Path, error: OSError) -> BagError:
     """Return the error of a file that cannot be read."""
-    path = error.filename or path
-    return BagError(f'{path} cannot be read: {error.strerror}; fix: check the path and its rights')
+    fix = 'cut it into parts' if error.errno == errno.EFBIG else 'check the path and its rights'
+    return BagError(f'{error.filename or path} cannot be read: {error.strerror}; fix: {fix}')
 
 
 def unwritable(path: str | Path, error: OSError) -> BagError:

@@ -1,6 +1,5 @@
 """Files of unknown format as bytes, cells or XML, and the record that every format is read into."""
 
-import errno
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -14,7 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from kinpole_ros.bags._files import BagError
+from kinpole_ros.bags._files import BagError, unreadable
 from kinpole_ros.bags.formats._sheet import Sheet, number_in
 from kinpole_ros.files import open_regular, read_limited
 
@@ -129,7 +128,7 @@ class File:
                 with open_regular(path) as file:
                     self.head = file.read(_HEAD_BYTES)
             except OSError as error:
-                raise _unreadable(path, error) from error
+                raise unreadable(path, error) from error
 
     @cached_property
     def data(self) -> bytes:
@@ -137,7 +136,7 @@ class File:
         try:
             return read_limited(self.path, MOST_BYTES)
         except OSError as error:
-            raise _unreadable(self.path, error) from error
+            raise unreadable(self.path, error) from error
 
     @cached_property
     def sheet(self) -> Sheet:
@@ -172,12 +171,6 @@ class File:
         except (ElementTree.ParseError, ValueError, LookupError) as error:
             raise BagError(f'{self.path} is not XML that can be read: {error}; {fix}') from error
         return root
-
-
-def _unreadable(path: Path, error: OSError) -> BagError:
-    if error.errno == errno.EFBIG:
-        return BagError(f'{path} is larger than {MOST_BYTES >> 20} MiB; fix: cut it into parts')
-    return BagError(f'{path} cannot be read: {error.strerror}; fix: check the path and its rights')
 
 
 def not_utf8(path: Path, line: int) -> BagError:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.bags._files import BagError
+from kinpole_ros.bags._files import BagError, unreadable
 from kinpole_ros.bags.formats._file import File, Format, Options, Points
 from kinpole_ros.bags.formats._sheet import MOST_COLUMNS, check_cells, check_names, shown
 from kinpole_ros.files import read_limited
@@ -145,19 +145,16 @@ def _json_errors(path: Path) -> Iterator[None]:
         yield
     except BagError:
         raise
+    except OSError as error:
+        raise unreadable(path, error) from error
     except _MALFORMED as error:
         raise BagError(f'{path} is not JSON of keypoints; fix: {_FIX}') from error
 
 
 def _parse(path: Path) -> Any:
-    try:
-        data = read_limited(path, _MOST_JSON_BYTES)
-        if sum(size * data.count(mark) for mark, size in _OBJECT_BYTES.items()) > _MOST_BYTES:
-            raise OSError(errno.EFBIG, 'File too large')
-    except OSError as error:
-        raise BagError(
-            f'{path} cannot be read: {error.strerror}; fix: cut it into parts'
-        ) from error
+    data = read_limited(path, _MOST_JSON_BYTES)
+    if sum(size * data.count(mark) for mark, size in _OBJECT_BYTES.items()) > _MOST_BYTES:
+        raise OSError(errno.EFBIG, 'File too large')
     return json.loads(data)
 
 

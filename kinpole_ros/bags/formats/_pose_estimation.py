@@ -323,22 +323,15 @@ def _read_sleap(file: File, options: Options) -> Points:
             'SLEAP first, or export one instance a frame'
         )
     points = np.full((len(frames), len(animals), len(nodes), 3), np.nan)
-    titles = [f'{node}.{letter}' for node in nodes for letter in 'xy']
-    scored = []
+    axes = {node: [columns[f'{node}.x'], columns[f'{node}.y']] for node in nodes}
+    points[rows, instances], _ = sheet.points(axes, 1, separator='.')
     if options.likelihood is not None:
-        scored = [node for node in nodes if f'{node}.score' in columns]
-        if not scored:
+        titles = {k: f'{n}.score' for k, n in enumerate(nodes) if f'{n}.score' in columns}
+        if not titles:
             raise _no_scores(file)
-    titles += [f'{node}.score' for node in scored]
-    first = 0
-    for block in sheet.blocks([columns[title] for title in titles], titles, 1):
-        positions = np.zeros((len(block), len(nodes), 3))
-        positions[..., :2] = block[:, : 2 * len(nodes)].reshape(len(block), len(nodes), 2)
-        for index, node in enumerate(scored, start=2 * len(nodes)):
-            positions[~(block[:, index] >= options.likelihood), nodes.index(node)] = np.nan
-        part = slice(first, first + len(block))
-        points[rows[part], instances[part]] = positions
-        first += len(block)
+        for k, title in titles.items():
+            doubtful = ~(sheet.column(columns[title], 1, title) >= options.likelihood)
+            points[rows[doubtful], instances[doubtful], k] = np.nan
     names = _point_names(list(animals), nodes)
     return Points(names, points.reshape(len(frames), -1, 3), frames, None, 'px', y_down=True)
 
