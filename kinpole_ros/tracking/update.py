@@ -63,9 +63,11 @@ def _update(state: State) -> bool:
     state.pins.update(bodies, history, min(new, len(history)), state.assignment.posed)
     state.learned_count = state.frame_count
     drop_old_frames(state)
+    # Measured noise, not what the parameters say: exact poses of a body at rest do repeat.
+    is_measured = state.assignment.posed and not state.settings.noise
     bodies.never_repeats = never_repeats(
         history['markers'][-MISFIT_FRAMES:],
-        bodies.noise if state.assignment.posed else bodies.white,
+        bodies.noise if is_measured else bodies.white,
         3 if state.assignment.posed else None,
     )
     bodies.hub = find_hubs(bodies, history, window, bodies.hub)

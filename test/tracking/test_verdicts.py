@@ -127,6 +127,21 @@ def test_a_pose_that_is_held_is_not_seen(make: Callable[[], Stream], held_frames
     assert np.mean(off[seen] > 4) < 0.005
 
 
+def test_exact_poses_at_rest_are_seen_whatever_noise_the_parameters_give() -> None:
+    [given] = tilted_poses().parts
+    t = np.minimum(np.arange(FRAMES), 300) / 100
+    place = np.stack((np.cos(t), np.sin(t), 0 * t), axis=-1)
+    given.points[:] = place[:, None]
+    given.axes[:, :, 0], given.axes[:, :, 1] = (
+        place[:, None],
+        place[:, None, [1, 0, 2]] * (-1, 1, 1),
+    )
+    for noise in (0.0, 1e-3):
+        tracker = Tracker(settings_from(tilted_poses().parameters | {'noise': noise}))
+        tracker.add(given, 1)
+        assert not tracker.counts['poses_held'], noise
+
+
 def test_a_body_at_rest_is_seen_whatever_the_resolution() -> None:
     rng = np.random.default_rng(7)
     for resolution, noise in ((1e-3, 2e-4), (1e-3, 4e-4), (1e-4, 2e-4), (1e-12, 0.0)):

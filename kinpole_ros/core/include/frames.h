@@ -98,7 +98,7 @@ enum { OUTAGE_TIMES, OUTAGE_LATEST, OUTAGE_LONGEST = 3, OUTAGE_FIELDS = 5 };
 typedef STRUCT(BODY_TRACKS_FIELDS) BodyTracks;
 
 /* New frames, of which `frame` to `frames` are still to be taken, at most `until_update` of them before the
-   next update; `tilts` (T, B) of poses, see `MarkerAssignment.tilts`, else NULL. `corrected` are the markers
+   next update; `tilts` (T, B) of poses, see pose_points.py, else NULL. `corrected` are the markers
    (B, n) to fit to in the next frame, whatever is unusual; NULL for those that came. */
 #define NEW_FRAMES_FIELDS(VALUE, BLOCK, ARRAY) \
     VALUE(long long, frame)                    \
