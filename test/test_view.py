@@ -601,3 +601,34 @@ def test_page_goes_on_when_the_server_is_back_and_begins_anew_with_other_bodies(
                     feed.put('rig', state.as_json(other, 0.0, []))
                     page.locator('#bodies', has_text='rod').wait_for()
             page.locator('#state', has_text='disconnected').wait_for()
+
+
+def test_time_and_numbers_are_of_one_frame_while_they_come_and_when_the_page_is_paused(
+    browser, results
+) -> None:
+    """The numbers were up to two frames older than the time."""
+    state, feed = RigState('/kinpole', VIEW), Feed()
+    frame = frame_of_view(next(iter(sent_to_pages(results)[50:])))
+    state.add_frame(frame)
+    # A rate that tells the time.
+    look = """() => {
+      const names = ['#clock', '[data-name=angular_velocity] td'];
+      const found = names.map((name) => document.querySelector(name));
+      return found.map(({ textContent }) => parseFloat(textContent.replace('t = ', '')));
+    }"""
+    with served(feed) as address, opened(browser, address) as page:
+        feed.wait_for_page(LIMIT)
+        feed.put('rig', state.as_json(frame.rig, 0.0, []))
+        for n in range(20):
+            at = 1 + n / 32
+            assert frame.bodies[0] is not None
+            body = frame.bodies[0] | {'angular_velocity': [at, 1e-5]}
+            feed.put('frame', frame._replace(bodies=[body, *frame.bodies[1:]]).as_json(at, n))
+            drawn = 'n => document.documentElement.dataset.published == n'
+            page.wait_for_function(drawn, arg=n / 1e6)
+            shown, number = page.evaluate(look)
+            assert abs(shown - number) < 1e-3
+        page.keyboard.press('l')
+        page.locator('#clock', has_text='t = 1.594 s').wait_for()
+        shown, number = page.evaluate(look)
+        assert abs(shown - number) < 1e-3

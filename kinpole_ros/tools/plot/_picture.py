@@ -89,7 +89,9 @@ def _draw(figure: Any, bag: str, results: Results, exact: dict[str, dict[str, Se
     for row, scope in enumerate(scopes):
         axis = figure.add_subplot(grid[row, 0])
         _plane.draw_plane(axis, scope, instant, results)
-        axis.set(xlabel=f'{results.along[0]} (m)', ylabel=f'{results.along[1]} (m)')
+        # Between rows it would touch the name of the next body.
+        axis.set_xlabel(f'{results.along[0]} (m)' if row == len(scopes) - 1 else '')
+        axis.set_ylabel(f'{results.along[1]} (m)')
         columns[0].append(axis)
         body, truth = scope.body, exact.get(scope.body.name, {})
         all_panels = _time.rate_panels(body, truth), _time.centrode_panels(body, truth)

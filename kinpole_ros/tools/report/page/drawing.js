@@ -162,6 +162,23 @@ function drawText(context, text, x, y, color, size = 12, weight = 400) {
   context.fillText(text, x, y);
 }
 
+// Returns a function that draws texts, each on the nearest line on which it covers none before it.
+function makeLabels(context) {
+  const before = { left: 0, center: 0.5, right: 1 };
+  const taken = [];
+  return (text, x, y, color, size = 12, weight = 400) => {
+    context.font = `${weight} ${size}${FONT}`;
+    const width = context.measureText(text).width;
+    const left = x - before[context.textAlign] * width;
+    const boxAt = (line) => ({ left, right: left + width, top: y + (line - 1) * size, bottom: y + line * size });
+    const covers = (box) => taken.some((other) => box.left < other.right && other.left < box.right
+      && box.top < other.bottom && other.top < box.bottom);
+    const line = [0, 1, -1, 2, -2, 3, -3].find((one) => !covers(boxAt(one))) ?? 0;
+    taken.push(boxAt(line));
+    drawText(context, text, x, y + line * size, color, size, weight);
+  };
+}
+
 // An arrow from a point along a vector, in pixels; none if it is too short to be seen. The line of
 // an arrow that is cut off is dashed.
 function drawArrow(context, [x, y], [u, v], isCut = false) {

@@ -20,7 +20,7 @@ function makeInstantDrawer(stage) {
     for (const name of [...POLES].reverse()) {
       for (const body of bodies) if (isOn(name) && body[name]) drawPole(context, body, name, k);
     }
-    if (isOn('names')) for (const body of bodies) drawName(context, body, k);
+    if (isOn('names')) drawNames(context, bodies, k);
     if (isOn('velocities')) drawArrowScale(context);
     if (!bodies.length) {
       const [first] = shownBodies();
@@ -132,11 +132,13 @@ function makeInstantDrawer(stage) {
 
   const isInside = (x, y) => x > 0 && y > 0 && x < stage.sizes.width && y < stage.sizes.height;
 
+  // The pairs of bodies that are shown, with a relative center in the picture.
+  const drawnPairs = (k) => data.shownPairs.filter(({ j, i, icr }) => !page.hidden.has(j.name)
+    && !page.hidden.has(i.name) && isInside(...stage.toScreen(icr.x[k], icr.y[k])));
+
   function drawRelativeCenters(context, k) {
-    for (const { j, i, icr } of data.shownPairs) {
-      if (page.hidden.has(j.name) || page.hidden.has(i.name) || !isFinite(icr.x[k])) continue;
+    for (const { icr } of drawnPairs(k)) {
       const [left, top] = stage.toScreen(icr.x[k], icr.y[k]);
-      if (!isInside(left, top)) continue;
       drawEllipse(context, icr, k, GRAY);
       const mark = markPath('cross', left, top, 5);
       for (const [color, width] of [['#fff', 3.5], [INK, 1.1]]) {
@@ -144,11 +146,6 @@ function makeInstantDrawer(stage) {
         context.lineWidth = width;
         context.stroke(mark);
       }
-      if (!isOn('names') || data.shownPairs.length > 3) continue;
-      const name = `${j.name}/${i.name}`;
-      context.font = `11${FONT}`;
-      const rightmost = stage.sizes.width - 4 - context.measureText(name).width;
-      drawText(context, name, Math.min(left + 9, rightmost), top + 14, GRAY, 11);
     }
   }
 
@@ -212,13 +209,24 @@ function makeInstantDrawer(stage) {
     return !reasonAt(body, 'centrode_curvature', k).startsWith('pinned');
   }
 
-  function drawName(context, body, k) {
-    const points = stage.points[data.bodies.indexOf(body)];
-    const mean = [0, 1].map((axis) => points.reduce((sum, p) => sum + p[axis], 0) / points.length);
-    const [left, top] = stage.toScreen(...pointAt(body, k, points.length ? mean : [0, 0]));
+  function drawNames(context, bodies, k) {
+    const drawLabel = makeLabels(context);
     context.textAlign = 'center';
-    drawText(context, body.name, left, top + 4, body.color, 12.5, 600);
+    for (const body of bodies) {
+      const points = stage.points[data.bodies.indexOf(body)];
+      const mean = [0, 1].map((axis) => points.reduce((sum, p) => sum + p[axis], 0) / points.length);
+      const [left, top] = stage.toScreen(...pointAt(body, k, points.length ? mean : [0, 0]));
+      drawLabel(body.name, left, top + 4, body.color, 12.5, 600);
+    }
     context.textAlign = 'left';
+    if (!isOn('relative') || data.shownPairs.length > 3) return;
+    for (const { j, i, icr } of drawnPairs(k)) {
+      const [left, top] = stage.toScreen(icr.x[k], icr.y[k]);
+      const name = `${j.name}/${i.name}`;
+      context.font = `11${FONT}`;
+      const rightmost = stage.sizes.width - 4 - context.measureText(name).width;
+      drawLabel(name, Math.min(left + 9, rightmost), top + 14, GRAY, 11);
+    }
   }
 
   return draw;

@@ -5,8 +5,8 @@ const [FRAMES, SPAN] = [300, 10];
 // Charts that can be hidden, and layers and charts that are hidden at first.
 const OPTIONAL_CHARTS = [...RATES.slice(1), 'icr_velocity', 'centrode_curvature'];
 const HIDDEN_LIVE = [...POLES.slice(1), ...OPTIONAL_CHARTS, 'relative'];
-// The stage is fitted to the motion, and numbers and charts are drawn, only every so many frames:
-// ten updates a second are enough to read.
+// The stage is fitted to the motion, and time, numbers and charts are drawn, only every so many
+// frames: ten updates a second are enough to read.
 const [FIT_EVERY, CHARTS_EVERY] = [15, 3];
 // Intervals below this (s) are no gaps in a line: the page or the network was slow.
 const LEAST_PERIOD = 0.1;
@@ -17,7 +17,7 @@ function watch() {
   byId('title').textContent = 'kinpole view';
   byId('about').textContent = 'connecting';
   let [actions, data, source] = [null, null, null];
-  let [following, count] = [true, 0];
+  let [following, count, settled] = [true, 0, 0];
   byId('live').onclick = () => follow(!following);
   // A hidden page reads nothing.
   document.addEventListener('visibilitychange', connect);
@@ -27,6 +27,7 @@ function watch() {
     if (following === on) return;
     following = on;
     if (on) actions?.play(false);
+    else actions?.redraw('all');
     byId('live').setAttribute('aria-pressed', on);
     connect();
   }
@@ -100,6 +101,9 @@ function watch() {
     page.k = FRAMES - 1;
     if (count % FIT_EVERY === 0) stage.updateMotion();
     redraw(count++ % CHARTS_EVERY ? 'instant' : 'all');
+    // The last frame, if no other follows, is drawn as a whole.
+    clearTimeout(settled);
+    settled = setTimeout(redraw, 1e3 * LEAST_PERIOD, 'all');
     // To measure the delay of the page.
     requestAnimationFrame(() => { dataset.published = frame.published; });
   }

@@ -44,9 +44,9 @@ function makePage(data, off = HIDDEN, onCursor = () => {}) {
     if (what === 'all' || what === 'cursor') {
       table.drawCursor();
       polygons?.draw();
+      byId('scrub').value = page.k;
+      byId('clock').textContent = `t = ${data.t[page.k].toFixed(3)} s`;
     }
-    byId('scrub').value = page.k;
-    byId('clock').textContent = `t = ${data.t[page.k].toFixed(3)} s`;
   }
 
   function goTo(k) {

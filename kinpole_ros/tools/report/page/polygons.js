@@ -81,11 +81,12 @@ function makePolygons(element, page, data) {
       if (near) near.names.add(name);
       else groups.push({ x, y, names: new Set([name]) });
     }
+    const drawLabel = makeLabels(context);
     for (const { x, y, names } of groups) {
       const isLeft = x < pole[0] - 1;
       context.textAlign = isLeft ? 'right' : 'left';
       const [left, top] = [x + (isLeft ? -5 : 5), y + (y > pole[1] ? 12 : -5)];
-      drawText(context, [...names].join(', '), left, top, INK, 11.5);
+      drawLabel([...names].join(', '), left, top, INK, 11.5);
     }
     context.textAlign = 'left';
   }
