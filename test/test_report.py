@@ -26,12 +26,12 @@ from kinpole_ros.bags import (
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import RECEIVED, RESTARTS, DiagnosticArray
-from kinpole_ros.messages._types import DiagnosticStatus, KeyValue
+from kinpole_ros.messages._types import DiagnosticStatus, KeyValue, Odometry
 from kinpole_ros.settings import Settings, load_settings
 from kinpole_ros.tools.cli import main
+from kinpole_ros.tools.record.diagnostics_log import DiagnosticsLog
 from kinpole_ros.tools.report import _page, report, settings_for
-from kinpole_ros.tools.report._record import Collector, theory_rates
-from kinpole_ros.tools.report._result_bag import Diagnostics
+from kinpole_ros.tools.report._collector import Collector, theory_rates
 from kinpole_ros.tracking.reasons import SLOW_ICR
 from kinpole_ros.tracking.values import RATE_NAMES
 
@@ -211,16 +211,26 @@ def _complex(points: list[list[float]]) -> np.ndarray:
     ],
 )
 def test_outlines_drawn_last_are_of_a_bag_in_which_nothing_was_learned_anew(
-    counts, expected, tmp_path
+    counts, expected
 ) -> None:
-    bag = tmp_path / 'bag.mcap'
+    log = DiagnosticsLog()
+    for received, restarts in counts:
+        told = {RECEIVED: received, f'{RESTARTS} after a jump of the stamps': restarts}
+        values = [KeyValue(key=key, value=str(value)) for key, value in told.items()]
+        status = DiagnosticStatus(name='kinpole: markers', values=values)
+        log.add(DiagnosticArray(status=[status]))
+    assert log.restarted == expected
+
+
+def test_markers_beside_the_odometry_of_a_robot_are_replayed(tmp_path) -> None:
+    """Any odometry passed for results."""
+    bag, output = tmp_path / 'rig.mcap', tmp_path / 'rig.html'
     with BagWriter(bag) as writer:
-        for second, (received, restarts) in enumerate(counts):
-            told = {RECEIVED: received, f'{RESTARTS} after a jump of the stamps': restarts}
-            values = [KeyValue(key=key, value=str(value)) for key, value in told.items()]
-            status = DiagnosticStatus(name='kinpole: markers', values=values)
-            writer.write('/diagnostics', DiagnosticArray(status=[status]), second * 10**9)
-    assert Diagnostics(bag).restarted == expected
+        writer.add_topic('/robot/odom', Odometry)
+        for message in read_messages(BAG, ['/markers']):
+            writer.write_raw(message.topic, message.type_name, message.data, message.log_time)
+    record = report(bag, output, load_settings(ROOT / 'config' / 'four_bar.yaml'))
+    assert record.bodies == ('crank', 'coupler', 'rocker')
 
 
 def test_scene_names_the_bodies_unless_a_file_does() -> None:

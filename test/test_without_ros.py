@@ -56,13 +56,13 @@ from importlib import import_module
 import kinpole_ros
 from kinpole_ros.messages import WITH_ROS
 from kinpole_ros.tools import cli
-from kinpole_ros.tools.plot._results import read_results
+from kinpole_ros.tools.record.result_bag import read_record
 
 assert not WITH_ROS
 for words in {words!r}:
     assert cli.main(words) == 0, words
 # What plot draws is read from messages.
-assert [body.name for body in read_results({result!r}).bodies] == ['crank', 'coupler', 'rocker']
+assert read_record({result!r}).bodies == ('crank', 'coupler', 'rocker')
 # The compiled library is for ctypes, and no module.
 others = 'kinpole_ros.tools.demo', 'kinpole_ros._compiled'
 for module in pkgutil.walk_packages(kinpole_ros.__path__, 'kinpole_ros.'):

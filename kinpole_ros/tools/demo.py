@@ -27,14 +27,8 @@ from kinpole_ros.messages import DRAWING, STATE, read_states, stamp_to_ns
 from kinpole_ros.ros.player import headers, own_context, play, with_slash
 from kinpole_ros.ros.private import take
 from kinpole_ros.settings import Settings, load_settings
-from kinpole_ros.tools.plot import (
-    Series,
-    decode,
-    lost_count,
-    plot,
-    read_results,
-    read_truth,
-)
+from kinpole_ros.tools.plot import plot
+from kinpole_ros.tools.record.result_bag import decode, read_record, read_truth
 from kinpole_ros.tracking.values import POLE_NAMES
 
 # s. Processes that live are waited for, with a line now and then: a busy machine needs minutes.
@@ -210,25 +204,25 @@ def _process(words: list[str]) -> 'Iterator[subprocess.Popen[bytes]]':
 
 def _comparison_lines(bag: Path, recording: Path) -> Iterator[str]:
     """Yield a table of the recording against the exact motion."""
-    results = read_results(recording)
-    truth = read_truth(bag, results)
+    record = read_record(recording)
+    truth = read_truth(bag, record)
     head = ('determined', 'undetermined', 'lost', 'median error', 'deviation', 'error/dev')
     yield _TABLE.format('body', 'quantity', *head, '').rstrip()
-    for body in results.bodies:
+    for body in record.bodies:
         for name, unit in _UNITS.items():
-            value = _by_stamp(body.series.get(name))
-            deviation = _by_stamp(body.series.get(f'{name}/deviation'))
-            exact = _by_stamp(truth[body.name].get(name))
-            counts = len(value), len(body.frames) - len(value), lost_count(body.frames)
-            stamps = [stamp for stamp in value if stamp in exact]
-            if not stamps:
-                outcome = 'as it should be' if not exact and not value else ''
-                yield _TABLE.format(body.name, name, *counts, '', '', '', outcome).rstrip()
+            found, exact = record.series(body, name), truth[body].get(name)
+            assert found is not None
+            counts = len(found.stamp), len(record.stamp) - len(found.stamp), record.lost
+            if exact is None or not len(found.stamp):
+                outcome = 'as it should be' if exact is None and not len(found.stamp) else ''
+                yield _TABLE.format(body, name, *counts, '', '', '', outcome).rstrip()
                 continue
-            error = np.abs([value[stamp] - exact[stamp] for stamp in stamps])
-            spread = np.abs([deviation[stamp] for stamp in stamps])
+            _, own, its = np.intersect1d(found.stamp, exact.stamp, return_indices=True)
+            error, spread = np.abs(found.value[own] - exact.value[its]), found.spread[own]
+            if spread.ndim > 1:
+                spread = np.sqrt(np.trace(spread, axis1=1, axis2=2))
             yield _TABLE.format(
-                body.name,
+                body,
                 name,
                 *counts,
                 f'{np.median(error):.3g}',
@@ -236,10 +230,6 @@ def _comparison_lines(bag: Path, recording: Path) -> Iterator[str]:
                 f'{np.sqrt(np.mean((error / spread) ** 2)):.2f}',
                 unit,
             )
-
-
-def _by_stamp(series: Series | None) -> dict[int, complex]:
-    return {} if series is None else dict(zip(series.stamp.tolist(), series.value, strict=True))
 
 
 def _latency_lines(run: LiveRun, recording: Path, settings: Settings) -> Iterator[str]:

@@ -15,7 +15,12 @@ import numpy as np
 from kinpole_ros.bags import NODE_NAME, BagError, in_place_of, read_messages, topics
 from kinpole_ros.messages import COLORS, DRAWING, outputs_of, theory_of, type_name
 from kinpole_ros.settings import Settings, load_settings
-from kinpole_ros.tools.plot import bodies_of, decode, plane_of_motion, row_of
+from kinpole_ros.tools.record.result_bag import (
+    bodies_by_node,
+    decode,
+    odometry_row,
+    plane_of_motion,
+)
 from kinpole_ros.tracking.plane import XY, plane_of
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, measured_pairs
 
@@ -90,18 +95,18 @@ def topics_of(config: str | None) -> RigTopics:
 
 def _topics_of_bag(bag: str) -> RigTopics:
     kinds = topics(bag)
-    splits = (topic.rsplit('/', 2) for topic in kinds)
-    nodes = {words[0] for words in splits if words[0] and words[-1] == 'odom'}
-    nodes = {node for node in nodes if not node.endswith('/truth')}
+    nodes = bodies_by_node(kinds)
     if not nodes:
         raise BagError(f'{bag} holds no results; make them first: kinpole replay {bag} --output R')
     node = min(nodes)
-    bodies = bodies_of(node, kinds)
+    # In the order of the node: each body has relative centers to some of those before it.
+    pairs = [topic for topic in kinds if topic.startswith(f'{node}/') and '/wrt/' in topic]
+    bodies = sorted(nodes[node], key=lambda body: sum(f'/{body}/wrt/' in pair for pair in pairs))
     axis, frame, joints = 'z', '', []
     for message in read_messages(bag, [f'{node}/{body}/odom' for body in bodies]):
-        frame = decode(message.type_name, message.data).header.frame_id
-        odometry = np.array([row_of(message.type_name, message.data)])
-        axis = _nearest_axis(plane_of_motion(odometry).normal)
+        odometry = decode(message.type_name, message.data)
+        frame = odometry.header.frame_id
+        axis = _nearest_axis(plane_of_motion(np.array([odometry_row(odometry)])).normal)
         break
     for message in read_messages(bag, [node + _JOINTS]):
         joints = list(decode(message.type_name, message.data).name)

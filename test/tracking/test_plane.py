@@ -17,7 +17,7 @@ from kinpole_ros.bags import replay as replay_bag
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import DiagnosticsMaker, result_outputs, unit_fault
 from kinpole_ros.settings import settings_from
-from kinpole_ros.tools.plot import read_results
+from kinpole_ros.tools.record.result_bag import read_record
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.plane import AXES, Plane, plane_along, plane_of
@@ -338,14 +338,16 @@ def test_a_replay_says_the_same_and_plots_are_of_any_plane(tmp_path) -> None:
     assert not warnings_of(result, fitted)
     assert result.space.plane is not None
     np.testing.assert_allclose(result.space.plane.normal, turn[:, 2], atol=7e-4)
-    results = read_results(output)
-    (link,) = results.bodies
-    assert results.along[0].startswith('along [')
+    record = read_record(output)
+    (link,) = record.bodies
+    assert record.along[0].startswith('along [')
     _, found = tracked(frames.points, plane='fit', order=4)
     known = np.concatenate([each.missing[:, 0] == '' for each in found])
     rate = np.concatenate([each.rate(1).value[:, 0] for each in found])[known]
-    np.testing.assert_allclose(link.rate, rate, rtol=1e-4, atol=1e-6)
-    assert link.size == pytest.approx(0.227, rel=0.3)
+    measured = record.series(link, 'angular_velocity')
+    assert measured is not None
+    np.testing.assert_allclose(measured.value, rate, rtol=1e-4, atol=1e-6)
+    assert record.sizes[link] == pytest.approx(0.227, rel=0.3)
 
 
 # Units

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from kinpole_ros.tools.plot import _plane, _time
-from kinpole_ros.tools.plot._gaps import lost_count
-from kinpole_ros.tools.plot._results import Results, Series, read_results, read_truth
+from kinpole_ros.tools.plot._bodies import body_of
 from kinpole_ros.tools.plot._style import (
     BAND,
     BLACK,
@@ -29,6 +28,8 @@ from kinpole_ros.tools.plot._style import (
     THIN,
     saved_figure,
 )
+from kinpole_ros.tools.record.record import Record, Series, joints_of, pairs_of
+from kinpole_ros.tools.record.result_bag import read_record, read_truth
 
 _MOST_BODIES = 4
 _READING = 0.9  # fraction of the time that reading takes
@@ -55,31 +56,35 @@ def plot(
     """
     reading = None if progress is None else lambda share: progress(_READING * share)
     with saved_figure(output, (_WIDTH, 1), _DPI) as figure:
-        results = read_results(bag, reading)
-        exact = {} if truth is None else read_truth(truth, results)
+        record = read_record(bag, reading)
+        exact = {} if truth is None else read_truth(truth, record)
         # A file name need not be text.
         name = os.fsencode(Path(bag).name).decode(errors='replace')
-        _draw(figure, name, results, exact)
+        _draw(figure, name, record, exact)
     if progress is not None:
         progress(1.0)
-    return results.cut
+    return record.cut
 
 
-def _draw(figure: Any, bag: str, results: Results, exact: dict[str, dict[str, Series]]) -> None:
-    bodies = results.bodies[:_MOST_BODIES]
+def _draw(figure: Any, bag: str, record: Record, exact: dict[str, dict[str, Series]]) -> None:
+    linkage = _plane.Linkage(
+        {name: body_of(record, name) for name in record.bodies},
+        joints_of(record),
+        {pair: series for pair in pairs_of(record) if (series := record.series(pair, 'icr'))},
+    )
+    bodies = list(linkage.bodies.values())[:_MOST_BODIES]
     figure.set_size_inches(_WIDTH, 1.5 + _ROW_HEIGHT * len(bodies))
     start = min(int(body.stamp[0]) for body in bodies)
     end = max(int(body.stamp[-1]) for body in bodies)
     scopes = [_plane.scope_of(body) for body in bodies]
     instant = _plane.instant_of(scopes, (start + end) // 2)
-    lost = max(lost_count(body.frames) for body in bodies)
-    omitted = ', '.join(body.name for body in results.bodies[_MOST_BODIES:])
+    lost, omitted = record.lost, ', '.join(record.bodies[_MOST_BODIES:])
     figure.suptitle(
         f'{bag}: {", ".join(body.name for body in bodies)}'
         + (f' (not drawn: {omitted})' if omitted else '')
         + f'\n{(end - start) * 1e-9:.3g} s from stamp {start * 1e-9:.3f} s'
         + (f', {lost} frames lost' if lost else '')
-        + (', bag cut off' if results.cut else '')
+        + (', bag cut off' if record.cut else '')
         + f'; poles and moving centrode at t = {(instant - start) * 1e-9:.3f} s',
         parse_math=False,
     )
@@ -88,10 +93,10 @@ def _draw(figure: Any, bag: str, results: Results, exact: dict[str, dict[str, Se
     figure.get_layout_engine().set(w_pad=0.12)
     for row, scope in enumerate(scopes):
         axis = figure.add_subplot(grid[row, 0])
-        _plane.draw_plane(axis, scope, instant, results)
+        _plane.draw_plane(axis, scope, instant, linkage)
         # Between rows it would touch the name of the next body.
-        axis.set_xlabel(f'{results.along[0]} (m)' if row == len(scopes) - 1 else '')
-        axis.set_ylabel(f'{results.along[1]} (m)')
+        axis.set_xlabel(f'{record.along[0]} (m)' if row == len(scopes) - 1 else '')
+        axis.set_ylabel(f'{record.along[1]} (m)')
         columns[0].append(axis)
         body, truth = scope.body, exact.get(scope.body.name, {})
         all_panels = _time.rate_panels(body, truth), _time.centrode_panels(body, truth)
@@ -113,7 +118,7 @@ def _draw(figure: Any, bag: str, results: Results, exact: dict[str, dict[str, Se
     for axes in columns:
         figure.align_ylabels(axes)
     has_events = any(len(body.events) for body in bodies)
-    _add_legend(figure, bool(results.relative), bool(exact), has_events, bool(lost))
+    _add_legend(figure, bool(linkage.centers), bool(exact), has_events, bool(lost))
 
 
 def _add_legend(figure: Any, relative: bool, exact: bool, events: bool, lost: bool) -> None:

@@ -5,8 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.tools.plot._gaps import breaks_of
-from kinpole_ros.tools.plot._results import Body, Centrodes, Results, Series, centrodes
+from kinpole_ros.tools.plot._bodies import Body, Centrodes, centrodes
 from kinpole_ros.tools.plot._style import (
     BLACK,
     FIXED,
@@ -23,6 +22,8 @@ from kinpole_ros.tools.plot._style import (
     line,
     reversals,
 )
+from kinpole_ros.tools.record.lost import breaks_of
+from kinpole_ros.tools.record.record import Joint, Series, ellipse
 
 # An ICR with a standard deviation above this fraction of the view is left out of the centrodes.
 _BLURRED = 0.05
@@ -30,9 +31,6 @@ _BLURRED = 0.05
 _ASPECT = 1.12
 # The gid of lines that belong to the linkage, not to poles and centrodes.
 _LINKAGE = 'linkage'
-# Bodies have a pin where their relative center moves less than this fraction of the smaller one's
-# size, in as many instants at least.
-_PIN_DEVIATION, _PIN_INSTANTS = 0.05, 10
 
 
 class View(NamedTuple):
@@ -57,6 +55,14 @@ class View(NamedTuple):
     def size(self) -> float:
         """The longer side of the box."""
         return max((self.high - self.low).real, (self.high - self.low).imag)
+
+
+class Linkage(NamedTuple):
+    """The bodies by name, their pins, and their relative centers by pair (j, i)."""
+
+    bodies: dict[str, Body]
+    joints: list[Joint]
+    centers: dict[tuple[str, str], Series]
 
 
 class Scope(NamedTuple):
@@ -121,14 +127,14 @@ def instant_of(scopes: Sequence[Scope], middle: int) -> int:
 def _is_blurred(series: Series, radius: float) -> np.ndarray:
     """Return where a center has a standard deviation too large for a picture."""
     with np.errstate(invalid='ignore'):
-        sigma = np.sqrt(np.trace(series.covariance, axis1=1, axis2=2))
+        sigma = np.sqrt(np.trace(series.spread, axis1=1, axis2=2))
         return np.asarray(sigma > _BLURRED * radius)
 
 
-def draw_plane(axis: Any, scope: Scope, instant: int, results: Results) -> None:
+def draw_plane(axis: Any, scope: Scope, instant: int, linkage: Linkage) -> None:
     """Draw the linkage with this body in color, its centrodes, poles and relative centers."""
     body, loci, view = scope
-    view = _draw_linkage(axis, body, view, instant, results)
+    view = _draw_linkage(axis, body, view, instant, linkage)
     breaks = np.union1d(breaks_of(body.frames, loci.stamp), reversals(loci.rate))
     line(axis, body.position, breaks_of(body.frames, body.stamp), PATH)
     line(axis, loci.fixed, breaks, FIXED)
@@ -139,12 +145,11 @@ def draw_plane(axis: Any, scope: Scope, instant: int, results: Results) -> None:
         line(axis, moving, breaks, MOVING)
         view = view.with_points(moving[np.abs(loci.moving) <= view.radius])
         axis.plot(position.real, position.imag, '+', color=BLACK, markersize=9)
-        bodies = {one.name: one for one in results.bodies}
-        for (j, i), series in results.relative.items():
+        for (j, i), series in linkage.centers.items():
             if j == body.name:
                 centers = series.value[series.stamp == instant]
                 view = view.with_points(centers[np.abs(centers - position) <= view.radius])
-                _draw_relative_center(axis, body, bodies[i], series, view.radius, instant)
+                _draw_relative_center(axis, body, linkage.bodies[i], series, view.radius, instant)
     for pole in reversed(POLES):
         _draw_pole(axis, body, pole, instant)
     _draw_icr_velocity(axis, body, view, instant)
@@ -158,17 +163,22 @@ def draw_plane(axis: Any, scope: Scope, instant: int, results: Results) -> None:
     axis.set_title(body.name, fontweight='bold', parse_math=False)
 
 
-def _draw_linkage(axis: Any, body: Body, view: View, instant: int, results: Results) -> View:
+def _draw_linkage(axis: Any, body: Body, view: View, instant: int, linkage: Linkage) -> View:
     """Draw outlines of all bodies through their markers and pins; return the view of them."""
-    on_ground = _ground_pins(results, instant)
-    between = _body_pins(results, instant)
-    for one in results.bodies:
+    on_ground, between = {}, {}
+    for joint in linkage.joints:
+        first, z = linkage.bodies[joint.bodies[0]], joint.at[0]
+        at = np.flatnonzero(first.stamp == instant)
+        if len(at) and len(joint.bodies) == 1:
+            on_ground[joint.bodies] = z
+        elif len(at):
+            between[joint.bodies] = first.position[at[0]] + z * np.exp(1j * first.angle[at[0]])
+    for one in linkage.bodies.values():
         at = np.flatnonzero(one.stamp == instant)
         if not len(at):
             continue
         outline = one.position[at[0]] + one.outline * np.exp(1j * one.angle[at[0]])
-        pins = [z for pair, z in between.items() if one.name in pair]
-        pins += [on_ground[one.name]] if one.name in on_ground else []
+        pins = [z for names, z in (on_ground | between).items() if one.name in names]
         corners = hull(np.append(outline, pins))
         if len(outline) and len(corners) > 1:
             style, zorder = (LINK, 0.9) if one is body else (OTHER_LINK, 0.8)
@@ -184,51 +194,16 @@ def _draw_linkage(axis: Any, body: Body, view: View, instant: int, results: Resu
     return view
 
 
-def _ground_pins(results: Results, instant: int) -> dict[str, complex]:
-    """Return the pins on the ground, by body: ICRs that the tracker keeps at rest."""
-    pins = {}
-    for body in results.bodies:
-        icr, velocity = body.series.get('icr'), body.series.get('icr_velocity')
-        if icr is None or velocity is None:
-            continue
-        at_rest = np.isin(icr.stamp, velocity.stamp[velocity.value == 0])
-        for k in np.flatnonzero((icr.stamp == instant) & at_rest):
-            pins[body.name] = complex(icr.value[k])
-    return pins
-
-
-def _body_pins(results: Results, instant: int) -> dict[tuple[str, str], complex]:
-    """Return the pins between bodies, by pair: relative centers at rest in both bodies."""
-    bodies = {body.name: body for body in results.bodies}
-    pins = {}
-    for (j, i), series in results.relative.items():
-        points = [_point_at_rest(bodies[name], series.stamp, series.value) for name in (j, i)]
-        at = np.flatnonzero(bodies[i].stamp == instant)
-        if all(point is not None for point in points) and len(at):
-            turn = np.exp(1j * bodies[i].angle[at[0]])
-            pins[j, i] = complex(bodies[i].position[at[0]] + points[1] * turn)
-    return pins
-
-
-def _point_at_rest(body: Body, stamp: np.ndarray, value: np.ndarray) -> complex | None:
-    """Return the median of points in the body's frame; None if they move in it."""
-    _, pose, point = np.intersect1d(body.stamp, stamp, return_indices=True)
-    if len(pose) < _PIN_INSTANTS:
-        return None
-    points = (value[point] - body.position[pose]) * np.exp(-1j * body.angle[pose])
-    middle = complex(np.median(points.real), np.median(points.imag))
-    return middle if np.median(np.abs(points - middle)) < _PIN_DEVIATION * body.size else None
-
-
 def _draw_relative_center(
     axis: Any, body: Body, reference: Body, series: Series, radius: float, instant: int
 ) -> None:
     sharp = ~_is_blurred(series, radius)
     locus = Series(*(values[sharp] for values in series))
-    stamp, own, its = np.intersect1d(body.stamp, reference.stamp, return_indices=True)
+    rates = [one.series['angular_velocity'] for one in (body, reference)]
+    stamp, own, its = np.intersect1d(rates[0].stamp, rates[1].stamp, return_indices=True)
     breaks = breaks_of(body.frames, locus.stamp)
     if len(stamp):
-        rate = np.interp(locus.stamp, stamp, body.rate[own] - reference.rate[its])
+        rate = np.interp(locus.stamp, stamp, rates[0].value[own] - rates[1].value[its])
         breaks = np.union1d(breaks, reversals(rate))
     line(axis, locus.value, breaks, RELATIVE)
     for z in series.value[series.stamp == instant]:
@@ -253,15 +228,14 @@ def _draw_pole(axis: Any, body: Body, pole: str, instant: int) -> None:
         return
     series, (marker, size) = body.series[pole], POLES[pole]
     for k in np.flatnonzero(series.stamp == instant):
-        x, y, covariance = series.value[k].real, series.value[k].imag, series.covariance[k]
+        x, y, covariance = series.value[k].real, series.value[k].imag, series.spread[k]
         fill = BLACK if pole == 'icr' else 'none'
         axis.plot(x, y, marker, color=BLACK, markerfacecolor=fill, markersize=size)
         if np.isfinite(covariance).all():
-            variances, directions = np.linalg.eigh(covariance)
-            width, height = 4 * np.sqrt(np.maximum(variances, 0))
-            tilt = np.degrees(np.arctan2(directions[1, 0], directions[0, 0]))
+            major, minor, direction = ellipse(covariance)
             style = {'facecolor': (0, 0, 0, 0.12), 'edgecolor': BLACK, 'linewidth': 0.7}
-            axis.add_patch(Ellipse((x, y), width, height, angle=tilt, **style))
+            tilt = float(np.degrees(direction))
+            axis.add_patch(Ellipse((x, y), 4 * major, 4 * minor, angle=tilt, **style))
 
 
 def _draw_icr_velocity(axis: Any, body: Body, view: View, instant: int) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from kinpole_ros.bags import BagError, in_place_of
 from kinpole_ros.packages import install_command
-from kinpole_ros.tools.plot._gaps import broken
+from kinpole_ros.tools.record.lost import broken
 
 BLACK, BLUE, GREEN, GRAY = '#000000', '#0060a8', '#00785a', '#777777'
 # Markers and sizes; each surrounds the one before, so that poles at one point are all visible.

@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.tools.plot._gaps import breaks_of, broken, lost_spans
-from kinpole_ros.tools.plot._results import Body, Series
+from kinpole_ros.tools.plot._bodies import Body
 from kinpole_ros.tools.plot._style import BAND, BLUE, ESTIMATE, EVENT, GRAY, LOST, THIN
+from kinpole_ros.tools.record.lost import breaks_of, broken, lost_spans
+from kinpole_ros.tools.record.record import Series, sigma_along
+from kinpole_ros.tracking.values import RATE_NAMES
 
 # Positive values that spread over more than this factor have a logarithmic axis.
 _LOG_FACTOR = 30
@@ -22,80 +24,55 @@ _STRIP_PERCENTILE = 90
 
 class Panel(NamedTuple):
     """
-    A quantity over time; `series` is None if it was never published.
+    A number over time; `series` is None if the bag has none.
 
     `resolution` is the smallest height of the axis; `cut` the percentage of values at each end that
-    may lie outside; `sigma` (T,) the standard deviations, `truth` the exact values, if known.
+    may lie outside; `truth` the exact values, if known.
     """
 
     label: str
     series: Series | None
     resolution: float
     cut: float
-    sigma: np.ndarray | None
     truth: Series | None
 
 
 def rate_panels(body: Body, truth: Mapping[str, Series]) -> list[Panel]:
     """Return the panels of angular velocity, acceleration and jerk."""
-    covariance = np.full((len(body.stamp), 2, 2), np.nan)
-    rate = Series(body.stamp, body.rate, covariance)
-    # In powers of the rate: the acceleration of a steady wheel is flat, however noisy.
-    smallest = [0.05 * float(np.median(np.abs(body.rate))) ** order for order in (1, 2, 3)]
-    exact = truth.get('angular_velocity')
-    panels = [Panel('ω (rad/s)', rate, smallest[0], 0, body.rate_sigma, exact)]
-    names = {'angular_acceleration': 'α (rad/s²)', 'angular_jerk': 'jerk (rad/s³)'}
-    for (name, label), height in zip(names.items(), smallest[1:], strict=True):
-        sigma = _sigma(body, name)
-        panels.append(Panel(label, body.series.get(name), height, 2, sigma, truth.get(name)))
+    rate = float(np.median(np.abs(body.series['angular_velocity'].value)))
+    panels = []
+    for order, label in enumerate(('ω (rad/s)', 'α (rad/s²)', 'jerk (rad/s³)'), 1):
+        name, cut = RATE_NAMES[order - 1], 0 if order == 1 else 2
+        # In powers of the rate: the acceleration of a steady wheel is flat, however noisy.
+        height = 0.05 * rate**order
+        panels.append(Panel(label, body.series.get(name), height, cut, truth.get(name)))
     return panels
 
 
 def centrode_panels(body: Body, truth: Mapping[str, Series]) -> list[Panel]:
     """Return the panels of the curvature of the fixed centrode and the speed of the ICR."""
     velocity, exact_velocity = body.series.get('icr_velocity'), truth.get('icr_velocity')
-    speed = exact = sigma = None
+    speed = exact = None
     if velocity is not None:
-        speed = velocity._replace(value=np.abs(velocity.value))
-        sigma = _sigma(body, 'icr_velocity', velocity.value)
+        along = sigma_along(velocity.value, velocity.spread)
+        speed = Series(velocity.stamp, np.abs(velocity.value), along)
     if exact_velocity is not None:
         exact = exact_velocity._replace(value=np.abs(exact_velocity.value))
-    slow = 0.05 * float(np.median(speed.value)) if speed is not None else 0.0
+    slow = 0.05 * float(np.median(speed.value)) if speed is not None and len(speed.value) else 0.0
     # A centrode with a radius above two body sizes counts as straight.
     straight = 0.5 / body.size if np.isfinite(body.size) and body.size else 0.0
     name = 'centrode_curvature'
-    curvature, deviation = body.series.get(name), _sigma(body, name)
     label = 'κ of the fixed\ncentrode (1/m)'
     return [
-        Panel(label, curvature, straight, 4, deviation, truth.get(name)),
-        Panel('speed |u| of\nthe ICR (m/s)', speed, slow, 4, sigma, exact),
+        Panel(label, body.series.get(name), straight, 4, truth.get(name)),
+        Panel('speed |u| of\nthe ICR (m/s)', speed, slow, 4, exact),
     ]
-
-
-def _sigma(body: Body, name: str, vectors: np.ndarray | None = None) -> np.ndarray | None:
-    """
-    Return the standard deviations of a series, NaN where not published.
-
-    For `vectors`, those along the vectors.
-    """
-    series, deviation = body.series.get(name), body.series.get(f'{name}/deviation')
-    if series is None or deviation is None:
-        return None
-    sigma = np.full(len(series.stamp), np.nan)
-    _, own, its = np.intersect1d(series.stamp, deviation.stamp, return_indices=True)
-    values = deviation.value[its]
-    if vectors is not None:
-        length = np.abs(vectors[own])
-        unit = vectors[own] / np.where(length > 0, length, 1)
-        values = np.hypot(values.real * unit.real, values.imag * unit.imag)
-    sigma[own] = values.real
-    return sigma
 
 
 def _is_pinned(body: Body) -> bool:
     """Return whether the ICR is at rest in most instants."""
     velocity = body.series.get('icr_velocity')
-    return velocity is not None and bool(np.mean(velocity.value == 0) > 0.5)
+    return velocity is not None and 2 * np.count_nonzero(velocity.value == 0) > len(velocity.value)
 
 
 def draw_panel(axis: Any, strip: Any, body: Body, panel: Panel, start: int, instant: int) -> None:
@@ -132,14 +109,11 @@ def draw_panel(axis: Any, strip: Any, body: Body, panel: Panel, start: int, inst
         exact = panel.truth.value[within]
         axis.plot((panel.truth.stamp[within] - start) * 1e-9, exact, zorder=4, **THIN)
     height = panel.resolution
-    if panel.sigma is None:
-        strip.set_yticks([])
-    else:
-        band, _ = broken(2 * panel.sigma, breaks)
-        axis.fill_between(time, value - band, value + band, **BAND)
-        _draw_strip(strip, panel, panel.series, time, band)
-        if len(finite := band[np.isfinite(band)]):
-            height = max(height, 3 * float(np.median(finite)))
+    band, _ = broken(2 * panel.series.spread, breaks)
+    axis.fill_between(time, value - band, value + band, **BAND)
+    _draw_strip(strip, panel, panel.series, time, band)
+    if len(finite := band[np.isfinite(band)]):
+        height = max(height, 3 * float(np.median(finite)))
     low, high = np.percentile(panel.series.value, [panel.cut, 100 - panel.cut])
     if low > 0 and high > _LOG_FACTOR * low:
         axis.set_yscale('log')

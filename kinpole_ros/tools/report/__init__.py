@@ -13,26 +13,17 @@ from kinpole_ros.linkage.theory import DeviationSummary
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import theory_of
 from kinpole_ros.settings import Settings
+from kinpole_ros.tools.record.record import Record, with_lost_frames
+from kinpole_ros.tools.record.result_bag import has_results, read_record
+from kinpole_ros.tools.report._collector import Collector
 from kinpole_ros.tools.report._page import intervals, pack, page
 from kinpole_ros.tools.report._prepare import Points, prepared
-from kinpole_ros.tools.report._record import (
-    Collector,
-    Columns,
-    Record,
-    joints_of,
-    with_lost_frames,
-)
-from kinpole_ros.tools.report._result_bag import has_results, parse_status, read_record
 from kinpole_ros.tracking.plane import XY, plane_of
 
 __all__ = [
-    'Columns',
     'Points',
-    'Record',
-    'joints_of',
     'pack',
     'page',
-    'parse_status',
     'prepared',
     'report',
     'settings_for',
@@ -82,7 +73,10 @@ def report(
                 f'{bag} holds results, and a scene is compared with markers; give the bag of '
                 'markers, or leave out the scene'
             )
-        record, notes = read_record(bag, _most_instants, progress)
+        record = read_record(bag, progress)
+        record = record.at_most(_most_instants(len(record.bodies)))
+        cut = ['the bag is cut off; what follows is not shown'] if record.cut else []
+        notes = [*cut, *record.notes]
     else:
         collector = Collector(_most_instants(len(settings.bodies)), theory_of(settings))
         result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)

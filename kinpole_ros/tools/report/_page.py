@@ -16,7 +16,15 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from kinpole_ros.files import printable
-from kinpole_ros.tools.report._record import Columns, Record, joints_of
+from kinpole_ros.tools.record.record import (
+    Columns,
+    Record,
+    Subject,
+    ellipse,
+    joints_of,
+    pairs_of,
+    sigma_along,
+)
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
 
 Json: TypeAlias = dict[str, Any]
@@ -87,7 +95,7 @@ def pack(record: Record) -> Json:
         'bodies': [_body(record, body) for body in record.bodies],
         'pairs': [
             {'bodies': list(pair), 'icr': _point(record.columns, pair, 'icr')}
-            for pair in dict.fromkeys(s for s, _ in record.columns if isinstance(s, tuple))
+            for pair in pairs_of(record)
         ],
         'joints': [
             {'bodies': list(joint.bodies), 'at': [_rounded_point(z) for z in joint.at]}
@@ -140,28 +148,23 @@ def _body(record: Record, body: str) -> Json:
     return packed
 
 
-def _point(columns: Columns, subject: str | tuple[str, str], name: str) -> Json:
+def _point(columns: Columns, subject: Subject, name: str) -> Json:
     """Return coordinates, and half axes and direction of the ellipse of one sigma."""
     value, covariance = columns[subject, name], columns[subject, f'{name}_covariance']
-    xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
-    mean, radius = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
-    half = [np.sqrt(np.maximum(part, 0)) for part in (mean + radius, mean - radius)]
-    direction = np.arctan2(2 * xy, xx - yy) / 2
+    major, minor, direction = ellipse(covariance)
     return {
-        'x': rounded(value.real, np.sqrt(xx)),
-        'y': rounded(value.imag, np.sqrt(yy)),
-        'a': _rounded_sigma(half[0]),
-        'b': _rounded_sigma(half[1]),
+        'x': rounded(value.real, np.sqrt(covariance[:, 0, 0])),
+        'y': rounded(value.imag, np.sqrt(covariance[:, 1, 1])),
+        'a': _rounded_sigma(major),
+        'b': _rounded_sigma(minor),
         'd': _with_nulls(np.round(np.round(direction / _ELLIPSE_STEP) * _ELLIPSE_STEP, 2)),
     }
 
 
 def _velocity(columns: Columns, body: str) -> Json:
     """Return components, and the standard deviation along the vector."""
-    u, covariance = columns[body, 'icr_velocity'], columns[body, 'icr_velocity_covariance']
-    with np.errstate(invalid='ignore', divide='ignore'):
-        unit = np.stack((u.real, u.imag), axis=-1) / np.abs(u)[:, None]
-    sigma = np.sqrt(np.maximum(np.einsum('ti,tij,tj->t', unit, covariance, unit), 0))
+    u = columns[body, 'icr_velocity']
+    sigma = sigma_along(u, columns[body, 'icr_velocity_covariance'])
     return {
         'x': rounded(u.real, sigma),
         'y': rounded(u.imag, sigma),

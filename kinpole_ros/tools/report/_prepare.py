@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from kinpole_ros.bags import BagError, Imported, import_points, topics
 from kinpole_ros.settings import Settings, load_settings
-from kinpole_ros.tools.report._result_bag import has_results
+from kinpole_ros.tools.record.result_bag import has_results
 
 # Files with these endings are bags, even if they cannot be read.
 _BAG_ENDINGS = ('.mcap', '.db3', '.bag')

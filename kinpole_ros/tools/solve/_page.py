@@ -12,7 +12,8 @@ import numpy as np
 from kinpole_ros import __version__
 from kinpole_ros.files import printable
 from kinpole_ros.mechanism import GROUND, Motion, Poles, Scene, poles
-from kinpole_ros.tools.report import Columns, Record, pack, page
+from kinpole_ros.tools.record.record import Columns, Record
+from kinpole_ros.tools.report import pack, page
 from kinpole_ros.tools.solve._editor import editor_data
 from kinpole_ros.tools.solve._shapes import belts_of, outline_of, rims_of
 from kinpole_ros.tools.solve._solution import Solution, acting_loads, angle_rates, centers_of

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kinpole_ros.messages import PAGE_TOPICS, STATE, DiagnosticArray, type_name
-from kinpole_ros.tools.plot import decode
-from kinpole_ros.tools.report import Record, joints_of, parse_status
+from kinpole_ros.tools.record.diagnostics_log import parse_status
+from kinpole_ros.tools.record.record import Record, joints_of
+from kinpole_ros.tools.record.result_bag import decode
 from kinpole_ros.tools.view._frames import Frame, Rig, frame_of_state, frame_of_view
 from kinpole_ros.tools.view._server import RIG_EVENT, Feed
 

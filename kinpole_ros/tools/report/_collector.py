@@ -1,57 +1,15 @@
-"""
-The results that a report shows: quantities of all bodies at the same instants, as arrays.
+"""The record of a replay, collected estimate by estimate, with the theory of a scene."""
 
-They come from the estimates of a replay, from the messages of a bag of results, or from a solved
-scene; the page does not know which.
-"""
-
-from collections.abc import Iterator, Mapping
-from types import MappingProxyType
-from typing import NamedTuple, TypeAlias
+from collections.abc import Iterator
 
 import numpy as np
 
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import LinkageError
-from kinpole_ros.tools.plot import lost_count, lost_frames, usual_interval
+from kinpole_ros.tools.record.lost import lost_count
+from kinpole_ros.tools.record.record import Columns, Record, Subject
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Vectors, measured_pairs
-
-# By subject, a body or a pair (j, i), and by quantity: arrays (T, ...), NaN where undetermined.
-Columns: TypeAlias = dict[tuple[str | tuple[str, str], str], np.ndarray]
-# A relative center that moves less than this fraction of the size of both bodies is a pin.
-_PIN_DEVIATION = 0.05
-
-
-class Joint(NamedTuple):
-    """A pin of two bodies, `at` complex, m, in their frames; of one body, on the ground."""
-
-    bodies: tuple[str, ...]
-    at: tuple[complex, ...]
-
-
-class Record(NamedTuple):
-    """
-    T instants, `stamp` (T,) ns, of a recording of `total` instants, in which `lost` frames are not.
-
-    `columns` has, of a body: `position` and `velocity` of its origin, complex, m; `angle`, rad;
-    `missing`, the reason why it has no results ('' where it has); its rates, poles, `icr_velocity`
-    and `centrode_curvature`, each with `_sigma` or `_covariance` (T, 2, 2), and with `_withheld`,
-    the reason why it is undetermined, where that is known; rates with `_theory` from a scene; of a
-    pair (j, i) `icr` with `icr_covariance`.
-    `sizes` are diameters, m, and `outlines` markers (n,) in the frame of a body from an index on.
-    `events` by body are stamps, ns, and orders of the derivatives that step.
-    """
-
-    stamp: np.ndarray
-    total: int
-    bodies: tuple[str, ...]
-    columns: Columns
-    sizes: dict[str, float]
-    outlines: dict[str, list[tuple[int, np.ndarray]]]
-    along: tuple[str, str]
-    events: Mapping[str, list[tuple[int, int]]] = MappingProxyType({})
-    lost: int = 0
 
 
 class Collector:
@@ -101,33 +59,6 @@ class Collector:
         return Record(stamp, self.total, *about, lost_count(np.concatenate(self._stamps)))
 
 
-def with_lost_frames(record: Record) -> tuple[Record, np.ndarray]:
-    """
-    Return a record with rows of NaN where frames are lost, and which rows these are.
-
-    A gap begins and ends with such a row, so that no line crosses it and all of it can be marked.
-    """
-    lost = lost_frames(record.stamp, usual_interval(record.stamp))
-    gaps = np.flatnonzero(lost)
-    step = np.diff(record.stamp)[gaps] // (lost[gaps] + 1)
-    ends = np.stack((record.stamp[gaps] + step, record.stamp[gaps + 1] - step), axis=-1)
-    ends = ends[:, 0], ends[lost[gaps] > 1, 1]
-    at = np.concatenate((gaps, gaps[lost[gaps] > 1])) + 1
-    order = np.argsort(np.concatenate(ends))
-    at, stamps = at[order], np.concatenate(ends)[order]
-    columns = {
-        key: np.insert(values, at, '' if values.dtype == object else np.nan, axis=0)
-        for key, values in record.columns.items()
-    }
-    outlines = {
-        body: [(start + int(at.searchsorted(start, 'right')), markers) for start, markers in drawn]
-        for body, drawn in record.outlines.items()
-    }
-    is_lost = np.insert(np.zeros(len(record.stamp), bool), at, True)
-    stamp = np.insert(record.stamp, at, stamps)
-    return record._replace(stamp=stamp, columns=columns, outlines=outlines), is_lost
-
-
 def _concatenate(blocks: list[Columns]) -> Columns:
     return {key: np.concatenate([block[key] for block in blocks]) for key in blocks[0]}
 
@@ -171,9 +102,7 @@ def _estimate_columns(estimate: Estimate) -> Columns:
     return columns
 
 
-def _add_point(
-    columns: Columns, subject: str | tuple[str, str], name: str, vector: Vectors, k: int
-) -> None:
+def _add_point(columns: Columns, subject: Subject, name: str, vector: Vectors, k: int) -> None:
     """Add column `k` of points or vectors (T, ...) with their covariances."""
     determined = vector.determined[:, k]
     columns[subject, name] = np.where(determined, vector.value[:, k], np.nan)
@@ -222,39 +151,3 @@ def theory_rates(theory: Theory, estimate: Estimate) -> dict[str, np.ndarray]:
         values = motion.angle[1 : estimate.order + 1, number]
         rates[body][:, measured] = np.where(correct & motion.regular, values, np.nan)
     return rates
-
-
-def joints_of(record: Record) -> list[Joint]:
-    """Return pins: poles at rest on the ground, and relative centers at rest in both bodies."""
-    joints = []
-    for body in record.bodies:
-        icr, velocity = (record.columns.get((body, name)) for name in ('icr', 'icr_velocity'))
-        if icr is None or velocity is None:
-            continue
-        at_rest = (velocity == 0) & np.isfinite(icr)
-        if 2 * np.count_nonzero(at_rest) > np.count_nonzero(np.isfinite(icr)):
-            pin = complex(np.median(icr[at_rest].real), np.median(icr[at_rest].imag))
-            joints.append(Joint((body,), (pin,)))
-    for m, k in measured_pairs(len(record.bodies)):
-        pair = record.bodies[k], record.bodies[m]
-        points = [_point_at_rest(record, pair, body) for body in pair]
-        if all(point is not None for point in points):
-            joints.append(Joint(pair, tuple(point for point in points if point is not None)))
-    return joints
-
-
-def _point_at_rest(record: Record, pair: tuple[str, str], body: str) -> complex | None:
-    """Return the mean relative center in the frame of a body; None if it moves there."""
-    center = record.columns.get((pair, 'icr'))
-    covariance = record.columns.get((pair, 'icr_covariance'))
-    if center is None or covariance is None or not np.isfinite(center).any():
-        return None
-    variance = np.trace(covariance, axis1=1, axis2=2)
-    # Without covariances all centers have the same weight.
-    variance = np.where(np.isfinite(center) & np.isnan(variance), 0.0, variance)
-    position, angle = record.columns[body, 'position'], record.columns[body, 'angle']
-    points = (center - position) * np.exp(-1j * angle)
-    points = points[np.isfinite(points) & (variance <= np.nanmedian(variance))]
-    if not len(points) or np.sqrt(np.var(points)) > _PIN_DEVIATION * record.sizes[body]:
-        return None
-    return complex(points.mean())
