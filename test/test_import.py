@@ -10,13 +10,12 @@ import pytest
 
 from kinpole_ros.bags import (
     BagError,
-    import_csv,
     import_points,
     read_messages,
     replay,
     topics,
 )
-from kinpole_ros.bags.formats import FORMATS
+from kinpole_ros.bags.formats import FORMATS, read_points
 from kinpole_ros.messages import deserialize_message
 from kinpole_ros.messages._types import MarkerArray
 from kinpole_ros.settings import settings_from
@@ -238,13 +237,11 @@ def test_more_columns_than_a_rig_has_are_refused(tmp_path):
         import_text(tmp_path, f'{header}\n')
 
 
-def test_plain_tables_by_their_former_name(tmp_path):
-    (tmp_path / 'table.csv').write_text('a_x,a_y\n1,2\n3,4\n')
-    words = tmp_path / 'table.csv', tmp_path / 'out.mcap', 10.0, 0.5, True
-    assert import_csv(*words) == 2
-    (first, _) = read_messages(tmp_path / 'out.mcap')
-    place = deserialize_message(first.data, MarkerArray).markers[0].pose.position
-    assert (place.x, place.y) == (0.5, -1.0)
+def test_a_point_that_was_not_seen_has_no_z(tmp_path):
+    (tmp_path / 'table.csv').write_text('t,a_x,a_y,b_x,b_y\n1,2,3,,\n2,,4,5,6\n')
+    _, read = read_points(tmp_path / 'table.csv')
+    is_seen = [[True, False], [False, True]]
+    np.testing.assert_array_equal(np.isfinite(read.points[..., 2]), is_seen)
 
 
 @pytest.mark.parametrize('scale', [0.0, -1.0, 1e308, np.inf, np.nan])

@@ -162,34 +162,6 @@ def import_points(
     )
 
 
-def import_csv(
-    csv_path: str | Path,
-    output: str | Path,
-    rate: float | None = None,
-    scale: float = 1.0,
-    y_down: bool = False,
-    topic: str = '/markers',
-    frame_id: str = 'world',
-    progress: Progress | None = None,
-) -> int:
-    """
-    Write the points of a plain table to a bag, by the former name of `import_points`.
-
-    Parameters
-    ----------
-    csv_path, output, rate, scale, y_down, topic, frame_id, progress
-        As for `import_points`.
-
-    Returns
-    -------
-    int
-        The number of frames.
-
-    """
-    given = rate, scale, y_down, topic, frame_id, progress, 'table'
-    return import_points(csv_path, output, *given).frames
-
-
 def _incomplete(
     path: Path, name: str, read: Points, scale: float | None, rate: float | None
 ) -> BagError:

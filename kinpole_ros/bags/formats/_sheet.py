@@ -287,7 +287,8 @@ class Sheet:
         Parameters
         ----------
         columns
-            Those of x, y and maybe z (else 0) by the name of each marker.
+            Those of x, y and maybe z by the name of each marker. A z without column is 0, and NaN
+            where x or y is.
         first, end
             Rows.
         number
@@ -301,7 +302,11 @@ class Sheet:
             sources += [*axes, None][:3]
             titles += [f'{name}{separator}{axis}' for axis in 'xyz']
         numbers = self.numbers(sources, titles, first, end)
-        return numbers[:, 1:].reshape(len(numbers), len(columns), 3), numbers[:, 0]
+        points = numbers[:, 1:].reshape(len(numbers), len(columns), 3)
+        # A row at a time would be slow, and a copy of all as large as the file.
+        for axis in range(2):
+            points[np.isnan(points[..., axis]), 2] = np.nan
+        return points, numbers[:, 0]
 
     def markers(
         self, names_row: int, axes_row: int, columns: Sequence[int]
