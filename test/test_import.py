@@ -373,6 +373,14 @@ def test_two_decimal_marks_in_one_file_are_refused(tmp_path, first, second) -> N
         import_text(tmp_path, text)
 
 
+def test_marks_of_times_that_a_rate_replaces_count_too(tmp_path) -> None:
+    text = 't;a_x;a_y\n' + ''.join(f'0.{k:02};250,{k:03};1,250\n' for k in range(5))
+    with pytest.raises(BagError, match=r"two decimal marks: '0\.00' in line 2, column t, and '250"):
+        import_text(tmp_path, text, rate=100.0)
+    # A text is no number.
+    assert import_text(tmp_path, text.replace('0.', 'v'), rate=100.0)
+
+
 @pytest.mark.parametrize('head', ['sep=;', 'SEP=;', '"sep=;"', '\ufeffsep=;'])
 @pytest.mark.parametrize('end', ['\n', '\r\n'])
 def test_the_line_by_which_excel_knows_the_delimiter_is_none_of_the_table(
