@@ -131,6 +131,12 @@ class Settings:
         'Rate of ~/joint_states: at multiples of its period, extrapolated from the nearest '
         'instant; 0: at each instant.',
     )
+    topics: str = _parameter(
+        'standard',
+        kinds.one_of('standard', 'all'),
+        'Topics of results: standard are those that people read, and state with all numbers; all '
+        'adds a topic for each other number, each standard deviation, path and pair of bodies.',
+    )
     publish_tf: bool = _parameter(
         False, kinds.FLAG, 'Whether the frames of the bodies are published on /tf; needs tf2_msgs.'
     )
