@@ -116,11 +116,11 @@ def test_bodies_of_standard_topics_come_in_the_order_of_the_node(bags, tmp_path)
     bodies = {body: tuple(names) for body, names in load_scene('four_bar').marker_names.items()}
     result, bag = tmp_path / 'standard.mcap', tmp_path / 'recorded.mcap'
     replay(bags['four_bar_markers'], Settings(bodies=bodies), result)
-    kinds = topics(result)
+    kinds = {topic: kind for topic, kind in topics(result).items() if topic != '/tf'}
     with BagWriter(bag) as writer:
         for topic in sorted(kinds):
             writer.add_topic(topic, message_class(kinds[topic]))
-        for message in read_messages(result):
+        for message in read_messages(result, list(kinds)):
             cls = message_class(message.type_name)
             writer.write_raw(message.topic, cls, message.data, message.log_time)
     results = read_results(bag)
