@@ -8,7 +8,7 @@ Other packages register quantities (`Registered`): this one imports none of them
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
-from kinpole_ros.messages._drawing import Trail, centrode, drawing
+from kinpole_ros.messages._drawing import Trails, centrode, drawing
 from kinpole_ros.messages._events import events
 from kinpole_ros.messages._joints import joint_states
 from kinpole_ros.messages._rows import (
@@ -102,14 +102,21 @@ def joint_build(
     """
     builds = [(k, output.build) for k, output in enumerate(outputs)]
     compiled = [(k, build) for k, build in builds if isinstance(build, Rows)]
-    others = [(k, build) for k, build in builds if not isinstance(build, Rows)]
+    others = [
+        (k, output.build, output.of_events)
+        for k, output in enumerate(outputs)
+        if not isinstance(output.build, Rows)
+    ]
     topics = [k for k, rows in compiled for _ in rows.rows]
     given = compiled[0][1].given if compiled else XY
     all_rows = Rows([row for _, rows in compiled for row in rows.rows], given)
 
     def build_all(estimate: Estimate) -> list[tuple[int, bytes]]:
         messages = [(topics[row], data) for row, data in all_rows.messages(estimate)]
-        messages += [(k, data) for k, build in others for data in build(estimate)[1]]
+        has_events = bool(estimate.events)
+        for k, build, of_events in others:
+            if has_events or not of_events:
+                messages += [(k, data) for data in build(estimate)[1]]
         return messages
 
     return build_all
@@ -130,7 +137,7 @@ class _Rig(NamedTuple):
 
     bodies: Sequence[str]
     frames: Sequence[str]
-    trails: list[Trail]
+    trails: Trails
     plane: Plane
 
 
@@ -166,11 +173,11 @@ def _odometry(rig: _Rig, order: int, body: int) -> Row:
 
 
 def _fixed_centrode(rig: _Rig, _: int, body: int) -> Build:
-    return centrode(body, rig.plane, rig.trails[body], None)
+    return centrode(body, rig.plane, rig.trails, None)
 
 
 def _moving_centrode(rig: _Rig, _: int, body: int) -> Build:
-    return centrode(body, rig.plane, rig.trails[body], rig.frames[body])
+    return centrode(body, rig.plane, rig.trails, rig.frames[body])
 
 
 def _events(rig: _Rig, _: int, body: int) -> Build:
@@ -284,7 +291,7 @@ def result_outputs(
     """
     given, numbers = plane_of(plane) or XY, range(len(bodies))
     frames = [frame_prefix + body for body in bodies]
-    rig = _Rig(bodies, frames, [Trail() for _ in bodies], given)
+    rig = _Rig(bodies, frames, Trails(len(bodies)), given)
     outputs: list[Output] = []
     for b in numbers:
         for row in _OF_BODY:
