@@ -1048,3 +1048,28 @@ def test_what_pages_show_is_computed_30_times_a_second_and_after_all_else_is_sen
         assert sent.count('odom') == (200 if read else 0)
         assert sent[:2] == (['odom', VIEW] if read else [VIEW, VIEW])
         sent.clear()
+
+
+def test_a_node_that_is_subscribed_looks_for_publishers_once_a_second(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also while none is there: ten looks a second were most of what an idle node did."""
+    rclpy.init(args=['kinpole', '--ros-args', '-p', 'marker_type:=marker_array'])
+    node = KinpoleNode()
+    try:
+        assert node.source.is_subscribed
+        looks: list[str] = []
+        find = node.get_publishers_info_by_topic
+
+        def look(topic: str) -> Any:
+            looks.append(topic)
+            return find(topic)
+
+        monkeypatch.setattr(node, 'get_publishers_info_by_topic', look)
+        for _ in range(5):
+            node.source.update()
+        assert len(looks) <= 1
+    finally:
+        node.close_outputs()
+        node.destroy_node()
+        rclpy.try_shutdown()

@@ -39,7 +39,7 @@ SUBSCRIPTION_DEPTH = 8192
 MAX_WAITING_BYTES = 1 << 27
 # Messages that are processed at once: a failure costs no more, and all else has its turn between.
 _BATCH = 64
-_UPDATE_INTERVAL = 1.0  # s between looks for publishers, once one is followed
+_UPDATE_INTERVAL = 1.0  # s between looks for publishers, once subscribed
 # s. A node is behind if messages have waited for more than _LATE for _PATIENCE. If one has waited
 # for _TOO_LATE then, all that are late are dropped: one gap costs less than many, of which each
 # makes another kind of window. After a stall of any length the node is not behind: it catches up.
@@ -150,7 +150,7 @@ class MarkerSource:
             # A depth that the user has set stays.
             self._unsubscribe()
             self._subscribe(self._kind)
-        if self._publishers and self.is_subscribed:
+        if self.is_subscribed:
             self._update_due = time.monotonic() + _UPDATE_INTERVAL
         if is_replaced and self._kind:
             self._reader = reader_of(self._kind, self._settings)
