@@ -141,7 +141,7 @@ class _Rig(NamedTuple):
     plane: Plane
 
 
-class _Topic(NamedTuple):
+class TopicRow(NamedTuple):
     """
     A row of the table: a topic of each body, or of each pair of bodies.
 
@@ -188,32 +188,32 @@ def _events(rig: _Rig, _: int, body: int) -> Build:
 _STANDARD_RATES, _STANDARD_POLES = 3, 2
 _RATE_UNITS = ('rad/s', 'rad/s²', 'rad/s³', 'rad/s⁴')
 _RATES = (
-    _Topic(name, Vector3Stamped, k, unit, _compiled(NORMAL, RATE + k), k <= _STANDARD_RATES, True)
+    TopicRow(name, Vector3Stamped, k, unit, _compiled(NORMAL, RATE + k), k <= _STANDARD_RATES, True)
     for k, (name, unit) in enumerate(zip(RATE_NAMES, _RATE_UNITS, strict=True), 1)
 )
 _POLES = (
-    _Topic(f'{name}{end}', message_type, k, 'm', _compiled(kind, k), k <= last_standard)
+    TopicRow(f'{name}{end}', message_type, k, 'm', _compiled(kind, k), k <= last_standard)
     for k, name in enumerate(POLE_NAMES, 1)
     for end, message_type, kind, last_standard in (
         ('', PointStamped, POINT, 1),
         ('/with_covariance', PoseWithCovarianceStamped, POSE, _STANDARD_POLES),
     )
 )
-_OF_BODY = (
-    _Topic('odom', Odometry, 1, 'm, rad', _odometry),
+OF_BODY = (
+    TopicRow('odom', Odometry, 1, 'm, rad', _odometry),
     *_RATES,
     *_POLES,
-    _Topic('icr_velocity', Vector3Stamped, 2, 'm/s', _compiled(VECTOR, VELOCITY), True, True),
-    _Topic(
+    TopicRow('icr_velocity', Vector3Stamped, 2, 'm/s', _compiled(VECTOR, VELOCITY), True, True),
+    TopicRow(
         'centrode_curvature', Vector3Stamped, 3, '1/m', _compiled(NORMAL, CURVATURE), True, True
     ),
-    _Topic('centrode/fixed', Path, 1, 'm', _fixed_centrode, is_standard=False),
-    _Topic('centrode/moving', Path, 1, 'm', _moving_centrode, is_standard=False),
-    _Topic('event', PointCloud2, 1, '', _events, of_events=True),
+    TopicRow('centrode/fixed', Path, 1, 'm', _fixed_centrode, is_standard=False),
+    TopicRow('centrode/moving', Path, 1, 'm', _moving_centrode, is_standard=False),
+    TopicRow('event', PointCloud2, 1, '', _events, of_events=True),
 )
 _OF_PAIR = (
-    _Topic('icr', PointStamped, 1, 'm', _compiled(POINT, RELATIVE_CENTER), True, True),
-    _Topic(
+    TopicRow('icr', PointStamped, 1, 'm', _compiled(POINT, RELATIVE_CENTER), True, True),
+    TopicRow(
         'angular_velocity', Vector3Stamped, 1, 'rad/s', _compiled(NORMAL, RELATIVE_RATE), True, True
     ),
 )
@@ -226,7 +226,7 @@ _OF_REGISTERED = {
 
 
 def _outputs(
-    row: _Topic, topic: str, rig: _Rig, bodies: tuple[int, ...], is_standard: bool = True
+    row: TopicRow, topic: str, rig: _Rig, bodies: tuple[int, ...], is_standard: bool = True
 ) -> list[Output]:
     """Return the topic of a row for a body or a pair, and that of its standard deviation."""
     made = row.make(rig, row.order, *bodies)
@@ -294,7 +294,7 @@ def result_outputs(
     rig = _Rig(bodies, frames, Trails(len(bodies)), given)
     outputs: list[Output] = []
     for b in numbers:
-        for row in _OF_BODY:
+        for row in OF_BODY:
             outputs += _outputs(row, f'{bodies[b]}/{row.name}', rig, (b,))
     joined = {*map(frozenset, (joints or {}).values())}
     if registered is not None:
