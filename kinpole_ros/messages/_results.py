@@ -113,9 +113,8 @@ def joint_build(
 
     def build_all(estimate: Estimate) -> list[tuple[int, bytes]]:
         messages = [(topics[row], data) for row, data in all_rows.messages(estimate)]
-        has_events = bool(estimate.events)
         for k, build, of_events in others:
-            if has_events or not of_events:
+            if not of_events or estimate.events:
                 messages += [(k, data) for data in build(estimate)[1]]
         return messages
 

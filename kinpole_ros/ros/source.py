@@ -132,7 +132,8 @@ class MarkerSource:
         if time.monotonic() < self._update_due:
             return False
         offers = self._node.get_publishers_info_by_topic(self.topic)
-        is_replaced = self._note_publishers({bytes(offer.endpoint_gid) for offer in offers})
+        seen = {bytes(offer.endpoint_gid) for offer in offers}
+        is_replaced = self._note_publishers(seen)
         published = {offer.topic_type for offer in offers}
         kinds, fault = self._readable_kinds(published)
         if kinds and self._kind not in kinds:
@@ -144,6 +145,7 @@ class MarkerSource:
         if kinds and self._kind not in kinds:
             self.close()
             self._subscribe(kinds[0])
+            self._publishers = seen
         elif self.is_subscribed and (
             self._highest_depth() < self._depth == self._subscription.qos_profile.depth
         ):
@@ -301,6 +303,9 @@ class MarkerSource:
     def _count_lost(self, numbers: Iterable[int | None]) -> int:
         """Count the messages missing between these, where one publisher numbers them."""
         lost = 0
+        if not self._publishers:
+            # The first message of a publisher that came since the last look.
+            self._update_due = 0.0
         for number in numbers:
             if number and self._number is not None:
                 if number <= self._number:
