@@ -156,7 +156,8 @@ def test_long_recordings_are_thinned_evenly_and_say_so(blocks) -> None:
 
 
 def test_report_of_results_is_that_of_their_markers(made, tmp_path) -> None:
-    settings = load_settings(ROOT / 'config' / 'four_bar.yaml')
+    # With the relative centers of all pairs.
+    settings = load_settings(ROOT / 'config' / 'four_bar.yaml', changes={'topics': 'all'})
     results, output = tmp_path / 'results.mcap', tmp_path / 'results.html'
     replay(BAG, settings, results)
     report(results, output, Settings())

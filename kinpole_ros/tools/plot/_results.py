@@ -147,10 +147,10 @@ def read_results(
     several_nodes = len({prefix.rpartition('/')[0] for prefix in odometry}) > 1
     body_names = {p: p if several_nodes else p.rpartition('/')[2] for p in odometry}
     outlines = outlines_of(found.drawings)
-    bodies = []
+    bodies, numbers = [], []
     for prefix, pose_rows in odometry.items():
         node = prefix.rpartition('/')[0]
-        poses, series = with_states(
+        poses, series, number = with_states(
             poses_of(pose_rows, plane),
             _body_series(rows, prefix, names, plane),
             found.states.get(f'{node}/{STATE}', []),
@@ -165,6 +165,9 @@ def read_results(
         )
         events, orders = rows.get(f'{prefix}/event', (np.empty(0, np.int64), np.empty((0, 1))))
         bodies.append(body._replace(events=events, event_orders=orders[:, 0].astype(int)))
+        numbers.append(number)
+    # A recording has its topics in the order in which they were found.
+    bodies = [bodies[k] for k in sorted(range(len(bodies)), key=numbers.__getitem__)]
     centers = {
         (body_names[j], body_names[i]): with_deviation(
             series_of(rows[topic], plane, is_number=False), rows.get(f'{topic}/deviation'), plane

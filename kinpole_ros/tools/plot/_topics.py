@@ -194,9 +194,13 @@ def with_deviation(series: Series, rows: Rows | None, plane: Plane) -> Series:
 
 def with_states(
     poses: Poses, series: dict[str, Series], states: States
-) -> tuple[Poses, dict[str, Series]]:
-    """Return poses and series of a body with those of the states of its node added."""
-    series = dict(series)
+) -> tuple[Poses, dict[str, Series], int]:
+    """
+    Return poses and series of a body with those of the states of its node added.
+
+    Also the number of the body in the states, -1 where it is in none.
+    """
+    series, number = dict(series), -1
     for stamp, quantities in states:
         _, own, its = np.intersect1d(stamp, poses.stamp, return_indices=True)
         if not len(own):
@@ -204,7 +208,7 @@ def with_states(
         # A state has no names: its bodies are known by their poses.
         distance = np.abs(quantities['position'].value[own] - poses.position[its, None])
         distance[~quantities['position'].determined[own]] = np.inf
-        body = np.median(distance, axis=0).argmin()
+        number = body = int(np.median(distance, axis=0).argmin())
         columns: dict[str, np.ndarray] = {}
         for name, quantity in quantities.items():
             value, variance, determined = (part[:, body] for part in quantity)
@@ -225,7 +229,7 @@ def with_states(
         rates = {'rate': 'angular_velocity', 'sigma': 'position_sigma'}
         rates['rate_sigma'] = 'angular_velocity_sigma'
         poses = _merged(Poses(*(columns[rates.get(n, n)] for n in Poses._fields)), poses)
-    return poses, series
+    return poses, series, number
 
 
 def _add(series: dict[str, Series], name: str, more: Series) -> None:

@@ -9,9 +9,8 @@ import numpy as np
 from kinpole_ros import __version__
 from kinpole_ros.bags import BagError, assumed_body, in_place_of, replay, warnings_of
 from kinpole_ros.files import printable
-from kinpole_ros.linkage.theory import DeviationSummary
+from kinpole_ros.linkage.theory import DeviationSummary, load_theory
 from kinpole_ros.mechanism import load_scene
-from kinpole_ros.messages import theory_of
 from kinpole_ros.settings import Settings
 from kinpole_ros.tools.report._page import intervals, pack, page
 from kinpole_ros.tools.report._prepare import Points, prepared
@@ -84,7 +83,8 @@ def report(
             )
         record, notes = read_record(bag, _most_instants, progress)
     else:
-        collector = Collector(_most_instants(len(settings.bodies)), theory_of(settings))
+        of_scene = load_theory(settings) if settings.scene else None
+        collector = Collector(_most_instants(len(settings.bodies)), of_scene)
         result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)
         notes = warnings_of(result, settings)
         if assumption := assumed_body(len(result.identities), settings, source or bag):
