@@ -172,7 +172,7 @@ def _asked(
                 subscriptions[name][topic] = asker.node.create_subscription(
                     kind, f'/{name}/{topic}', lambda _: None, qos, raw=True
                 )
-            asker.until_found()
+            asker.until_found(f'/{name}/{topic}' for name, topic, _ in topics)
             begun = time.monotonic_ns()
 
             def ask(case: Case, names: Sequence[str], seconds: float) -> dict[str, Measured]:

@@ -5,8 +5,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -96,10 +97,12 @@ class Asker:
                 raise TimeoutError(f'live bench: {what}: not within {_WAIT:g} s')
             self.executor.spin_once(timeout_sec=0.02)
 
-    def until_found(self) -> None:
-        """Let things happen until node and relay have subscribed to their markers."""
+    def until_found(self, topics: Iterable[str]) -> None:
+        """Let things happen until node and relay read their markers, and publish these topics."""
         for name, publisher in self.publishers.items():
             self.until(publisher.get_subscription_count, f'{name} at its markers')
+        for topic in topics:
+            self.until(partial(self.node.count_publishers, topic), f'a publisher of {topic}')
 
     def hear(self, topic: str, message_type: type) -> list[tuple[Any, int]]:
         """Messages from now on, as bytes, and when the middleware received them, ns."""
@@ -153,6 +156,7 @@ def node_words(
         'marker_topic': f'/{NODE}/markers',
         'marker_type': kind,
         'lag': lag,
+        'topics': 'all',
         'bodies': list(wheels(bodies)),
         **{name: {'markers': markers} for name, markers in wheels(bodies).items()},
     }

@@ -44,8 +44,11 @@ def topic_reference() -> str:
     outputs = result_outputs(('<i>', '<j>'), 'xy', theory, {'joint': ('<i>', '<j>')})
     outputs.append(live_outputs(parameters.Settings(), None)[-1])
     descriptions = _topic_descriptions()
-    lines = ['| topic | what | type | uncertainty | needs |', '| --- | --- | --- | --- | --- |']
-    topics = {output.topic for output in outputs}
+    lines = [
+        '| topic | what | unit | type | uncertainty | needs | topics |',
+        f'|{" --- |" * 7}',
+    ]
+    standard = {output.topic: output.is_standard for output in outputs}
     for output in outputs:
         topic = output.topic
         if topic.endswith(('/with_covariance', '/deviation')):
@@ -53,14 +56,17 @@ def topic_reference() -> str:
         if topic.startswith('<j>') and '/wrt/' not in topic:
             continue
         uncertainty = ', '.join(
-            f'`/{name}`' for name in ('with_covariance', 'deviation') if f'{topic}/{name}' in topics
+            f'`/{name}`{"" if standard[f"{topic}/{name}"] else " (all)"}'
+            for name in ('with_covariance', 'deviation')
+            if f'{topic}/{name}' in standard
         )
+        chosen = 'standard' if output.is_standard else 'all'
         topic = re.sub(r'^<i>', '<body>', topic)
         if topic not in descriptions:
             raise ValueError(f'docs/live.md has no row for the topic {topic}')
         message = type_name(output.message_type).replace('/msg/', '/')
-        cells = f'`{topic}`', descriptions[topic], f'`{message}`', uncertainty, output.order
-        lines.append(f'| {" | ".join(map(str, cells))} |')
+        cells = f'`{topic}`', descriptions[topic], output.unit, f'`{message}`', uncertainty
+        lines.append(f'| {" | ".join(cells)} | {output.order} | {chosen} |')
     return '\n'.join(lines) + '\n'
 
 

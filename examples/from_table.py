@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from kinpole_ros import replay
-from kinpole_ros.bags import import_csv
+from kinpole_ros.bags import import_points
 
 with tempfile.TemporaryDirectory() as folder:
     table, bag = Path(folder) / 'tracked.csv', Path(folder) / 'tracked.mcap'
@@ -24,7 +24,7 @@ with tempfile.TemporaryDirectory() as folder:
         for t in np.arange(240) / 120:
             tip = 200 * np.exp(1.5j * t)
             rows.writerow([320, 240, 320 + tip.real, 240 - tip.imag])
-    import_csv(table, bag, rate=120.0, scale=1 / 500, y_down=True)
+    import_points(table, bag, rate=120.0, scale=1 / 500, y_down=True)
     lever = replay(bag)['body']
 print(f'{np.nanmedian(lever.angular_velocity):.3f} rad/s')
 x, y = np.nanmedian(lever.icr, axis=0)

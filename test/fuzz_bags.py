@@ -112,15 +112,9 @@ def _known_by(content: bytes) -> Callable[[list[BagMessage]], object]:
     for record in records:
         if record[0] == Opcode.DATA_END:
             assert record.endswith(bytes(4)), 'a checksum is wrong without a word'
-    if Opcode.MESSAGE_INDEX in opcodes:
-        return lambda messages: Counter((m.topic, m.type_name, m.log_time) for m in messages)
-    if Opcode.STATISTICS not in opcodes and records[-1].endswith(bytes(4)):
-        return lambda messages: None  # not even the checksum of a summary
-    return lambda messages: (
-        Counter((m.topic, m.type_name) for m in messages),
-        min(m.log_time for m in messages),
-        max(m.log_time for m in messages),
-    )
+    if Opcode.STATISTICS not in opcodes:
+        return lambda messages: None
+    return lambda messages: Counter((m.topic, m.type_name) for m in messages)
 
 
 _OPTIONS: tuple[dict[str, Any], ...] = (

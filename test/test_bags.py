@@ -8,6 +8,7 @@ import sys
 import tracemalloc
 from contextlib import suppress
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType, Writer
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
@@ -251,6 +253,27 @@ def test_compressed_bag_cut_at_many_bytes_gives_all_that_can_be_decompressed(tmp
         assert len(messages) >= (cut - 130_000) / 2_040
         whole = [c for c in chunks if c.chunk_start_offset + c.chunk_length <= cut]
         assert len(messages) >= sum(c.uncompressed_size for c in whole) // 2_040
+
+
+def test_a_bag_cut_at_200_random_bytes_gives_every_whole_message_before_the_cut(tmp_path):
+    path = tmp_path / 'run.mcap'
+    written = write_bag(str(path), range(2000), CompressionType.ZSTD, chunk_size=4_000)
+    content = path.read_bytes()
+    with path.open('rb') as file:
+        chunks = make_reader(file).get_summary().chunk_indexes
+    ends = [chunk.chunk_start_offset + chunk.chunk_length for chunk in chunks]
+    counts = [0]
+    for chunk in chunks:
+        with path.open('rb') as file:
+            file.seek(chunk.chunk_start_offset)
+            (record,) = islice(StreamReader(file, skip_magic=True, emit_chunks=True).records, 1)
+        counts.append(counts[-1] + sum(isinstance(r, Message) for r in breakup_chunk(record)))
+    for cut in np.random.default_rng(0).integers(1, len(content), 200).tolist():
+        path.write_bytes(content[:cut])
+        messages, complaint = read_all(path)
+        assert messages == written[: len(messages)]
+        assert len(messages) >= counts[sum(end <= cut for end in ends)]
+        assert f'is cut off at byte {cut}' in complaint
 
 
 @pytest.mark.parametrize('compression', COMPRESSIONS)

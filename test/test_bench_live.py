@@ -26,7 +26,7 @@ from bench._live import (
     summed,
 )
 from bench._page_limits import live_part, speed_part
-from bench._rig import LAG, NODE, RELAY, Rig, wheels
+from bench._rig import LAG, NODE, RELAY, Asker, Rig, wheels
 from bench._rows import write_rows
 from kinpole_ros.messages import MarkerReader, ns_to_stamp
 from kinpole_ros.settings import Settings
@@ -36,6 +36,20 @@ BEGIN = 10**12
 NUMBER = 250
 # Even, and in between frames for none: as the highest rate is looked for.
 RATES = [Case(f'{rate:g} Hz', rate=rate) for rate in (200.0, 290.0, 1130.0)]
+
+
+def test_a_run_begins_when_all_topics_are_published(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A node that reads its markers may not have made its publishers yet: frames went uncounted."""
+    monkeypatch.setattr('bench._rig._WAIT', 0.1)
+    asker = Asker()
+    try:
+        for publisher in asker.publishers.values():
+            monkeypatch.setattr(publisher, 'get_subscription_count', lambda: 1)
+        asker.until_found([f'/{NODE}/markers'])
+        with pytest.raises(TimeoutError, match='a publisher of /kinpole/wheel_0/odom'):
+            asker.until_found([f'/{NODE}/markers', f'/{NODE}/wheel_0/odom'])
+    finally:
+        asker.close()
 
 
 @pytest.mark.parametrize('case', CASES, ids=lambda case: case.what)

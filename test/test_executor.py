@@ -140,7 +140,8 @@ def test_while_no_messages_come_all_else_waits_a_tenth_of_a_second_at_most(
     calls: list[float] = []
     node.create_timer(0.02, lambda: calls.append(time.monotonic()))
     spin(executor, lambda: len(calls) > 3)
-    assert max(waits) <= 0.1
+    # A wake costs 0.3 ms, so that 20 a second were half of an idle node.
+    assert 0.09 < max(waits) <= 0.1
     # One wait of some time for each turn: it does not wake in between.
     assert len([seconds for seconds in waits if seconds]) <= len(calls) + 1
     executor.shutdown()

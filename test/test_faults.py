@@ -35,7 +35,7 @@ from test_node import LIMIT, RELIABLE, Peer, complaints, node_words, process
 from visualization_msgs.msg import MarkerArray
 
 import kinpole_ros.ros.node as node_module
-from kinpole_ros.messages import MARKER_TYPES, TF, result_outputs, to_message
+from kinpole_ros.messages import MARKER_TYPES, TF, outputs_of, to_message
 from kinpole_ros.ros.source import MAX_MESSAGE_BYTES
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.frame import MarkerFrames
@@ -100,7 +100,7 @@ class Rig(Peer):
         No executor has to wait for them: the middleware keeps them until they are looked at.
         """
         ears = rclpy.create_node('ears', context=self.node.context)
-        outputs = result_outputs(('rod',), 'xy')
+        outputs = outputs_of(SETTINGS, None)
         # /tf is published if it is asked for.
         topics = {o.under(f'/{self.name}'): o.message_type for o in outputs if o.topic != TF}
         for topic, kind in {**topics, '/diagnostics': DiagnosticArray}.items():

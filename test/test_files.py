@@ -17,7 +17,7 @@ from fuzz_kills import COMMANDS, fuzz_kills
 from geometry_msgs.msg import Point
 from rclpy.node import Node
 
-from kinpole_ros.bags import BagError, BagWriter, bag_files, import_csv
+from kinpole_ros.bags import BagError, BagWriter, bag_files, import_points
 from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limited, whole_file
 from kinpole_ros.files.bounded_yaml import load_yaml
 from kinpole_ros.mechanism import SceneError, load_scene
@@ -92,7 +92,7 @@ def test_numbers_of_many_parts_stay_texts() -> None:
         load_settings,
         load_scene,
         bag_files,
-        lambda path: import_csv(path, path.parent / 'out.mcap'),
+        lambda path: import_points(path, path.parent / 'out.mcap'),
         open_regular,
     ],
     ids=['config', 'scene', 'bag', 'table', 'any'],

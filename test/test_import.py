@@ -10,13 +10,12 @@ import pytest
 
 from kinpole_ros.bags import (
     BagError,
-    import_csv,
     import_points,
     read_messages,
     replay,
     topics,
 )
-from kinpole_ros.bags.formats import FORMATS
+from kinpole_ros.bags.formats import FORMATS, read_points
 from kinpole_ros.messages import deserialize_message
 from kinpole_ros.messages._types import MarkerArray
 from kinpole_ros.settings import settings_from
@@ -238,13 +237,11 @@ def test_more_columns_than_a_rig_has_are_refused(tmp_path):
         import_text(tmp_path, f'{header}\n')
 
 
-def test_plain_tables_by_their_former_name(tmp_path):
-    (tmp_path / 'table.csv').write_text('a_x,a_y\n1,2\n3,4\n')
-    words = tmp_path / 'table.csv', tmp_path / 'out.mcap', 10.0, 0.5, True
-    assert import_csv(*words) == 2
-    (first, _) = read_messages(tmp_path / 'out.mcap')
-    place = deserialize_message(first.data, MarkerArray).markers[0].pose.position
-    assert (place.x, place.y) == (0.5, -1.0)
+def test_a_point_that_was_not_seen_has_no_z(tmp_path):
+    (tmp_path / 'table.csv').write_text('t,a_x,a_y,b_x,b_y\n1,2,3,,\n2,,4,5,6\n')
+    _, read = read_points(tmp_path / 'table.csv')
+    is_seen = [[True, False], [False, True]]
+    np.testing.assert_array_equal(np.isfinite(read.points[..., 2]), is_seen)
 
 
 @pytest.mark.parametrize('scale', [0.0, -1.0, 1e308, np.inf, np.nan])
@@ -374,6 +371,14 @@ def test_two_decimal_marks_in_one_file_are_refused(tmp_path, first, second) -> N
         BagError, match=r'table\.csv has two decimal marks: .* in line \d, column a_'
     ):
         import_text(tmp_path, text)
+
+
+def test_marks_of_times_that_a_rate_replaces_count_too(tmp_path) -> None:
+    text = 't;a_x;a_y\n' + ''.join(f'0.{k:02};250,{k:03};1,250\n' for k in range(5))
+    with pytest.raises(BagError, match=r"two decimal marks: '0\.00' in line 2, column t, and '250"):
+        import_text(tmp_path, text, rate=100.0)
+    # A text is no number.
+    assert import_text(tmp_path, text.replace('0.', 'v'), rate=100.0)
 
 
 @pytest.mark.parametrize('head', ['sep=;', 'SEP=;', '"sep=;"', '\ufeffsep=;'])

@@ -22,6 +22,7 @@ from test_formats import peak_memory
 from kinpole_ros.bags import (
     BagError,
     BagWriter,
+    Truncated,
     import_points,
     read_messages,
     replay,
@@ -283,15 +284,28 @@ def test_stamps_of_zero_are_those_of_the_log(tmp_path, monkeypatch):
     assert markers_in(tmp_path / 'out.mcap')[0][0] == FIRST + 500
 
 
-def test_a_ros1_bag_that_is_cut_gives_what_comes_before(tmp_path):
+def test_a_ros1_bag_that_is_not_whole_is_refused_with_a_fix(tmp_path):
     path = write_bag(tmp_path, 'pose array', 'bag')
     content = path.read_bytes()
-    path.write_bytes(content[: content.index(b'op=\x04') - 8])
+    for size in (len(content) // 3, content.index(b'op=\x04') - 8, len(content) - 1):
+        path.write_bytes(content[:size])
+        with pytest.raises(BagError, match=r'is not a whole ROS 1 bag.*; fix: ') as e:
+            import_points(path, tmp_path / 'out.mcap')
+        assert '\n' not in str(e.value)
+
+
+def test_a_db3_message_of_more_than_32_mib_is_named(tmp_path):
+    path = write_bag(tmp_path, 'pose array', 'db3') / 'bag.db3'
+    with sqlite3.connect(path) as file:
+        file.execute('UPDATE messages SET data = zeroblob(33554433) WHERE id = 2')
+    file.close()
+    with pytest.raises(
+        Truncated, match=r'bag\.db3: messages of more than 32 MiB, 1 of them, are left out; fix: '
+    ):
+        list(read_messages(path))
     done = import_points(path, tmp_path / 'out.mcap')
-    assert (done.frames, done.notes) == (5, ())
-    path.write_bytes(content[: len(content) // 3])
-    with pytest.raises(BagError, match='cut off or damaged before byte'):
-        import_points(path, tmp_path / 'out.mcap')
+    assert done.frames == len(PLACES) - 1
+    assert any('more than 32 MiB, 1 of them, are left out' in note for note in done.notes)
 
 
 @pytest.mark.parametrize('command', ['replay', 'discover'])

@@ -16,11 +16,12 @@ from kinpole_ros.tools.cli import main
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.fixture(scope='module')
-def rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+@pytest.fixture(scope='module', params=['standard', 'all'])
+def rig(request, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Parameters with a joint, and the results that they give."""
     folder = tmp_path_factory.mktemp('layout')
     joint = {'joints': ['elbow'], 'elbow': {'bodies': ['crank', 'coupler']}}
+    joint |= {'topics': request.param}
     config = write_config(
         folder / 'rig.yaml', load_settings(ROOT / 'config' / 'four_bar.yaml'), **joint
     )
@@ -64,7 +65,8 @@ def test_foxglove_shows_topics_that_are_there(rig, messages, tmp_path, source) -
     assert panels['3D!kinpole'].get('followTf') == (None, 'world')[source]
     assert panels['DiagnosticSummary!kinpole']['topicToRender'] in messages
     paths = [row for panel in panels.values() for row in panel.get('paths', [])]
-    assert len(paths) == 2 * (4 * 3 + 3)
+    is_standard = load_settings(rig[0]).topics == 'standard'
+    assert len(paths) == (3 * 3 + 1 if is_standard else 2 * (4 * 3 + 3))
     for row in paths:
         topic, *fields = row['value'].split('.')
         value = messages[topic]
@@ -96,7 +98,9 @@ def test_plotjuggler_shows_topics_that_are_there(rig, messages, tmp_path, source
             assert re.fullmatch('#[0-9a-f]{6}', curve.attrib['color'])
             names = ('curve_x', 'curve_y') if plot.get('mode') == 'XYPlot' else ('name',)
             assert all(curve.attrib[name] in numbers for name in names)
-    assert len([*root.iter('curve')]) == 2 * (4 * 3 + 3) + 4 * 3 + 2
+    is_standard = load_settings(rig[0]).topics == 'standard'
+    rates, poles = (3 * 3 + 1, 3) if is_standard else (2 * (4 * 3 + 3), 4 * 3)
+    assert len([*root.iter('curve')]) == rates + poles + 2
 
 
 def test_layout_refuses_in_one_line_what_has_nothing_to_show(tmp_path, capsys) -> None:

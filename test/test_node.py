@@ -238,9 +238,11 @@ def test_live_figures_are_those_of_replay(simulated: Bag, tmp_path: Path) -> Non
     loaded.write_text(f'{(scenes_folder() / "four_bar.yaml").read_text()}\n{loads}\n')
     bag = simulated(loaded, rate=100, duration=1.2, noise=2e-4, dropout=0.02)
     joints = {'elbow': ('crank', 'coupler'), 'shaft': ('ground', 'rocker')}
-    settings = Settings(bodies=bodies_of('four_bar'), joints=joints, scene=str(loaded))
+    settings = Settings(
+        bodies=bodies_of('four_bar'), joints=joints, scene=str(loaded), topics='all'
+    )
     pairs = {name: {'bodies': list(pair)} for name, pair in joints.items()}
-    more = {'joints': list(joints), 'scene': str(loaded), **pairs}
+    more = {'joints': list(joints), 'scene': str(loaded), 'topics': 'all', **pairs}
     config = write_config(tmp_path / 'config.yaml', settings, **more)
     assert live_run(bag, config, tmp_path / 'live.mcap').frames == 120
     replay(bag, settings, tmp_path / 'replay.mcap')
@@ -613,7 +615,7 @@ def test_publishers_stay_until_readers_have_their_last_messages_but_not_for_long
     node = KinpoleNode()
     try:
         assert node.set_parameters([Parameter('derivative_order', value=1)])[0].successful
-        assert '/kinpole/body/iap' in gone
+        assert '/kinpole/body/icr_velocity' in gone
         assert '/kinpole/body/odom' not in waited
         node.close_outputs()
         assert '/kinpole/body/odom' in gone
@@ -988,7 +990,7 @@ def test_nothing_is_computed_that_nobody_subscribes_to(
             subscriptions = []
             for topic, message_type, order in (
                 ('/kinpole/body/odom', Odometry, 1),
-                ('/kinpole/body/iap', PointStamped, 2),
+                ('/kinpole/body/icr_velocity', Vector3Stamped, 2),
                 ('/kinpole/state', PointCloud2, 4),
             ):
                 subscriptions.append(
@@ -1046,3 +1048,28 @@ def test_what_pages_show_is_computed_30_times_a_second_and_after_all_else_is_sen
         assert sent.count('odom') == (200 if read else 0)
         assert sent[:2] == (['odom', VIEW] if read else [VIEW, VIEW])
         sent.clear()
+
+
+def test_a_node_that_is_subscribed_looks_for_publishers_once_a_second(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also while none is there: ten looks a second were most of what an idle node did."""
+    rclpy.init(args=['kinpole', '--ros-args', '-p', 'marker_type:=marker_array'])
+    node = KinpoleNode()
+    try:
+        assert node.source.is_subscribed
+        looks: list[str] = []
+        find = node.get_publishers_info_by_topic
+
+        def look(topic: str) -> Any:
+            looks.append(topic)
+            return find(topic)
+
+        monkeypatch.setattr(node, 'get_publishers_info_by_topic', look)
+        for _ in range(5):
+            node.source.update()
+        assert len(looks) <= 1
+    finally:
+        node.close_outputs()
+        node.destroy_node()
+        rclpy.try_shutdown()

@@ -48,8 +48,9 @@ def bags(tmp_path_factory) -> dict[str, Path]:
         markers, found[name] = folder / f'{name}_markers.mcap', folder / f'{name}.mcap'
         simulate(scene, markers, rate=100, duration=1.2, noise=1e-5)
         bodies = {body: tuple(names) for body, names in scene.marker_names.items()}
-        replay(markers, Settings(bodies=bodies), found[name])
-    return {**found, 'markers': markers, 'cardan_markers': markers}
+        replay(markers, Settings(bodies=bodies, topics='all'), found[name])
+    four_bar = folder / 'four_bar_markers.mcap'
+    return {**found, 'markers': markers, 'cardan_markers': markers, 'four_bar_markers': four_bar}
 
 
 def bodies_in(bag: Path) -> list[Body]:
@@ -126,6 +127,24 @@ def test_bodies_come_in_the_order_of_the_node_and_truth_is_left_out(bags, tmp_pa
     assert set(pairs_of(record)) == pairs
     with pytest.raises(BagError, match='kinpole replay'):
         read_record(bags['markers'])
+
+
+def test_bodies_of_standard_topics_come_in_the_order_of_the_node(bags, tmp_path) -> None:
+    """Whatever the order of topics in a recording, and without relative centers."""
+    bodies = {body: tuple(names) for body, names in load_scene('four_bar').marker_names.items()}
+    result, bag = tmp_path / 'standard.mcap', tmp_path / 'recorded.mcap'
+    replay(bags['four_bar_markers'], Settings(bodies=bodies), result)
+    kinds = {topic: kind for topic, kind in topics(result).items() if topic != '/tf'}
+    with BagWriter(bag) as writer:
+        for topic in sorted(kinds):
+            writer.add_topic(topic, message_class(kinds[topic]))
+        for message in read_messages(result, list(kinds)):
+            cls = message_class(message.type_name)
+            writer.write_raw(message.topic, cls, message.data, message.log_time)
+    record = read_record(bag)
+    assert record.bodies == ('crank', 'coupler', 'rocker')
+    assert not pairs_of(record)
+    assert np.isfinite(record.columns['crank', 'ijp']).sum() > 50
 
 
 @pytest.mark.parametrize('plane', ['xy', 'yz', 'zx'])

@@ -36,8 +36,9 @@ from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
 Bag = Callable[..., Path]
 Figures = dict[str, dict[int, np.ndarray]]
 NOISY = {'rate': 100.0, 'duration': 1.2, 'noise': 2e-4, 'dropout': 0.1, 'jitter': 1e-3}
-FOUR_BAR = Settings(bodies=bodies_of('four_bar'))
-CARDAN = Settings(bodies=bodies_of('cardan'))
+FOUR_BAR = Settings(bodies=bodies_of('four_bar'), topics='all')
+CARDAN = Settings(bodies=bodies_of('cardan'), topics='all')
+ONE_BODY = Settings(topics='all')
 TURN = 2 * math.pi
 CENTRODES = (
     'icr',
@@ -251,8 +252,8 @@ def test_coarse_clouds_give_answers_as_coarse_as_they_are(
         assert isinstance(cloud, PointCloud2)
         listed.append(cloud)
     topics = ('body/angular_velocity', 'body/icr', 'body/iap')
-    found = run(write(tmp_path / 'coarse.mcap', listed), Settings(), *topics)
-    expected = run(exact, Settings(), *topics)
+    found = run(write(tmp_path / 'coarse.mcap', listed), ONE_BODY, *topics)
+    expected = run(exact, ONE_BODY, *topics)
     # Coordinates up to 0.7 m in float32 are off by up to 3e-8 m.
     for topic, tolerance in (('angular_velocity', 1e-5), ('icr', 1e-6), ('iap', 1e-5)):
         times, values = vectors(found, f'/kinpole/body/{topic}')
@@ -269,7 +270,7 @@ def test_coarse_clouds_give_answers_as_coarse_as_they_are(
 def test_a_wheel_rolls_its_rim_on_a_line(simulated: Bag, run: Any) -> None:
     radius = 0.1
     bag = simulated('rolling_wheel', duration=1.5)
-    found = run(bag, Settings(), *(f'body/{name}' for name in CENTRODES))
+    found = run(bag, ONE_BODY, *(f'body/{name}' for name in CENTRODES))
     times, icr = vectors(found, '/kinpole/body/icr')
     assert len(times) == 280
     hub = TURN * radius * times
@@ -320,7 +321,7 @@ def test_a_rod_on_two_guides_has_cardans_circles_for_centrodes(
         'markers: {rod: {a: [-0.14, 0.0], b: [-0.03, 0.02], c: [0.13, 0.01]}}\n'
     )
     bag = simulated(scene, duration=1.5)
-    settings = Settings(bodies={'rod': ('a', 'b', 'c')})
+    settings = Settings(bodies={'rod': ('a', 'b', 'c')}, topics='all')
     found = run(bag, settings, *(f'rod/{name}' for name in CENTRODES))
     times, icr = vectors(found, '/kinpole/rod/icr')
     assert len(times) == 280
@@ -392,10 +393,9 @@ def test_other_planes_are_the_same_but_for_the_axes(
         turned = np.empty_like(points)
         turned[:, AXES[plane]] = points + [0, 0, 0.5]
         listed.append(to_message('marker_array', stamp, 'world', names, turned))
-    bodies = CARDAN.bodies
     topics = ('icr', 'iap', 'icr_velocity', 'angular_velocity', 'centrode_curvature')
     only = [f'rod/{topic}' for topic in topics]
-    found = run(write(tmp_path / 'in.mcap', listed), Settings(bodies=bodies, plane=plane), *only)
+    found = run(write(tmp_path / 'in.mcap', listed), replace(CARDAN, plane=plane), *only)
     expected = run(bag, CARDAN, *only)
     for topic in topics:
         times, values = vectors(found, f'/kinpole/rod/{topic}')
@@ -486,7 +486,7 @@ def test_markers_may_go_by_place_number_namespace_or_both(simulated: Bag, run: A
     }
     for identity, way in ways.items():
         bodies = {body: tuple(map(way, listed)) for body, listed in FOUR_BAR.bodies.items()}
-        assert_alike(run(bag, Settings(bodies=bodies, marker_identity=identity)), expected)
+        assert_alike(run(bag, replace(FOUR_BAR, bodies=bodies, marker_identity=identity)), expected)
 
 
 def test_frames_of_many_layouts_are_handed_over_together(
@@ -599,7 +599,7 @@ def test_a_pinned_body_has_a_pole_and_no_curvature_and_diagnostics_say_why(
 def test_topics_without_a_message_are_there_to_be_asked_for(simulated: Bag, tmp_path: Path) -> None:
 
     bag = still(tmp_path / 'in.mcap', lambda t: 0j)
-    replay(bag, Settings(), tmp_path / 'out.mcap')
+    replay(bag, ONE_BODY, tmp_path / 'out.mcap')
     results = {row.under('/kinpole') for row in result_outputs(('body',), 'xy')}
     assert set(topics_of(tmp_path / 'out.mcap')) == results | {'/diagnostics'}
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_layouts_of_trackers import openpose
 
 from kinpole_ros import planar
 from kinpole_ros.bags import (
@@ -155,7 +156,8 @@ def test_long_recordings_are_thinned_evenly_and_say_so(blocks) -> None:
 
 
 def test_report_of_results_is_that_of_their_markers(made, tmp_path) -> None:
-    settings = load_settings(ROOT / 'config' / 'four_bar.yaml')
+    # With the relative centers of all pairs.
+    settings = load_settings(ROOT / 'config' / 'four_bar.yaml', changes={'topics': 'all'})
     results, output = tmp_path / 'results.mcap', tmp_path / 'results.html'
     replay(BAG, settings, results)
     report(results, output, Settings())
@@ -308,6 +310,14 @@ def test_a_report_of_a_table_imports_it(tmp_path, capsys) -> None:
     )
     assert len([line for line in lines if 'to change: ' in line]) == 5
     assert output.exists()
+
+
+def test_a_report_of_a_folder_of_openpose_imports_it(tmp_path, capsys) -> None:
+    folder = openpose(tmp_path / 'json')
+    words = ['--rate', '50', '--scale', '0.001', '--output', str(tmp_path / 'page.html')]
+    assert main(['report', str(folder), *words]) == 2
+    # Its frames were read, and are too few.
+    assert f'{folder}: no results, since a frame has one when' in capsys.readouterr().err
 
 
 def test_a_report_prints_what_discover_prints_of_markers_in_no_body(tmp_path, capsys) -> None:

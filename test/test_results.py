@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ from kinpole_ros.messages import (
     Output,
     deletion_of_all,
     joint_build,
+    live_outputs,
+    outputs_of,
     result_outputs,
     type_name,
 )
@@ -29,7 +32,7 @@ from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.plane import plane_along
 from kinpole_ros.tracking.tracker import Tracker
-from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, RegisteredQuantity, Vectors
 
 # Along the two axes of each plane, and its normal.
 PLANES = {plane: np.roll(np.eye(3), shift, axis=0) for plane, shift in (('xy', 0), ('yz', -1))}
@@ -131,6 +134,50 @@ def test_the_topics_are_those_of_the_interface() -> None:
     expected = [f'{body}/{topic}' for body in BODIES for topic in one] + pair
     expected += ['state', 'visualization', '/tf']
     assert sorted(row.topic for row in result_outputs(BODIES, 'xy')) == sorted(expected)
+
+
+def test_standard_topics_are_those_that_people_read() -> None:
+    """Of two bodies 24 topics, of eight 84: 56 and 308 were more than anybody looked through."""
+    one = ['odom', *RATE_NAMES[:3], 'icr', 'icr/with_covariance', 'iap/with_covariance']
+    one += ['icr_velocity', 'centrode_curvature', 'event']
+    expected = [f'{body}/{topic}' for body in BODIES for topic in one]
+    expected += ['state', 'visualization', '/tf', 'view']
+    settings = Settings(bodies=dict.fromkeys(BODIES, ('0', '1')))
+    assert sorted(row.topic for row in live_outputs(settings, None)) == sorted(expected)
+    eight = Settings(bodies={f'b{k}': (str(k), '9') for k in range(8)})
+    assert len(live_outputs(eight, None)) == 84
+
+
+def test_standard_topics_have_the_pairs_that_a_joint_joins() -> None:
+    bodies = dict.fromkeys(('a', 'b', 'c'), ('0', '1'))
+    joints = {'knee': ('c', 'b'), 'base': ('ground', 'a')}
+    topics = {row.topic for row in outputs_of(Settings(bodies=bodies, joints=joints), None)}
+    found = {topic for topic in topics if '/wrt/' in topic}
+    assert found == {'c/wrt/b/icr', 'c/wrt/b/angular_velocity'}
+    assert 'joint_states' in topics and 'joint_states/deviation' not in topics
+
+
+def test_what_another_package_registers_is_a_topic_with_its_deviation() -> None:
+    def slip(estimate: Estimate) -> Vectors:
+        return estimate.icr_velocity
+
+    class Registered:
+        def quantities(self, bodies: Sequence[str]) -> list[RegisteredQuantity]:
+            assert tuple(bodies) == BODIES
+            return [RegisteredQuantity('crank/slip', 'vector', 2, 'm/s', slip)]
+
+        def joined_bodies(self) -> list[tuple[str, str]]:
+            return [('crank', 'coupler')]
+
+    settings = Settings(bodies=dict.fromkeys(BODIES, ('0', '1')))
+    plain, full = (
+        {row.topic: row for row in outputs_of(replace(settings, topics=topics), Registered())}
+        for topics in ('standard', 'all')
+    )
+    assert {'crank/slip', 'coupler/wrt/crank/icr'} <= plain.keys()
+    assert 'crank/slip/deviation' in full.keys() - plain.keys()
+    row = plain['crank/slip']
+    assert (row.message_type, row.order, row.unit) == (Vector3Stamped, 2, 'm/s')
 
 
 def test_topics_grow_with_the_number_of_bodies_beyond_those_whose_pairs_are_measured() -> None:

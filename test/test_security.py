@@ -38,7 +38,7 @@ def test_the_policy_names_all_that_the_running_node_uses(tmp_path: Path, namespa
         named(document, group, verb)
         for group, verb in (('topics', 'publish'), ('topics', 'subscribe'), ('services', 'reply'))
     ]
-    words = node_words(FOUR_BAR, use_sim_time=True, marker_type='marker_array')
+    words = node_words(FOUR_BAR, topics='all', use_sim_time=True, marker_type='marker_array')
     peer = Peer()
     try:
         with process(

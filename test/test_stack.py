@@ -24,6 +24,7 @@ SETTINGS = Settings(
     joint_state_rate=37.0,
     lag=0.15,
     scene='four_bar',
+    topics='all',
 )
 COVARIANT = (('nav_msgs', 'Odometry'), ('geometry_msgs', 'PoseWithCovarianceStamped'))
 PERIOD = 10**9 / 37
@@ -171,7 +172,9 @@ def test_every_topic_of_the_documentation_has_its_deviation_or_covariance(
 def test_every_frame_of_a_result_bag_is_on_its_tf(simulated: Bag, tmp_path: Path) -> None:
     bag, prefix = simulated('four_bar', noise=2e-4, duration=1.0), 'rig1/'
     written = tmp_path / 'result.mcap'
-    settings = Settings(bodies=bodies_of('four_bar'), joints=JOINTS, frame_prefix=prefix)
+    settings = Settings(
+        bodies=bodies_of('four_bar'), joints=JOINTS, frame_prefix=prefix, topics='all'
+    )
     replay(bag, settings, written)
     parents: dict[str, str] = {}
     named: dict[str, set[str]] = {}

@@ -46,7 +46,7 @@ def output(plane: str = 'xy', order: int = 4) -> Output:
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The results of a four-bar whose bodies are not all determined all the time."""
     path = tmp_path_factory.mktemp('state') / 'results.mcap'
-    settings = load_settings(ROOT / 'config' / 'four_bar.yaml')
+    settings = load_settings(ROOT / 'config' / 'four_bar.yaml', changes={'topics': 'all'})
     replay(ROOT / 'bags' / 'four_bar.mcap', settings, path)
     return path
 

@@ -156,9 +156,7 @@ def test_what_the_index_leaves_out_is_read_all_the_same(tmp_path, place, plain):
         if isinstance(record, DataEnd):
             summary = len(MCAP0_MAGIC) + builder.count
     path.write_bytes(MCAP0_MAGIC + builder.end() + MCAP0_MAGIC)
-    messages, complaint = read(path)
-    assert messages == expected
-    assert 'its index names 21 chunks' in complaint or 'count 22 chunks' in complaint
+    assert read(path) == (expected, '')
     assert read(path, ['/a'])[0] == [m for m in expected if m.topic == '/a']
 
 

@@ -63,7 +63,9 @@ def scene(folder: Path, name: str = 'loaded', loads: str = LOADS, **changes: str
 
 def config(folder: Path, scene_path: Path | str) -> Path:
     path = folder / 'rig.yaml'
-    path.write_text(f'{CONFIG.read_text(encoding="utf-8")}\n    scene: {scene_path}\n', 'utf-8')
+    path.write_text(
+        f'{CONFIG.read_text(encoding="utf-8")}\n    scene: {scene_path}\n    topics: all\n', 'utf-8'
+    )
     return path
 
 

@@ -10,7 +10,7 @@ from kinpole_ros.bags._files import (
     in_place_of,
     recorder_of,
 )
-from kinpole_ros.bags._import import Imported, import_csv, import_points
+from kinpole_ros.bags._import import Imported, import_points
 from kinpole_ros.bags._marker_frames import NODE_NAME, read_frames
 from kinpole_ros.bags._reader import read_blocks, read_messages, topics
 from kinpole_ros.bags._replay import replay
@@ -32,7 +32,6 @@ __all__ = [
     'assumed_body',
     'bag_files',
     'definition',
-    'import_csv',
     'import_points',
     'in_place_of',
     'message_class',

@@ -1,7 +1,7 @@
 """The messages in a run of MCAP records, by the channels described there."""
 
 import struct
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
@@ -51,7 +51,6 @@ class Channels:
     def __init__(self, path: Path, topics: frozenset[str] | None) -> None:
         self.types: dict[str, str] = {}  # by topic
         self.definitions: dict[str, str] = {}  # by type
-        self.doubt = ''  # what is wrong with the descriptions; '' if nothing
         self._path = path
         self._requested = topics
         self._schemas: dict[int, str] = {}
@@ -59,16 +58,15 @@ class Channels:
         # Topic and type of each channel; None where its messages are not requested.
         self._channels: dict[int, tuple[str, str] | None] = {}
         self._refused: dict[int, str] = {}
-        self._untyped: dict[int, str] = {}
 
     def add(self, record: Schema | Channel) -> None:
-        """Add a description; raises ValueError for a name that no message could show."""
+        """Add a description; raises ValueError for one that cannot be, or contradicts another."""
         name = record.name if isinstance(record, Schema) else record.topic
         if not name.isprintable() or len(name) > _LONGEST_NAME:
             raise ValueError('a name that is none')
         kind = type(record).__name__
         if self._records.setdefault((kind, record.id), record) != record:
-            self.doubt = f'it describes {kind.lower()} {record.id} in two ways'
+            raise ValueError(f'it describes {kind.lower()} {record.id} in two ways')
         if isinstance(record, Schema):
             self._schemas[record.id] = record.name
             self.definitions[record.name] = record.data.decode(errors='replace')
@@ -85,10 +83,13 @@ class Channels:
                 f"{record.message_encoding!r} of type '{type_name}'; fix: give a topic of ROS 2 "
                 'messages (cdr)'
             )
-        elif self._requested is None and record.schema_id not in (0, *self._schemas):
-            self._untyped[record.id] = record.topic
-        else:
+        elif self._requested is not None or record.schema_id in (0, *self._schemas):
             self._channels[record.id] = None
+
+    def add_all(self, records: Iterable[Schema | Channel]) -> None:
+        """Add descriptions in any order, as those of a summary."""
+        for record in sorted(records, key=lambda record: isinstance(record, Channel)):
+            self.add(record)
 
     @property
     def topics(self) -> dict[int, str]:
@@ -101,7 +102,7 @@ class Channels:
 
     def read(self, records: bytes, messages: list[BagMessage]) -> None:
         """Append the requested messages in a run of records; raises where the last one is cut."""
-        # mcap's own loop takes three times as long, and copies images recorded with the markers.
+        # See _layout for the cost of mcap's own loop.
         end, size = 0, len(records)
         remaining = largest(size)
         while end < size:
@@ -112,8 +113,10 @@ class Channels:
                 raise ValueError('a record is cut')
             if opcode == _MESSAGE_OPCODE:
                 channel_id, log_time = MESSAGE.unpack_from(records, start)
+                if channel_id in self._refused:
+                    raise BagError(self._refused[channel_id])
                 if channel_id not in self._channels:
-                    self._add_undescribed(channel_id)
+                    raise ValueError(f'a message of channel {channel_id}, which is not described')
                 if (channel := self._channels[channel_id]) is not None:
                     data = records[start + MESSAGE.size : end]
                     if data.startswith(ZSTD_MAGIC):  # rosbag2 compressed message by message
@@ -124,16 +127,6 @@ class Channels:
                 self.add(parse_description(opcode, records[start:end]))
             elif opcode == 0:
                 raise ValueError('zeros in place of a record')
-
-    def _add_undescribed(self, channel_id: int) -> None:
-        """Note that the type of a channel is missing, or raise for a channel of which all is."""
-        if channel_id in self._untyped:
-            self.doubt = f'it does not describe the type of {self._untyped[channel_id]}'
-            self._channels[channel_id] = None
-            return
-        if channel_id in self._refused:
-            raise BagError(self._refused[channel_id])
-        raise ValueError(f'a message of channel {channel_id}, which is not described')
 
 
 def parse_description(opcode: int, body: bytes) -> Schema | Channel:

@@ -37,10 +37,10 @@ _MALFORMED = (ValueError, LookupError, TypeError, AttributeError)
 # Endings of files that `kinpole import` reads.
 _POINTS = ('.csv', '.tsv', '.txt', '.trc', '.c3d', '.h5', '.xml', '.trk', '.json')
 _IMPORT = 'fix: make a bag of it by `kinpole import {} --output {}`'
-_CONVERT = 'fix: `rosbags-convert --src {} --dst NEW --dst-storage mcap` (pip install rosbags)'
+CONVERT = 'fix: `rosbags-convert --src {} --dst NEW --dst-storage mcap` (pip install rosbags)'
 
 
-class BagError(ValueError):
+class BagError(Exception):
     """A bag or table that cannot be read or written: one line that names it and the fix."""
 
 
@@ -121,9 +121,9 @@ def _folder_files(folder: Path) -> list[Path]:
         ) from error
     if compression not in (None, '', 'zstd'):
         storage = f'compressed by rosbag2 ({cut(str(compression))})'
-        raise BagError(f'{folder} is a bag {storage}; {_CONVERT.format(folder)}')
+        raise BagError(f'{folder} is a bag {storage}; {CONVERT.format(folder)}')
     if storage not in ('mcap', 'sqlite3'):
-        raise BagError(f'{folder} is a bag in {cut(str(storage))}; {_CONVERT.format(folder)}')
+        raise BagError(f'{folder} is a bag in {cut(str(storage))}; {CONVERT.format(folder)}')
     if not names:
         raise BagError(f'{metadata} names no files; fix: `ros2 bag reindex {folder}`')
     return _checked_files(folder, names)

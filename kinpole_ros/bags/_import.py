@@ -114,37 +114,53 @@ def import_points(
 
     """
     path, output = Path(path), Path(output)
-    for name, value in (('rate', rate), ('scale', scale)):
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise BagError(f'{name} is {value}; fix: give a number greater than 0')
-    if likelihood is not None and not 0 <= likelihood <= 1:
-        raise BagError(f'likelihood is {likelihood}; fix: give a number from 0 to 1')
-    if os.path.exists(output) and os.path.exists(path) and output.samefile(path):
-        raise BagError(f'{output} is the file of points itself; fix: give another one for the bag')
-
-    name, read = read_points(path, format, Options(rate, likelihood))
+    options = Options(rate, likelihood)
+    _check_arguments(path, output, options, scale)
+    name, read = read_points(path, format, options)
     used_scale = read.scale if scale is None else scale
     if used_scale is None or (rate is None and read.times is None):
         raise _incomplete(path, name, read, used_scale, rate)
-    is_flipped = read.y_down if y_down is None else y_down
-    factors = [used_scale, -used_scale if is_flipped else used_scale, used_scale]
+    poses = _scale(path, read, used_scale, read.y_down if y_down is None else y_down)
+    stamps, stamp_notes = _stamps(path, read, rate)
+    _write(output, topic, frame_id, replace(read, poses=poses), stamps, progress)
+    return _describe(name, read, stamps, used_scale, stamp_notes)
+
+
+def _check_arguments(path: Path, output: Path, options: Options, scale: float | None) -> None:
+    """Raise BagError for what cannot be."""
+    for name, value in (('rate', options.rate), ('scale', scale)):
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise BagError(f'{name} is {value}; fix: give a number greater than 0')
+    if options.likelihood is not None and not 0 <= options.likelihood <= 1:
+        raise BagError(f'likelihood is {options.likelihood}; fix: give a number from 0 to 1')
+    if os.path.exists(output) and os.path.exists(path) and output.samefile(path):
+        raise BagError(f'{output} is the file of points itself; fix: give another one for the bag')
+
+
+def _scale(path: Path, read: Points, scale: float, is_flipped: bool) -> np.ndarray | None:
+    """Scale the points in place, as they can be most of what is in memory; return scaled poses."""
+    factors = [scale, -scale if is_flipped else scale, scale]
     poses = read.poses
     with np.errstate(over='ignore'):
-        # In place, as they can be most of what is in memory.
-        points = np.multiply(read.points, factors, out=read.points)
+        np.multiply(read.points, factors, out=read.points)
         if poses is not None:
             # The mirror image of a rotation is one about the mirror image of its axis, backward.
             poses = poses * [*factors, *((-1, 1, -1, 1) if is_flipped else (1, 1, 1, 1))]
-    if np.isinf(points).any():
+    if np.isinf(read.points).any():
         raise BagError(f'scale is {scale}; fix: give the length of the unit of {path} in m')
-    stamps, stamp_notes = _stamps(path, read, rate)
-    _write(output, topic, frame_id, replace(read, poses=poses), stamps, progress)
+    return poses
+
+
+def _describe(
+    name: str, read: Points, stamps: np.ndarray, scale: float, stamp_notes: list[str]
+) -> Imported:
+    """Describe what was written."""
     notes = [*read.notes, *stamp_notes]
     is_seen = ~np.isnan(read.points).any(axis=-1).all(axis=0)
     if not is_seen.all():
         unseen = [shown(read.names[k]) for k in np.flatnonzero(~is_seen)]
         notes.append(f'seen in no frame: {listed(unseen)}')
-    if poses is not None:
+    if read.poses is not None:
         notes.append(
             f'poses are on {TF}, to be read with marker_type: tf and marker_topic: {TF}: '
             f'{listed([shown(body) for body in read.bodies])}'
@@ -157,37 +173,9 @@ def import_points(
         float(steps.sum()),
         1.0 / float(np.median(steps)) if len(steps) else math.nan,
         shown(read.unit),
-        used_scale,
+        scale,
         tuple(notes),
     )
-
-
-def import_csv(
-    csv_path: str | Path,
-    output: str | Path,
-    rate: float | None = None,
-    scale: float = 1.0,
-    y_down: bool = False,
-    topic: str = '/markers',
-    frame_id: str = 'world',
-    progress: Progress | None = None,
-) -> int:
-    """
-    Write the points of a plain table to a bag, by the former name of `import_points`.
-
-    Parameters
-    ----------
-    csv_path, output, rate, scale, y_down, topic, frame_id, progress
-        As for `import_points`.
-
-    Returns
-    -------
-    int
-        The number of frames.
-
-    """
-    given = rate, scale, y_down, topic, frame_id, progress, 'table'
-    return import_points(csv_path, output, *given).frames
 
 
 def _incomplete(

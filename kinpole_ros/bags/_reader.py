@@ -4,18 +4,14 @@ A file is laid out first, as the list of its spans that hold messages, and then 
 Messages are yielded as soon as no later span can hold an earlier one, so memory stays bounded.
 """
 
-import struct
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
-from heapq import heappop, heappush
 from itertools import accumulate, chain
 from operator import attrgetter
 from pathlib import Path
 from typing import BinaryIO
-
-from mcap.records import Channel
 
 from kinpole_ros.bags._channels import BagMessage, Channels, largest
 from kinpole_ros.bags._files import (
@@ -26,7 +22,7 @@ from kinpole_ros.bags._files import (
     open_file,
     unreadable,
 )
-from kinpole_ros.bags._layout import NEVER, Layout, Span, indexed_times, lay_out, read_span
+from kinpole_ros.bags._layout import NEVER, Layout, Span, is_data_changed, lay_out, read_span
 from kinpole_ros.bags._storages import is_sqlite, sqlite_blocks, sqlite_topics
 
 _LATEST = 2**63 - 1  # ns; ROS has no later time
@@ -181,16 +177,11 @@ def _described_channels(path: Path, file: BinaryIO) -> Channels:
     layout = lay_out(path, file)
     with suppress(Exception):  # damaged bytes: what came before them counts
         if layout.channels:
-            _add_summary(channels, layout)
+            channels.add_all(layout.summary)
         else:
             for span in layout.spans:
-                channels.read(read_span(file, span, layout)[0], [])
+                channels.read(read_span(file, span, layout), [])
     return channels
-
-
-def _add_summary(channels: Channels, layout: Layout) -> None:
-    for record in sorted(layout.summary, key=lambda record: isinstance(record, Channel)):
-        channels.add(record)
 
 
 def _read_files(
@@ -235,61 +226,96 @@ def _read_file(
     # No span has messages before its time, so messages up to the horizon can be yielded.
     times = [span.time for span in reversed(spans)]
     horizons = [*accumulate(times, min, initial=NEVER)][-2::-1]
-    queue = _MessageQueue()
-    most = largest(path.stat().st_size)
+    waiting: list[list[BagMessage]] = []  # messages later than the horizon, each list in order
+    earliest, size, most = NEVER, 0, largest(path.stat().st_size)
     counts: Counter[str] = Counter()
-    first, latest, last = NEVER, 0, 0
-    for number, (span, horizon) in enumerate(zip(spans, horizons, strict=True)):
-        messages: list[BagMessage] = []
-        is_damaged = False
-        try:
-            content, index = read_span(file, span, layout)
-            channels.read(content, messages)
-            messages.sort(key=_LOG_TIME)
-            if index and not layout.doubt and (fault := _index_fault(index, messages, channels)):
-                layout.doubt = f'the index of its chunk at byte {span.offset} {fault}'
-            if messages and messages[-1].log_time > _LATEST:
-                del messages[bisect_right(messages, _LATEST, key=_LOG_TIME) :]
-                raise ValueError('a log time after the year 2262')
-        except (BagError, OSError):
-            raise
-        except Exception as error:  # mcap and each decompressor have their own for bad bytes
-            horizon, is_damaged = NEVER, True
+    last = 0  # log time, ns
+    for span, horizon in zip(spans, horizons, strict=True):
+        messages, fault = _messages_in(file, span, layout, channels)
+        if fault:
+            horizon = NEVER
             if span.end <= layout.size:
-                layout.trouble = f'is damaged at byte {span.offset} ({error})'
+                layout.trouble = f'is damaged at byte {span.offset} ({fault})'
         if messages:
-            # Those of a damaged span may be in any order.
-            messages.sort(key=_LOG_TIME)
-            first, latest = min(first, messages[0].log_time), max(latest, messages[-1].log_time)
+            waiting.append(messages)
+            earliest = min(earliest, messages[0].log_time)
             counts.update(map(_TOPIC, messages))
-            queue.push(number, messages)
-        for run in queue.pop_until(horizon):
+            size += sum([len(message.data) for message in messages])
+        if waiting and earliest <= horizon:
+            run = _take_until(horizon, waiting)
+            earliest = min((later[0].log_time for later in waiting), default=NEVER)
+            size -= sum([len(message.data) for message in run])
             last = run[-1].log_time
             yield run
-        if is_damaged:
+        if fault:
             break
-        if queue.size > most:
+        if size > most:
             raise BagError(
                 f'{path}: messages are so far out of order that more than {most >> 20} MiB of '
                 f'them would have to be held; fix: `mcap sort {path} -o NEW.mcap`'
             )
         report(span.end / layout.size)
-    count = counts.total()
     if layout.trouble:
-        read = f'{count} messages up to stamp {last / 1e9:.3f} s (log time) were read'
+        read = f'{counts.total()} messages up to stamp {last / 1e9:.3f} s (log time) were read'
+        fault = f'{layout.trouble}: {read if counts else "there is no message before that"}'
+    elif fault := _count_fault(layout, channels, counts) or _checksum_fault(file, layout):
+        fault = f'has lost messages, or was changed: {fault}; {counts.total()} messages were read'
+    if fault:
         raise Truncated(
-            f'{path} {layout.trouble}: {read if count else "there is no message before that"}; '
-            f'fix: record again, or `mcap recover {path} -o NEW.mcap` for what is left'
+            f'{path} {fault}; fix: record again, or `mcap recover {path} -o NEW.mcap` for what is '
+            'left'
         )
-    integrity = layout.integrity
-    fault = layout.doubt or channels.doubt or integrity.count_fault(counts, channels.topics)
-    if count:
-        fault = fault or integrity.time_fault(first, latest)
-    if fault := fault or integrity.checksum_fault(file):
-        raise Truncated(
-            f'{path} has lost messages, or was changed: {fault}; {count} messages were read; '
-            f'fix: record again, or `mcap recover {path} -o NEW.mcap` for what is left'
-        )
+
+
+def _messages_in(
+    file: BinaryIO, span: Span, layout: Layout, channels: Channels
+) -> tuple[list[BagMessage], str]:
+    """Return the messages in a span, in order, and what is wrong with it, '' if nothing."""
+    messages: list[BagMessage] = []
+    fault = ''
+    try:
+        channels.read(read_span(file, span, layout), messages)
+    except (BagError, OSError):
+        raise
+    except Exception as error:  # mcap and each decompressor have their own for bad bytes
+        fault = str(error) or type(error).__name__
+    messages.sort(key=_LOG_TIME)
+    if messages and messages[-1].log_time > _LATEST:
+        del messages[bisect_right(messages, _LATEST, key=_LOG_TIME) :]
+        fault = fault or 'a log time after the year 2262'
+    return messages, fault
+
+
+def _take_until(horizon: int, waiting: list[list[BagMessage]]) -> list[BagMessage]:
+    """Remove the messages no later than `horizon`, ns, and return them in order."""
+    taken: list[BagMessage] = []
+    for messages in waiting:
+        count = bisect_right(messages, horizon, key=_LOG_TIME)
+        taken += messages[:count]
+        del messages[:count]
+    waiting[:] = filter(None, waiting)
+    taken.sort(key=_LOG_TIME)  # those of equal times stay in the order of the file
+    return taken
+
+
+def _count_fault(layout: Layout, channels: Channels, counts: Counter[str]) -> str:
+    """Compare the numbers of messages by topic with the statistics of the file; '' if equal."""
+    if layout.statistics is None or not layout.statistics.channel_message_counts:
+        return ''
+    claimed: Counter[str] = Counter()
+    for channel, topic in channels.topics.items():
+        claimed[topic] += layout.statistics.channel_message_counts.get(channel, 0)
+    for topic in claimed | counts:
+        if claimed[topic] != counts[topic]:
+            return (
+                f'its statistics count {claimed[topic]} messages on {topic}, there are '
+                f'{counts[topic]}'
+            )
+    return ''
+
+
+def _checksum_fault(file: BinaryIO, layout: Layout) -> str:
+    return 'the checksum of its data is wrong' if is_data_changed(file, layout) else ''
 
 
 def _requested_spans(layout: Layout, channels: Channels) -> list[Span]:
@@ -304,51 +330,7 @@ def _requested_spans(layout: Layout, channels: Channels) -> list[Span]:
     if len(spans) < len(layout.spans):
         # A chunk that is left out may describe the channels of others.
         try:
-            _add_summary(channels, layout)
+            channels.add_all(layout.summary)
         except ValueError:
             return layout.spans
     return spans
-
-
-def _index_fault(index: bytes, messages: list[BagMessage], channels: Channels) -> str:
-    """Compare the indexes of a chunk with its messages; return how they differ, '' if not."""
-    try:
-        times = indexed_times(index, channels.topics)
-    except (ValueError, struct.error):
-        return 'is damaged'
-    if times == [message.log_time for message in messages]:
-        return ''
-    if len(times) == len(messages):
-        return 'has messages of other times'
-    return f'has {len(times)} messages, there are {len(messages)}'
-
-
-class _MessageQueue:
-    """Runs of messages, each in order, until no span can have an earlier message."""
-
-    def __init__(self) -> None:
-        # The time of the next message, the number of the run, the next one's index, the run.
-        self._runs: list[tuple[int, int, int, list[BagMessage]]] = []
-        self._sizes: dict[int, int] = {}
-        self.size = 0  # bytes
-
-    def push(self, number: int, messages: list[BagMessage]) -> None:
-        self._sizes[number] = sum([len(message.data) for message in messages])
-        self.size += self._sizes[number]
-        heappush(self._runs, (messages[0].log_time, number, 0, messages))
-
-    def pop_until(self, horizon: int) -> Iterator[list[BagMessage]]:
-        """Remove and yield the messages no later than `horizon`, ns, in order."""
-        while self._runs and self._runs[0][0] <= horizon:
-            _, number, start, run = heappop(self._runs)
-            end = horizon
-            if self._runs:  # of equal times those that come first in the file
-                next_time, next_number = self._runs[0][:2]
-                end = min(end, next_time if number < next_number else next_time - 1)
-            stop = len(run)
-            if run[-1].log_time > end:
-                stop = bisect_right(run, end, start, key=_LOG_TIME)
-                heappush(self._runs, (run[stop].log_time, number, stop, run))
-            else:
-                self.size -= self._sizes.pop(number)
-            yield run[start:stop]

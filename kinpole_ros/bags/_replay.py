@@ -27,7 +27,6 @@ from kinpole_ros.messages import (
     outputs_of,
     reader_of,
     serialize_message,
-    theory_of,
 )
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
@@ -162,7 +161,12 @@ class _Replaying:
     ) -> None:
         self._bag, self._settings, self._stretch = bag, settings, stretch
         self._topic, self._kind = source
-        theory = theory_of(settings)
+        theory = None
+        if settings.scene:
+            # Imported only with a scene: it takes longer than a short replay.
+            from kinpole_ros.linkage.theory import load_theory
+
+            theory = load_theory(settings)
         self._tracker = Tracker(settings)
         self._reader = reader_of(self._kind, settings)
         self._outputs = outputs_of(settings, theory)

@@ -1,28 +1,23 @@
 """Messages of bags in other storages than MCAP: SQLite, rosbag2's former default, and ROS 1."""
 
 import bz2
-import io
 import sqlite3
-import struct
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import zstandard
 
 from kinpole_ros.bags._channels import BagMessage, unpack_message
-from kinpole_ros.bags._files import SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
+from kinpole_ros.bags._files import CONVERT, SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
 from kinpole_ros.bags._layout import unpack_lz4
-from kinpole_ros.files import open_regular, printable
+from kinpole_ros.files import printable
 
 _LARGEST_MESSAGE = 1 << 25  # bytes of a message in SQLite, unpacked
 _BLOCK, _BLOCK_BYTES = 1000, 1 << 20  # messages read at a time
 _TABLES = {'topics', 'messages'}
-_ROS1_MAGIC = b'#ROSBAG V2.0\n'
-_MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7  # kinds of records in ROS 1
-_LARGEST_RECORD = 1 << 26  # bytes of a record in ROS 1, and of a chunk unpacked
-_SIZE = struct.Struct('<I')
+_LARGEST_ROS1_CHUNK = 1 << 26  # bytes, unpacked; rosbag makes chunks of 768 KiB
 
 
 def is_sqlite(file: BinaryIO) -> bool:
@@ -43,8 +38,6 @@ def _open_sqlite(path: Path) -> Iterator[sqlite3.Connection]:
             if not {name for (name,) in tables} >= _TABLES:
                 raise BagError(f'{path} has no tables of rosbag2; fix: record again')
             yield file
-    except BagError:
-        raise
     except (sqlite3.Error, zstandard.ZstdError, ValueError, OverflowError) as error:
         raise Truncated(
             f'{path} is damaged ({printable(str(error)[:80])}); fix: record again, or '
@@ -78,14 +71,17 @@ def sqlite_blocks(path: Path, requested: frozenset[str] | None) -> Iterator[list
         topics = {number: (str(name), str(kind)) for number, name, kind in rows}
         ids = [k for k, (name, _) in topics.items() if requested is None or name in requested]
         messages = file.execute(
-            'SELECT topic_id, timestamp, data FROM messages '
-            f'WHERE topic_id IN ({",".join("?" * len(ids))}) '
-            f'AND length(data) <= {_LARGEST_MESSAGE} ORDER BY timestamp, id',
+            'SELECT topic_id, timestamp, length(data), '
+            f'CASE WHEN length(data) <= {_LARGEST_MESSAGE} THEN data END FROM messages '
+            f'WHERE topic_id IN ({",".join("?" * len(ids))}) ORDER BY timestamp, id',
             ids,
         )
         block: list[BagMessage] = []
-        size = 0
-        for topic, time, data in messages:
+        size = too_large = 0
+        for topic, time, length, data in messages:
+            if data is None and length is not None:
+                too_large += 1
+                continue
             if not (isinstance(time, int) and time >= 0 and isinstance(data, bytes)):
                 raise Truncated(f'{path} is damaged at time {time}; fix: record again')
             if data.startswith(ZSTD_MAGIC):  # compressed message by message
@@ -97,95 +93,53 @@ def sqlite_blocks(path: Path, requested: frozenset[str] | None) -> Iterator[list
                 block, size = [], 0
         if block:
             yield block
+    if too_large:
+        raise Truncated(
+            f'{path}: messages of more than {_LARGEST_MESSAGE >> 20} MiB, {too_large} of them, are '
+            f'left out; {CONVERT.format(path)}'
+        )
 
 
-class Ros1Message(NamedTuple):
-    """A message of ROS 1 with its topic, and its type as described in the bag."""
+@contextmanager
+def _open_ros1(path: Path) -> Iterator[Any]:
+    """Open a whole bag of ROS 1 by rosbags, whose chunks unpack to a bounded size."""
+    # Only these bags need it.
+    from rosbags.rosbag1 import Reader
+    from rosbags.rosbag1.reader import decompressors
 
-    topic: str
-    type_name: str  # 'package/Type'
-    definition: str
-    data: bytes
-    log_time: int  # ns
-
-
-def ros1_messages(path: Path) -> Iterator[Ros1Message]:
-    """
-    Yield the messages of a ROS 1 bag (version 2.0) in file order.
-
-    Raises Truncated at the place where the bag is cut or damaged, since rosbags needs an index at
-    its end.
-    """
-    connections: dict[bytes, tuple[str, str, str]] = {}
-    with open_regular(path) as file:
-        if file.read(len(_ROS1_MAGIC)) != _ROS1_MAGIC:
-            raise BagError(f'{path} is a ROS 1 bag of another version than 2.0; fix: `rosbag fix`')
-        try:
-            for fields, data in _ros1_records(file):
-                if fields[b'op'][0] == _CHUNK:
-                    records = _ros1_records(io.BytesIO(_unpack(fields, data)))
-                else:
-                    records = iter([(fields, data)])
-                for inner, content in records:
-                    yield from _ros1_message(inner, content, connections)
-        except (struct.error, LookupError, ValueError, OSError, EOFError, RuntimeError) as error:
-            reason = printable(str(error)[:80]) or type(error).__name__
-            raise Truncated(
-                f'{path} is cut off or damaged before byte {file.tell()} ({reason}); '
-                f'fix: `rosbag reindex {path}`'
-            ) from error
+    bounded = {decompressors['bz2']: _unpack_bz2, decompressors['lz4']: _unpack_lz4}
+    try:
+        with Reader(path) as bag:
+            for position, chunk in bag.chunks.items():
+                unpack = bounded.get(chunk.decompressor, chunk.decompressor)
+                bag.chunks[position] = chunk._replace(decompressor=unpack)
+            yield bag
+    except Exception as error:  # rosbags and each decompressor have their own for bad bytes
+        reason = printable(str(error)[:80]) or type(error).__name__
+        raise BagError(
+            f'{path} is not a whole ROS 1 bag, it is cut off or damaged ({reason}); '
+            f'fix: `rosbag reindex {path}`, or record again'
+        ) from error
 
 
-def _ros1_records(file: BinaryIO) -> Iterator[tuple[dict[bytes, bytes], bytes]]:
-    """Yield the fields of the header and the data of each record."""
-    while start := file.read(_SIZE.size):
-        header = _read(file, *_SIZE.unpack(start))
-        yield _fields(header), _read(file, *_SIZE.unpack(file.read(_SIZE.size)))
+def _unpack_bz2(data: bytes) -> bytes:
+    return bz2.BZ2Decompressor().decompress(data, _LARGEST_ROS1_CHUNK)
 
 
-def _read(file: BinaryIO, size: int) -> bytes:
-    if size > _LARGEST_RECORD:
-        raise ValueError(f'a record of {size} bytes')
-    data = file.read(size)
-    if len(data) < size:
-        raise ValueError('a record is cut')
-    return data
+def _unpack_lz4(data: bytes) -> bytes:
+    return unpack_lz4(data, _LARGEST_ROS1_CHUNK)
 
 
-def _fields(header: bytes) -> dict[bytes, bytes]:
-    fields, offset = {}, 0
-    while offset < len(header):
-        (size,) = _SIZE.unpack_from(header, offset)
-        offset += _SIZE.size + size
-        name, _, value = header[offset - size : offset].partition(b'=')
-        fields[name] = value
-    return fields
+def ros1_topics(path: Path) -> tuple[dict[str, str], dict[str, str]]:
+    """Read types by topic, and definitions by type."""
+    with _open_ros1(path) as bag:
+        types = {one.topic: one.msgtype for one in bag.connections}
+        return types, {one.msgtype: one.msgdef.data for one in bag.connections}
 
 
-def _unpack(fields: dict[bytes, bytes], data: bytes) -> bytes:
-    compression = fields[b'compression']
-    if compression == b'bz2':
-        return bz2.BZ2Decompressor().decompress(data, _LARGEST_RECORD)
-    if compression == b'lz4':
-        return unpack_lz4(data, _LARGEST_RECORD)
-    if compression != b'none':
-        raise ValueError(f'compression {compression!r}')
-    return data
-
-
-def _ros1_message(
-    fields: dict[bytes, bytes], data: bytes, connections: dict[bytes, tuple[str, str, str]]
-) -> Iterator[Ros1Message]:
-    """Yield the message in a record, or add the connection that it describes."""
-    kind = fields[b'op'][0]
-    if kind == _CONNECTION:
-        about = _fields(data)
-        texts = fields[b'topic'], about[b'type'], about[b'message_definition']
-        topic, name, definition = (text.decode() for text in texts)
-        if not (topic.isprintable() and name.isprintable()):
-            raise ValueError('a name that is none')
-        connections[fields[b'conn']] = topic, name, definition
-    elif kind == _MESSAGE:
-        seconds, nanoseconds = struct.unpack('<II', fields[b'time'])
-        log_time = seconds * 1_000_000_000 + nanoseconds
-        yield Ros1Message(*connections[fields[b'conn']], data, log_time)
+def ros1_messages(path: Path, topics: Collection[str]) -> Iterator[BagMessage]:
+    """Yield the messages on these topics, in the encoding of ROS 1, in order of log time."""
+    with _open_ros1(path) as bag:
+        requested = [one for one in bag.connections if one.topic in topics]
+        for one, log_time, data in bag.messages(requested) if requested else ():
+            yield BagMessage(one.topic, one.msgtype, data, log_time)

@@ -1,7 +1,8 @@
 """Bags as rosbag2 writes them, so that `ros2 bag`, Foxglove and other tools read ours.
 
 The records are mcap's. Messages and their indexes are packed here by numpy: mcap's own writer takes
-four times as long for a message, and a replay with all topics would take half as long again.
+four times as long for a message. A whole `replay --output` hardly shows it: 0.99 times the CPU time
+with mcap's (median of 14 alternating pairs, from 0.92 to 1.24).
 """
 
 import struct

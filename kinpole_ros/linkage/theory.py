@@ -7,7 +7,8 @@ a tracked body, the scene is also moved to where the rig is, and its rates are c
 """
 
 import re
-from collections.abc import Container
+from collections.abc import Container, Sequence
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -32,11 +33,13 @@ from kinpole_ros.planar._poles import center_offset, point_motion
 from kinpole_ros.settings import POSE_TYPES, ParameterError, Settings, of_poses
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.reasons import SIGNIFICANT
-from kinpole_ros.tracking.values import Numbers, Vectors
+from kinpole_ros.tracking.values import Numbers, RegisteredQuantity, Vectors
 
 # Time between instants whose rates are compared, ns: the golden ratio, so that no rate of a
 # machine always shows the same position.
 _COMPARED_NS = 618_033_989
+# Ends of the topics of a point, and their units, by the order of the derivative.
+_POINT_TOPICS = (('', 'm'), ('/velocity', 'm/s'), ('/acceleration', 'm/s²'), ('/jerk', 'm/s³'))
 # Names that may be part of a topic's.
 _TOKEN = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 
@@ -91,6 +94,32 @@ class Theory(NamedTuple):
     def balances(self) -> bool:
         """Whether the scene has loads, and a tracked body that can balance them."""
         return bool(self.loads) and bool(self.driver or self.scene.held_by)
+
+    def joined_bodies(self) -> list[tuple[str, str]]:
+        """Return the pairs of bodies that have a joint in the scene."""
+        return [(joint.one, joint.other) for joint in self.scene.mechanism.assembly.joints]
+
+    def quantities(self, bodies: Sequence[str]) -> list[RegisteredQuantity]:
+        """Return the motion of the points of interest, and the balance of the loads, as topics."""
+        found = [
+            RegisteredQuantity(
+                f'{point.body}/points/{point.name}{end}',
+                'vector' if order else 'point',
+                max(order, 1),
+                unit,
+                partial(measured_point, self, point, order),
+                bodies.index(point.body),
+            )
+            for point in points_of_interest(self)
+            for order, (end, unit) in enumerate(_POINT_TOPICS)
+        ]
+        if self.balances:
+            holder = self.scene.held_by
+            is_torque = holder is None or holder.point is None
+            kind, unit = ('torque', 'N m') if is_torque else ('force', 'N')
+            effort = balance if is_torque else balance_force
+            found.append(RegisteredQuantity('balance', kind, 1, unit, partial(effort, self)))
+        return found
 
 
 def load_theory(settings: Settings) -> Theory:
@@ -314,6 +343,16 @@ def balance_direction(theory: Theory, estimate: Estimate) -> np.ndarray | None:
         # Where the angle is not known, the force is not determined either.
         direction = direction * np.exp(1j * np.where(np.isfinite(angle), angle, 0.0))
     return np.asarray(direction)
+
+
+def balance_force(theory: Theory, estimate: Estimate) -> Vectors:
+    """The force of `balance` along its direction, (T,)."""
+    value, variance, determined = balance(theory, estimate)
+    direction = balance_direction(theory, estimate)
+    assert direction is not None
+    along = np.stack((direction.real, direction.imag), axis=-1)
+    matrix = variance[:, None, None] * along[:, :, None] * along[:, None, :]
+    return Vectors(value * direction, matrix, determined)
 
 
 def _port(theory: Theory, load: Load, frames: Frames, estimate: Estimate) -> Port:

@@ -25,7 +25,6 @@ from kinpole_ros.messages._results import (
     live_outputs,
     outputs_of,
     result_outputs,
-    theory_of,
 )
 from kinpole_ros.messages._state import STATE, read_state, read_states, state_fields
 from kinpole_ros.messages._types import (
@@ -103,7 +102,6 @@ __all__ = [
     'shape_fault',
     'stamp_to_ns',
     'state_fields',
-    'theory_of',
     'tilt_fault',
     'to_message',
     'type_name',

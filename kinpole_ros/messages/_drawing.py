@@ -5,9 +5,10 @@ Viewers drop a marker with a NaN in it, and keep a marker until it is deleted. S
 markers are the same in every message, and one that is not drawn is deleted by name.
 """
 
+import math
 import struct
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,47 +40,56 @@ _BODY_MARKERS = (
 _Color = tuple[float, float, float, float]
 
 
-class Trail:
-    """The last poles of a body, in the frame of the ground and in that of the body."""
+class Trail(NamedTuple):
+    """The last poles of a body: stamps, ns, in the frame of the ground and in its own; heights."""
 
-    def __init__(self) -> None:
-        self._last_estimate: Estimate | None = None
-        self._run = 0
-        self._clear()
-
-    def _clear(self) -> None:
-        self.stamps = np.empty(0, np.int64)
-        self.fixed = self.moving = np.empty(0, complex)
-        self.heights = np.empty(0)
-
-    def append(self, estimate: Estimate, b: int) -> None:
-        """Append the poles of an estimate, one every 10 ms, unless they were appended before."""
-        if estimate is self._last_estimate:
-            return
-        self._last_estimate = estimate
-        if estimate.run != self._run:
-            self._run = estimate.run
-            self._clear()
-        pole = estimate.pole(1)
-        rows = pole.determined[:, b].nonzero()[0]
-        if len(self.stamps):
-            rows = rows[estimate.stamp[rows] >= self.stamps[-1] + _TRAIL_STEP]
-        if not len(rows):
-            return
-        rows = rows[_spaced(estimate.stamp[rows], _TRAIL_STEP)]
-        fixed = pole.value[rows, b]
-        moving = (fixed - estimate.origin(0)[rows, b]) * np.exp(-1j * estimate.angle[0, rows, b])
-        # Drawings of the instants of this estimate still need the points before them.
-        old = slice(-_TRAIL_POINTS, None)
-        self.stamps = np.concatenate((self.stamps[old], estimate.stamp[rows]))
-        self.fixed = np.concatenate((self.fixed[old], fixed))
-        self.moving = np.concatenate((self.moving[old], moving))
-        self.heights = np.concatenate((self.heights[old], estimate.height[rows, b]))
+    stamps: np.ndarray
+    fixed: np.ndarray
+    moving: np.ndarray
+    heights: np.ndarray
 
     def until(self, stamps: np.ndarray) -> list[slice]:
         """Return the slice of the points that are drawn at each of the stamps."""
         ends = self.stamps.searchsorted(stamps, side='right').tolist()
         return [slice(max(0, end - _TRAIL_POINTS), end) for end in ends]
+
+
+_NO_TRAIL = Trail(np.empty(0, np.int64), np.empty(0, complex), np.empty(0, complex), np.empty(0))
+
+
+class Trails:
+    """The trails of all bodies, with a pole every 10 ms."""
+
+    def __init__(self, bodies: int) -> None:
+        self._last_estimate: Estimate | None = None
+        self._run = 0
+        self._trails = [_NO_TRAIL] * bodies
+
+    def until_last(self, estimate: Estimate) -> list[Trail]:
+        """Return the trails up to the last instant of the newest estimate."""
+        if estimate is not self._last_estimate:
+            self._last_estimate = estimate
+            self._append(estimate)
+        return self._trails
+
+    def _append(self, estimate: Estimate) -> None:
+        if estimate.run != self._run:
+            self._run, self._trails = estimate.run, [_NO_TRAIL] * len(self._trails)
+        poles, stamps, angles = estimate.pole(1), estimate.stamp, estimate.angle[0]
+        origins, heights = estimate.origin(0), estimate.height
+        for b, trail in enumerate(self._trails):
+            rows = poles.determined[:, b].nonzero()[0]
+            if len(trail.stamps):
+                rows = rows[stamps[rows] >= trail.stamps[-1] + _TRAIL_STEP]
+            if not len(rows):
+                continue
+            rows = rows[_spaced(stamps[rows], _TRAIL_STEP)]
+            fixed = poles.value[rows, b]
+            moving = (fixed - origins[rows, b]) * np.exp(-1j * angles[rows, b])
+            new = Trail(stamps[rows], fixed, moving, heights[rows, b])
+            # Drawings of the instants of this estimate still need the points before them.
+            pairs = zip(trail, new, strict=True)
+            self._trails[b] = Trail(*(np.append(old[-_TRAIL_POINTS:], one) for old, one in pairs))
 
 
 def _spaced(stamps: np.ndarray, step: int) -> list[int]:
@@ -118,12 +128,12 @@ class _Schedule:
         return due
 
 
-def centrode(b: int, given: Plane, trail: Trail, frame: str | None) -> Build:
+def centrode(b: int, given: Plane, trails: Trails, frame: str | None) -> Build:
     """Return a function that makes paths of a centrode: on the ground, or on the body's `frame`."""
     schedule = _Schedule()
 
     def build(estimate: Estimate) -> Built:
-        trail.append(estimate, b)
+        trail = trails.until_last(estimate)[b]
         if schedule.is_idle(estimate) or not len(trail.stamps):
             return [], []
         is_drawn = (estimate.missing[:, b] == '') & (estimate.stamp >= trail.stamps[0])
@@ -179,7 +189,7 @@ class _Drawn(NamedTuple):
     text: str = ''
 
 
-def drawing(bodies: tuple[str, ...], given: Plane, trails: list[Trail], highest: int) -> Build:
+def drawing(bodies: tuple[str, ...], given: Plane, trails: Trails, highest: int) -> Build:
     """
     Return a function that draws these bodies and their pairs, ten times a second of stamps.
 
@@ -190,20 +200,21 @@ def drawing(bodies: tuple[str, ...], given: Plane, trails: list[Trail], highest:
     names = [f'{body}/{name}' for body in bodies for name in _BODY_MARKERS] + pairs
 
     def build(estimate: Estimate) -> Built:
-        for b in range(len(bodies)):
-            trails[b].append(estimate, b)
+        last = trails.until_last(estimate)
         if schedule.is_idle(estimate):
             return [], []
         due = schedule.due(estimate.stamp, np.arange(len(estimate.stamp)))
-        slices = [trail.until(estimate.stamp[due]) for trail in trails]
+        slices = [trail.until(estimate.stamp[due]) for trail in last]
+        poles = [estimate.pole(order) for order in range(1, highest + 1)]
+        plane = estimate.plane or given
+        turn = _quaternion(plane)
         messages = []
         for k, t in enumerate(due):
-            plane = estimate.plane or given
             drawn: dict[str, _Drawn] = {}
             for b, body in enumerate(bodies):
                 if not estimate.missing[t, b]:
-                    markers = _draw_body(estimate, (t, b), plane, highest)
-                    markers |= _draw_trail(estimate, (t, b), plane, trails[b], slices[b][k])
+                    markers = _draw_body(estimate, (t, b), plane, turn, poles)
+                    markers |= _draw_trail(estimate, (t, b), plane, last[b], slices[b][k])
                     drawn |= {f'{body}/{name}': one for name, one in markers.items()}
             if pairs:
                 drawn |= _draw_pairs(estimate, t, plane, pairs)
@@ -241,7 +252,11 @@ def deletion_of_all(stamp: int, frame_id: str) -> bytes:
 
 
 def _draw_body(
-    estimate: Estimate, index: tuple[int, int], plane: Plane, highest: int
+    estimate: Estimate,
+    index: tuple[int, int],
+    plane: Plane,
+    plane_turn: Sequence[float],
+    poles: Sequence[Vectors],
 ) -> dict[str, _Drawn]:
     """Draw the outline, name and poles of a body at an instant, `index` (t, b)."""
     size, height = _size(estimate, index), estimate.height[index]
@@ -258,15 +273,16 @@ def _draw_body(
         middle = plane.in_space(outline[:-1].mean()[None], height)
         scale, text = (0.0, 0.0, size / 6), estimate.bodies[index[1]]
         markers['name'] = _Drawn(Marker.TEXT_VIEW_FACING, middle, scale, (*color, 1.0), text=text)
-    for order, name in enumerate(POLE_NAMES[:highest], 1):
-        pole = estimate.pole(order)
+    for name, pole, alpha in zip(POLE_NAMES, poles, _POLE_ALPHAS, strict=False):
         if pole.determined[index]:
-            tint = (*color, _POLE_ALPHAS[order - 1])
+            tint = (*color, alpha)
             point = plane.in_space(pole.value[index][None], height)
             markers[name] = _Drawn(Marker.SPHERE, point, (size / 20,) * 3, tint)
-            markers[f'{name}/deviation'] = _ellipse(pole, index, plane, point, size / 200, tint)
-    if highest > 1 and estimate.pole(1).determined[index] and estimate.icr_moves[index]:
-        tail = estimate.pole(1).value[index]
+            markers[f'{name}/deviation'] = _ellipse(
+                *(pole.covariance[index], plane_turn, point, size / 200, tint)
+            )
+    if len(poles) > 1 and poles[0].determined[index] and estimate.icr_moves[index]:
+        tail = poles[0].value[index]
         head = tail + _VELOCITY_SCALE * estimate.icr_velocity.value[index]
         points = plane.in_space(np.array([tail, head]), height)
         scale = (size / 50, size / 25, 0.0)
@@ -314,34 +330,40 @@ def _draw_pairs(estimate: Estimate, t: int, plane: Plane, names: list[str]) -> d
 
 
 def _ellipse(
-    pole: Vectors,
-    index: tuple[int, int],
-    plane: Plane,
+    covariance: np.ndarray,
+    turn: Sequence[float],
     point: np.ndarray,
     thickness: float,
     color: _Color,
 ) -> _Drawn:
-    """Draw the ellipse of two standard deviations about a pole, as a flat sphere."""
-    variances, axes = np.linalg.eigh(pole.covariance[index])
-    first, second = _ELLIPSE_SIGMAS * 2 * np.sqrt(np.maximum(variances, 0.0)) + 1e-12
-    # The columns are the axes of the sphere in space, right-handed.
-    across = plane.basis[:2].T @ axes
-    quaternion = _quaternion(np.column_stack((across, np.cross(*across.T))))
-    scale = (float(first), float(second), thickness)
-    return _Drawn(Marker.SPHERE, point, scale, (*color[:3], color[3] / 3), quaternion)
+    """Draw the ellipse of two standard deviations about a pole in a plane, as a flat sphere."""
+    major, minor, direction = ellipse_axes(covariance.tolist())
+    # The plane turned about its normal, by a product of quaternions.
+    (x, y, z, w), s, c = turn, math.sin(direction / 2), math.cos(direction / 2)
+    quaternion = (x * c + y * s, y * c - x * s, z * c + w * s, w * c - z * s)
+    first, second = (2 * _ELLIPSE_SIGMAS * sigma + 1e-12 for sigma in (major, minor))
+    tint = (*color[:3], color[3] / 3)
+    return _Drawn(Marker.SPHERE, point, (first, second, thickness), tint, quaternion)
 
 
-def _quaternion(rotation: np.ndarray) -> list[float]:
-    """The quaternion x, y, z, w of a rotation matrix, as an eigenvector (Bar-Itzhack 2000)."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation.tolist()
+def ellipse_axes(covariance: Any) -> tuple[float, float, float]:
+    """Semi-axes of the ellipse of one standard deviation, and the direction of the major, rad."""
+    (xx, xy), (_, yy) = covariance
+    mean, radius = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
+    major, minor = (math.sqrt(max(variance, 0.0)) for variance in (mean + radius, mean - radius))
+    return major, minor, math.atan2(2 * xy, xx - yy) / 2
+
+
+def _quaternion(plane: Plane) -> tuple[float, ...]:
+    """The quaternion x, y, z, w of the axes of a plane, as an eigenvector (Bar-Itzhack 2000)."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = plane.basis.T.tolist()
     matrix = [
         [xx - yy - zz, yx + xy, zx + xz, zy - yz],
         [yx + xy, yy - xx - zz, zy + yz, xz - zx],
         [zx + xz, zy + yz, zz - xx - yy, yx - xy],
         [zy - yz, xz - zx, yx - xy, xx + yy + zz],
     ]
-    quaternion: list[float] = np.linalg.eigh(np.array(matrix) / 3)[1][:, -1].tolist()
-    return quaternion
+    return tuple(np.linalg.eigh(np.array(matrix) / 3)[1][:, -1].tolist())
 
 
 def _write_marker(

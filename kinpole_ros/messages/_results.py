@@ -1,14 +1,14 @@
 """
-The table of all topics of results: name, type, the derivative it needs, and how it is made.
+The table of all topics of results: a row has name, type, derivative, unit, and how it is made.
 
 Node, replay and simulate publish the rows of this table. A topic that nobody reads is not made.
+Other packages register quantities (`Registered`): this one imports none of them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
-from kinpole_ros.messages._drawing import Trail, centrode, drawing
+from kinpole_ros.messages._drawing import Trails, centrode, drawing
 from kinpole_ros.messages._events import events
 from kinpole_ros.messages._joints import joint_states
 from kinpole_ros.messages._rows import (
@@ -24,7 +24,7 @@ from kinpole_ros.messages._rows import (
     Build,
     Row,
     Rows,
-    balance_rows,
+    registered_row,
     stamped,
 )
 from kinpole_ros.messages._state import STATE, state
@@ -46,17 +46,17 @@ from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import XY, Plane, PlaneSetting, plane_of
 from kinpole_ros.tracking.quantities import CURVATURE, VELOCITY
-from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, measured_pairs
-
-if TYPE_CHECKING:
-    from kinpole_ros.linkage.theory import Theory
+from kinpole_ros.tracking.values import (
+    POLE_NAMES,
+    RATE_NAMES,
+    RegisteredQuantity,
+    measured_pairs,
+)
 
 DRAWING = 'visualization'
 """The topic of the drawing for RViz and Foxglove."""
 TF = '/tf'
 """The topic of frames, the same for all nodes."""
-# Of the names of topics, and whether such a topic has standard deviations.
-_SUFFIXES = ('', False), ('/deviation', True)
 
 
 class Output(NamedTuple):
@@ -67,13 +67,15 @@ class Output(NamedTuple):
     of instants, in order, and a serialized message for each. An instant at which nothing is
     determined, or no drawing is due, has none. `interval`, s of wall time, is the least time
     between messages for a display; 0: every frame. Events are searched for only if a topic needs
-    them: `of_events`.
+    them: `of_events`. Others than the standard topics exist with `topics: all` only.
     """
 
     topic: str
     message_type: type
     order: int
     build: Build
+    unit: str = ''
+    is_standard: bool = True
     interval: float = 0.0
     of_events: bool = False
 
@@ -100,49 +102,169 @@ def joint_build(
     """
     builds = [(k, output.build) for k, output in enumerate(outputs)]
     compiled = [(k, build) for k, build in builds if isinstance(build, Rows)]
-    others = [(k, build) for k, build in builds if not isinstance(build, Rows)]
+    others = [
+        (k, output.build, output.of_events)
+        for k, output in enumerate(outputs)
+        if not isinstance(output.build, Rows)
+    ]
     topics = [k for k, rows in compiled for _ in rows.rows]
     given = compiled[0][1].given if compiled else XY
     all_rows = Rows([row for _, rows in compiled for row in rows.rows], given)
 
     def build_all(estimate: Estimate) -> list[tuple[int, bytes]]:
         messages = [(topics[row], data) for row, data in all_rows.messages(estimate)]
-        messages += [(k, data) for k, build in others for data in build(estimate)[1]]
+        for k, build, of_events in others:
+            if not of_events or estimate.events:
+                messages += [(k, data) for data in build(estimate)[1]]
         return messages
 
     return build_all
 
 
-class _Table:
-    """The rows of the table so far."""
+class Registered(Protocol):
+    """What another package adds to the table, as the theory of a scene does."""
 
-    def __init__(self, given: Plane) -> None:
-        self.given = given
-        self.rows: list[Output] = []
+    def quantities(self, bodies: Sequence[str]) -> Sequence[RegisteredQuantity]:
+        """Return quantities with topics of their own."""
 
-    def add(self, topic: str, kind: type, order: int, build: Build) -> None:
-        self.rows.append(Output(topic, kind, order, build))
+    def joined_bodies(self) -> Sequence[tuple[str, str]]:
+        """Return the pairs of bodies that have a joint."""
 
-    def add_row(self, topic: str, kind: type, row: Row) -> None:
-        self.add(topic, kind, row.order, Rows([row], self.given))
 
-    def add_with_deviation(self, topic: str, kind: type, row: Row) -> None:
-        """Add a topic and the topic of its standard deviation."""
-        self.add_row(topic, kind, row)
-        self.add_row(f'{topic}/deviation', kind, row._replace(is_deviation=True))
+class _Rig(NamedTuple):
+    """The bodies that a table is made for: names, names of their frames, and their poles so far."""
+
+    bodies: Sequence[str]
+    frames: Sequence[str]
+    trails: Trails
+    plane: Plane
+
+
+class TopicRow(NamedTuple):
+    """
+    A row of the table: a topic of each body, or of each pair of bodies.
+
+    `make` gets the rig, the order and one or two bodies. A topic with `has_deviation` has one of
+    its standard deviation below it.
+    """
+
+    name: str
+    message_type: type
+    order: int
+    unit: str
+    make: Callable[..., Row | Build]
+    is_standard: bool = True
+    has_deviation: bool = False
+    of_events: bool = False
+
+
+def _compiled(kind: int, quantity: int) -> Callable[..., Row]:
+    """Return what makes the row of a quantity that compiled code computes."""
+
+    def make(_: _Rig, order: int, body: int, other: int = 0) -> Row:
+        return Row(kind, quantity, stamped(kind), order, body, other)
+
+    return make
+
+
+def _odometry(rig: _Rig, order: int, body: int) -> Row:
+    return Row(ODOMETRY, 0, stamped(ODOMETRY, rig.frames[body]), order, body)
+
+
+def _fixed_centrode(rig: _Rig, _: int, body: int) -> Build:
+    return centrode(body, rig.plane, rig.trails, None)
+
+
+def _moving_centrode(rig: _Rig, _: int, body: int) -> Build:
+    return centrode(body, rig.plane, rig.trails, rig.frames[body])
+
+
+def _events(rig: _Rig, _: int, body: int) -> Build:
+    return events(body, rig.plane)
+
+
+# Standard topics are those of the first derivatives, which people read; `state` has all.
+_STANDARD_RATES, _STANDARD_POLES = 3, 2
+_RATE_UNITS = ('rad/s', 'rad/s²', 'rad/s³', 'rad/s⁴')
+_RATES = (
+    TopicRow(name, Vector3Stamped, k, unit, _compiled(NORMAL, RATE + k), k <= _STANDARD_RATES, True)
+    for k, (name, unit) in enumerate(zip(RATE_NAMES, _RATE_UNITS, strict=True), 1)
+)
+_POLES = (
+    TopicRow(f'{name}{end}', message_type, k, 'm', _compiled(kind, k), k <= last_standard)
+    for k, name in enumerate(POLE_NAMES, 1)
+    for end, message_type, kind, last_standard in (
+        ('', PointStamped, POINT, 1),
+        ('/with_covariance', PoseWithCovarianceStamped, POSE, _STANDARD_POLES),
+    )
+)
+OF_BODY = (
+    TopicRow('odom', Odometry, 1, 'm, rad', _odometry),
+    *_RATES,
+    *_POLES,
+    TopicRow('icr_velocity', Vector3Stamped, 2, 'm/s', _compiled(VECTOR, VELOCITY), True, True),
+    TopicRow(
+        'centrode_curvature', Vector3Stamped, 3, '1/m', _compiled(NORMAL, CURVATURE), True, True
+    ),
+    TopicRow('centrode/fixed', Path, 1, 'm', _fixed_centrode, is_standard=False),
+    TopicRow('centrode/moving', Path, 1, 'm', _moving_centrode, is_standard=False),
+    TopicRow('event', PointCloud2, 1, '', _events, of_events=True),
+)
+_OF_PAIR = (
+    TopicRow('icr', PointStamped, 1, 'm', _compiled(POINT, RELATIVE_CENTER), True, True),
+    TopicRow(
+        'angular_velocity', Vector3Stamped, 1, 'rad/s', _compiled(NORMAL, RELATIVE_RATE), True, True
+    ),
+)
+_OF_REGISTERED = {
+    'point': PointStamped,
+    'vector': Vector3Stamped,
+    'force': WrenchStamped,
+    'torque': WrenchStamped,
+}
+
+
+def _outputs(
+    row: TopicRow, topic: str, rig: _Rig, bodies: tuple[int, ...], is_standard: bool = True
+) -> list[Output]:
+    """Return the topic of a row for a body or a pair, and that of its standard deviation."""
+    made = row.make(rig, row.order, *bodies)
+    builds: list[Build] = [Rows([made], rig.plane) if isinstance(made, Row) else made]
+    if row.has_deviation:
+        assert isinstance(made, Row)
+        builds.append(Rows([made._replace(is_deviation=True)], rig.plane))
+    is_standard = is_standard and row.is_standard
+    return [
+        Output(
+            *(f'{topic}{end}', row.message_type, row.order, build, row.unit),
+            *(is_standard and not end, 0.0, row.of_events),
+        )
+        for end, build in zip(('', '/deviation'), builds, strict=False)
+    ]
+
+
+def _registered_outputs(quantity: RegisteredQuantity, plane: Plane) -> list[Output]:
+    row, kind = registered_row(quantity), _OF_REGISTERED[quantity.kind]
+    return [
+        Output(
+            *(f'{quantity.topic}{end}', kind, quantity.order, Rows([one], plane), quantity.unit),
+            is_standard=not end,
+        )
+        for end, one in (('', row), ('/deviation', row._replace(is_deviation=True)))
+    ]
 
 
 def result_outputs(
     bodies: Sequence[str],
     plane: PlaneSetting,
-    theory: 'Theory | None' = None,
+    registered: Registered | None = None,
     joints: Mapping[str, tuple[str, str]] | None = None,
     frame_prefix: str = '',
     highest: int = 4,
     joint_state_rate: float = 0.0,
 ) -> list[Output]:
     """
-    Return all topics of results for these bodies.
+    Return all topics of results for these bodies, also those that are not standard.
 
     Parameters
     ----------
@@ -150,9 +272,8 @@ def result_outputs(
         Names of the bodies.
     plane : str or tuple
         The parameter `plane`, for estimates without a plane.
-    theory : Theory, optional
-        The theory of a scene. With its loads there is the topic `balance`, with its points those of
-        points.
+    registered : Registered, optional
+        Quantities of another package, as of the theory of a scene.
     joints : mapping, optional
         By name of a joint its two bodies, or `ground` and a body.
     frame_prefix : str
@@ -167,140 +288,75 @@ def result_outputs(
     list of Output
         The topics.
     """
-    given = plane_of(plane) or XY
-    frame_names = [frame_prefix + body for body in bodies]
-    table = _Table(given)
-    trails = [Trail() for _ in bodies]
-    for b in range(len(bodies)):
-        _add_body(table, bodies[b], b, frame_names[b], trails[b])
-    _add_pairs(table, bodies)
-    if theory is not None:
-        _add_points(table, bodies, theory)
-    table.add(STATE, PointCloud2, highest, state(given, highest))
-    table.add(DRAWING, MarkerArray, highest, drawing(tuple(bodies), given, trails, highest))
+    given, numbers = plane_of(plane) or XY, range(len(bodies))
+    frames = [frame_prefix + body for body in bodies]
+    rig = _Rig(bodies, frames, Trails(len(bodies)), given)
+    outputs: list[Output] = []
+    for b in numbers:
+        for row in OF_BODY:
+            outputs += _outputs(row, f'{bodies[b]}/{row.name}', rig, (b,))
+    joined = {*map(frozenset, (joints or {}).values())}
+    if registered is not None:
+        joined |= {*map(frozenset, registered.joined_bodies())}
+    for i, j in measured_pairs(len(bodies)):
+        is_joined = frozenset((bodies[i], bodies[j])) in joined
+        for row in _OF_PAIR:
+            topic = f'{bodies[j]}/wrt/{bodies[i]}/{row.name}'
+            outputs += _outputs(row, topic, rig, (i, j), is_joined)
+    for quantity in registered.quantities(bodies) if registered is not None else ():
+        outputs += _registered_outputs(quantity, given)
+    outputs.append(Output(STATE, PointCloud2, highest, state(given, highest)))
+    draw = drawing(tuple(bodies), given, rig.trails, highest)
+    outputs.append(Output(DRAWING, MarkerArray, highest, draw))
     if joints:
         order = min(2, highest) if joint_state_rate else 1
-        for suffix, is_deviation in _SUFFIXES:
-            build = joint_states(joints, bodies, joint_state_rate, is_deviation)
-            table.add(f'joint_states{suffix}', JointState, order, build)
-    if theory is not None and theory.balances:
-        for (suffix, _), rows in zip(_SUFFIXES, balance_rows(theory, given), strict=True):
-            table.add(f'balance{suffix}', WrenchStamped, 1, rows)
-    frames = [Row(FRAME, 0, stamped(FRAME, name), 1, b) for b, name in enumerate(frame_names)]
-    table.add(TF, TFMessage, 1, Rows(frames, given))
-    return [output for output in table.rows if output.order <= highest]
+        for end in ('', '/deviation'):
+            build = joint_states(joints, bodies, joint_state_rate, bool(end))
+            topic = f'joint_states{end}'
+            outputs.append(Output(topic, JointState, order, build, 'rad, rad/s', not end))
+    moving = [Row(FRAME, 0, stamped(FRAME, frames[b]), 1, b) for b in numbers]
+    outputs.append(Output(TF, TFMessage, 1, Rows(moving, given)))
+    return [output for output in outputs if output.order <= highest]
 
 
-def _add_body(table: _Table, body: str, b: int, frame_name: str, trail: Trail) -> None:
-    point, vector = stamped(POINT), stamped(VECTOR)
-    table.add_row(f'{body}/odom', Odometry, Row(ODOMETRY, 0, stamped(ODOMETRY, frame_name), 1, b))
-    for order, name in enumerate(RATE_NAMES, 1):
-        rate = Row(NORMAL, RATE + order, vector, order, b)
-        table.add_with_deviation(f'{body}/{name}', Vector3Stamped, rate)
-    for order, name in enumerate(POLE_NAMES, 1):
-        topic = f'{body}/{name}'
-        table.add_row(topic, PointStamped, Row(POINT, order, point, order, b))
-        pose = Row(POSE, order, stamped(POSE), order, b)
-        table.add_row(f'{topic}/with_covariance', PoseWithCovarianceStamped, pose)
-    velocity = Row(VECTOR, VELOCITY, vector, 2, b)
-    table.add_with_deviation(f'{body}/icr_velocity', Vector3Stamped, velocity)
-    curvature = Row(NORMAL, CURVATURE, vector, 3, b)
-    table.add_with_deviation(f'{body}/centrode_curvature', Vector3Stamped, curvature)
-    for name, frame in (('fixed', None), ('moving', frame_name)):
-        locus = centrode(b, table.given, trail, frame)
-        table.add(f'{body}/centrode/{name}', Path, 1, locus)
-    event = Output(f'{body}/event', PointCloud2, 1, events(b, table.given), of_events=True)
-    table.rows.append(event)
-
-
-def _add_pairs(table: _Table, bodies: Sequence[str]) -> None:
-    for i, j in measured_pairs(len(bodies)):
-        name = f'{bodies[j]}/wrt/{bodies[i]}'
-        center = Row(POINT, RELATIVE_CENTER, stamped(POINT), 1, i, j)
-        table.add_with_deviation(f'{name}/icr', PointStamped, center)
-        rate = Row(NORMAL, RELATIVE_RATE, stamped(NORMAL), 1, i, j)
-        table.add_with_deviation(f'{name}/angular_velocity', Vector3Stamped, rate)
-
-
-def _add_points(table: _Table, bodies: Sequence[str], theory: 'Theory') -> None:
-    """Add the points of interest of the scene and their motion."""
-    from kinpole_ros.linkage.theory import measured_point, points_of_interest
-
-    for point in points_of_interest(theory):
-        body = bodies.index(point.body)
-        for order, name in enumerate(('', '/velocity', '/acceleration', '/jerk')):
-            kind, message_type = (VECTOR, Vector3Stamped) if order else (POINT, PointStamped)
-            motion = partial(measured_point, theory, point, order)
-            row = Row(kind, 0, stamped(kind), max(order, 1), body, values=motion)
-            table.add_with_deviation(f'{point.body}/points/{point.name}{name}', message_type, row)
-
-
-def theory_of(settings: Settings) -> 'Theory | None':
+def outputs_of(settings: Settings, registered: Registered | None) -> list[Output]:
     """
-    Load the theory of the scene that the parameters name.
-
-    `linkage` and `mechanism` are imported only here, with a scene: they take as long as the rest of
-    the start of a node.
+    Return the topics of results with these parameters.
 
     Parameters
     ----------
     settings : Settings
-        The parameters.
-
-    Returns
-    -------
-    Theory or None
-        The theory; None without a scene.
-
-    Raises
-    ------
-    ParameterError
-        Where the scene cannot be used, or does not go with the bodies.
-    """
-    if not settings.scene:
-        return None
-    from kinpole_ros.linkage.theory import load_theory
-
-    return load_theory(settings)
-
-
-def outputs_of(settings: Settings, theory: 'Theory | None') -> list[Output]:
-    """
-    Return all topics of results with these parameters.
-
-    Parameters
-    ----------
-    settings : Settings
-        The parameters.
-    theory : Theory or None
-        The theory of their scene.
+        The parameters; `topics` chooses the standard topics or all.
+    registered : Registered or None
+        Quantities of another package, as of the theory of their scene.
 
     Returns
     -------
     list of Output
         The topics.
     """
-    return result_outputs(
+    outputs = result_outputs(
         tuple(settings.bodies),
         settings.plane,
-        theory,
+        registered,
         settings.joints,
         settings.frame_prefix,
         settings.highest_order,
         settings.joint_state_rate,
     )
+    return [output for output in outputs if output.is_standard or settings.topics == 'all']
 
 
-def live_outputs(settings: Settings, theory: 'Theory | None') -> list[Output]:
+def live_outputs(settings: Settings, registered: Registered | None) -> list[Output]:
     """
-    Return all topics of a live node: those of results, and that of live pages.
+    Return the topics of a live node: those of results, and that of live pages.
 
     Parameters
     ----------
     settings : Settings
         The parameters.
-    theory : Theory or None
-        The theory of their scene.
+    registered : Registered or None
+        As for `outputs_of`.
 
     Returns
     -------
@@ -308,5 +364,5 @@ def live_outputs(settings: Settings, theory: 'Theory | None') -> list[Output]:
         The topics.
     """
     build = view_builder(plane_of(settings.plane) or XY)
-    page = Output(VIEW, String, settings.highest_order, build, VIEW_INTERVAL)
-    return [*outputs_of(settings, theory), page]
+    page = Output(VIEW, String, settings.highest_order, build, interval=VIEW_INTERVAL)
+    return [*outputs_of(settings, registered), page]

@@ -10,7 +10,7 @@ from ctypes import byref, c_double, sizeof
 from functools import partial
 from itertools import chain
 from operator import itemgetter
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -20,10 +20,7 @@ from kinpole_ros.messages._cdr import Writer
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.quantities import QUANTITIES
-from kinpole_ros.tracking.values import Numbers, Vectors
-
-if TYPE_CHECKING:
-    from kinpole_ros.linkage.theory import Theory
+from kinpole_ros.tracking.values import Numbers, RegisteredQuantity, Vectors
 
 # The messages of an estimate: indices of its instants, in order, and a message for each.
 Built: TypeAlias = tuple[list[int], list[bytes]]
@@ -42,6 +39,14 @@ _DOUBLES = dict.fromkeys((NORMAL, VECTOR, POINT), _SIZES['VECTOR_DOUBLES']) | {
     POSE: _SIZES['POSE_DOUBLES'],
     ODOMETRY: _SIZES['ODOMETRY_DOUBLES'],
     FRAME: _SIZES['FRAME_DOUBLES'],
+}
+# By the kind of a registered quantity, that of the message, and the doubles before and after its
+# own: a wrench is a force and then a torque.
+_REGISTERED = {
+    'point': (POINT, 0, 0),
+    'vector': (VECTOR, 0, 0),
+    'force': (VECTOR, 0, 3),
+    'torque': (NORMAL, 3, 0),
 }
 # Rows are filled as integers, all of their fields at once.
 _ROW_FIELDS = len(bindings.Row._fields_)
@@ -195,21 +200,8 @@ def _stamped(
     return bytes(writer.data) + bytes(8 * (before + _DOUBLES[kind] + after)), head
 
 
-def balance_rows(theory: 'Theory', given: Plane) -> tuple[Rows, Rows]:
-    """Return what makes the wrench that balances the loads of the scene, and its deviation."""
-    from kinpole_ros.linkage.theory import balance, balance_direction
-
-    def force(estimate: Estimate) -> Vectors:
-        value, variance, determined = balance(theory, estimate)
-        direction = balance_direction(theory, estimate)
-        assert direction is not None
-        along = np.stack((direction.real, direction.imag), axis=-1)
-        covariance = variance[:, None, None] * along[:, :, None] * along[:, None, :]
-        return Vectors(value * direction, covariance, determined)
-
-    holder = theory.scene.held_by
-    if holder is None or holder.point is None:
-        row = Row(NORMAL, 0, stamped(NORMAL, before=3), 1, values=partial(balance, theory))
-    else:
-        row = Row(VECTOR, 0, stamped(VECTOR, after=3), 1, values=force)
-    return Rows([row], given), Rows([row._replace(is_deviation=True)], given)
+def registered_row(quantity: RegisteredQuantity) -> Row:
+    """Return the row of a quantity that another package computes."""
+    kind, before, after = _REGISTERED[quantity.kind]
+    template = stamped(kind, before=before, after=after)
+    return Row(kind, 0, template, quantity.order, quantity.body, values=quantity.values)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.messages._cdr import serialize_message
+from kinpole_ros.messages._drawing import ellipse_axes
 from kinpole_ros.messages._rows import Build, Built
 from kinpole_ros.messages._state import STATE, quantities_of
 from kinpole_ros.messages._types import PointCloud2, String, type_name
@@ -155,25 +156,17 @@ def _vectors(vectors: Vectors) -> list[list[float] | None]:
             variance = unit.real**2 * xx + 2 * unit.real * unit.imag * xy + unit.imag**2 * yy
             sigma = math.sqrt(max(variance, 0.0))
         else:
-            sigma, _, _ = _ellipse(covariance)  # of no direction: the largest of all directions
+            sigma, _, _ = ellipse_axes(covariance)  # of no direction: the largest of all directions
         rows.append((value.real, value.imag, sigma))
     return _none_if_undetermined(vectors, rows)
 
 
 def _points(points: Vectors) -> list[list[float] | None]:
     rows = [
-        (value.real, value.imag, *_ellipse(covariance))
+        (value.real, value.imag, *ellipse_axes(covariance))
         for value, covariance in _python_numbers(points)
     ]
     return _none_if_undetermined(points, rows)
-
-
-def _ellipse(covariance: Any) -> tuple[float, float, float]:
-    """Semi-axes of the ellipse of one standard deviation, and the direction of the major, rad."""
-    (xx, xy), (_, yy) = covariance
-    mean, radius = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
-    major, minor = (math.sqrt(max(variance, 0.0)) for variance in (mean + radius, mean - radius))
-    return major, minor, math.atan2(2 * xy, xx - yy) / 2
 
 
 def _python_numbers(vectors: Vectors) -> Iterable[tuple[complex, Any]]:

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from kinpole_ros.messages import WITH_TF, theory_of
+from kinpole_ros.messages import WITH_TF
 from kinpole_ros.ros.private import wrap_service
 from kinpole_ros.settings import (
     INACTIVE,
@@ -60,7 +60,7 @@ class ParameterNode(LifecycleNode, ABC):
         given = _values(self)
         self.has_given_parameters = bool({*PARAMETERS, *NODE_PARAMETERS} & given.keys())
         self.settings = _declare_all(self, given)
-        self.theory = _checked_theory(self.settings)
+        self.theory = checked_theory(self.settings)
         self.incomplete = ''
         # While a request sets several parameters, and whether one of the table has changed.
         self._in_request = self._has_changed = False
@@ -147,7 +147,7 @@ class ParameterNode(LifecycleNode, ABC):
         try:
             may_follow = self._check_each(new)
             settings = settings_from(_known_values(self, new))
-            _checked_theory(settings)
+            checked_theory(settings)
             self.check_settings(settings)
         except ParameterError as error:
             return SetParametersResult(successful=may_follow, reason=str(error))
@@ -190,7 +190,7 @@ class ParameterNode(LifecycleNode, ABC):
         """Make the parameters the settings, unless they contradict each other."""
         try:
             settings = settings_from(_known_values(self))
-            self.theory = _checked_theory(settings)
+            self.theory = checked_theory(settings)
         except ParameterError as error:
             self.incomplete = str(error)
             self.get_logger().warning(f'{error}; until then the node cannot be activated')
@@ -277,7 +277,7 @@ def _known_values(node: Node, changes: Mapping[str, Any] | None = None) -> dict[
     return {name: value for name, value in values.items() if name in names}
 
 
-def _checked_theory(settings: Settings) -> 'Theory | None':
+def checked_theory(settings: Settings) -> 'Theory | None':
     """Load the theory; ParameterError for settings that need tf2_msgs where it is missing."""
     for name, value, is_needed in (
         ('publish_tf', 'true', settings.publish_tf),
@@ -288,4 +288,9 @@ def _checked_theory(settings: Settings) -> 'Theory | None':
                 f'parameter {name} is {value}, and tf2_msgs is not installed; install '
                 'ros-jazzy-tf2-msgs, or set it otherwise'
             )
-    return theory_of(settings)
+    if not settings.scene:
+        return None
+    # Linkages take as long to import as the rest of the node.
+    from kinpole_ros.linkage.theory import load_theory
+
+    return load_theory(settings)

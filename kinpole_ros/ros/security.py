@@ -8,7 +8,8 @@ import sys
 from dataclasses import replace
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from kinpole_ros.messages import TF, live_outputs, theory_of
+from kinpole_ros.messages import TF, live_outputs
+from kinpole_ros.ros.parameters import checked_theory
 from kinpole_ros.settings import ParameterError, Settings, load_settings
 
 # Services of every managed node of rclpy, and `relearn`.
@@ -35,10 +36,12 @@ def permitted(settings: Settings) -> dict[str, list[str]]:
     Return the names that the node publishes, subscribes and replies to, as a policy has them.
 
     '~/' stands for the node's own name; a name without '/' is in its namespace. The keys are
-    publish, subscribe and reply. Raises ParameterError as `theory_of` does.
+    publish, subscribe and reply. Raises ParameterError as `checked_theory` does.
     """
-    # Topics of all orders, since derivative_order may be set while the node runs.
-    outputs = live_outputs(replace(settings, derivative_order=4), theory_of(settings))
+    # All topics, since derivative_order and topics may be set while the node runs.
+    outputs = live_outputs(
+        replace(settings, derivative_order=4, topics='all'), checked_theory(settings)
+    )
     results = [o.under('~') for o in outputs if o.topic != TF or settings.publish_tf]
     return {
         'publish': sorted([*_PUBLISHED, *results]),

@@ -39,7 +39,7 @@ SUBSCRIPTION_DEPTH = 8192
 MAX_WAITING_BYTES = 1 << 27
 # Messages that are processed at once: a failure costs no more, and all else has its turn between.
 _BATCH = 64
-_UPDATE_INTERVAL = 1.0  # s between looks for publishers, once one is followed
+_UPDATE_INTERVAL = 1.0  # s between looks for publishers, once subscribed
 # s. A node is behind if messages have waited for more than _LATE for _PATIENCE. If one has waited
 # for _TOO_LATE then, all that are late are dropped: one gap costs less than many, of which each
 # makes another kind of window. After a stall of any length the node is not behind: it catches up.
@@ -132,7 +132,8 @@ class MarkerSource:
         if time.monotonic() < self._update_due:
             return False
         offers = self._node.get_publishers_info_by_topic(self.topic)
-        is_replaced = self._note_publishers({bytes(offer.endpoint_gid) for offer in offers})
+        seen = {bytes(offer.endpoint_gid) for offer in offers}
+        is_replaced = self._note_publishers(seen)
         published = {offer.topic_type for offer in offers}
         kinds, fault = self._readable_kinds(published)
         if kinds and self._kind not in kinds:
@@ -144,13 +145,14 @@ class MarkerSource:
         if kinds and self._kind not in kinds:
             self.close()
             self._subscribe(kinds[0])
+            self._publishers = seen
         elif self.is_subscribed and (
             self._highest_depth() < self._depth == self._subscription.qos_profile.depth
         ):
             # A depth that the user has set stays.
             self._unsubscribe()
             self._subscribe(self._kind)
-        if self._publishers and self.is_subscribed:
+        if self.is_subscribed:
             self._update_due = time.monotonic() + _UPDATE_INTERVAL
         if is_replaced and self._kind:
             self._reader = reader_of(self._kind, self._settings)
@@ -301,6 +303,9 @@ class MarkerSource:
     def _count_lost(self, numbers: Iterable[int | None]) -> int:
         """Count the messages missing between these, where one publisher numbers them."""
         lost = 0
+        if not self._publishers:
+            # The first message of a publisher that came since the last look.
+            self._update_due = 0.0
         for number in numbers:
             if number and self._number is not None:
                 if number <= self._number:

@@ -38,7 +38,7 @@ class Parameter:
     settable: str = RUNNING
 
 
-def _parameter(default: Any, kind: Kind, description: str, settable: str = RUNNING) -> Any:
+def parameter(default: Any, kind: Kind, description: str, settable: str = RUNNING) -> Any:
     """Return a field of Settings that is a parameter; one of names maps each to nothing."""
     metadata = {'row': Parameter(default, kind, description, settable)}
     value = kind.convert(default)
@@ -51,13 +51,13 @@ def _parameter(default: Any, kind: Kind, description: str, settable: str = RUNNI
 class Settings:
     """Parameters as the pipeline uses them. `bodies` maps a name to its markers, () for all."""
 
-    marker_topic: str = _parameter(
+    marker_topic: str = parameter(
         'markers',
         kinds.TOPIC,
         'Topic of the markers.',
         START,
     )
-    marker_type: str = _parameter(
+    marker_type: str = parameter(
         'auto',
         kinds.one_of('auto', 'marker_array', 'marker', 'pose_array', 'point_cloud2', *POSE_TYPES),
         'Type of the marker messages; auto takes the type that is published. pose_stamped, '
@@ -65,52 +65,52 @@ class Settings:
         'markers: <body>.markers then names one pose, by its index or its child_frame_id.',
         START,
     )
-    marker_identity: str = _parameter(
+    marker_identity: str = parameter(
         'auto',
         kinds.one_of('auto', 'index', 'id', 'ns', 'ns_id', 'shape'),
         'How markers are identified: by their index in the message, id, namespace, or both; auto '
         'takes namespace and id if there are any, and the index otherwise. shape: by their places '
         'on the bodies, for points in random order.',
     )
-    plane: PlaneSetting = _parameter(  # noqa: RUF009
+    plane: PlaneSetting = parameter(  # noqa: RUF009
         'xy',
         kinds.PLANE,
         'Plane of the motion in the frame of the markers: its name (xz is zx), its normal '
         '[x, y, z] of any length, or fit to find it from the motion.',
     )
-    scale: float = _parameter(
+    scale: float = parameter(
         1.0,
         kinds.number(1e-9, 1e9, 'm'),
         'Length of one unit of the markers: 0.001 for markers in mm.',
     )
-    bodies: Mapping[str, tuple[str, ...]] = _parameter(
+    bodies: Mapping[str, tuple[str, ...]] = parameter(
         ['body'],
         kinds.identifiers(fewest=1),
         'Names of the bodies. Each has a parameter <body>.markers.',
         INACTIVE,
     )
-    window: float = _parameter(
+    window: float = parameter(
         0.3, kinds.number(1e-6, 3600.0, 's'), 'Length of past data that results are computed from.'
     )
-    lag: float = _parameter(
+    lag: float = parameter(
         0.1,
         kinds.number(0.0, 3600.0, 's'),
         'Delay of the output behind the newest sample. Half a window gives the most accurate '
         'derivatives.',
     )
-    derivative_order: int | None = _parameter(
+    derivative_order: int | None = parameter(
         'auto', kinds.ORDER, 'Highest derivative computed; auto: as the subscribed topics need.'
     )
-    noise: float = _parameter(
+    noise: float = parameter(
         0.0, kinds.number(0.0, 1e6, 'm'), 'Standard deviation of the markers per axis; 0: measured.'
     )
-    stamps: str = _parameter(
+    stamps: str = parameter(
         'auto',
         kinds.one_of('auto', 'capture', 'arrival'),
         'Meaning of header stamps: the time of capture, or of arrival. Arrival is late by a random '
         'time, and the even clock of the camera is estimated. auto: decided by stamps and motion.',
     )
-    scene: str = _parameter(
+    scene: str = parameter(
         '',
         kinds.text('(?s).*', 'the name of a scene, such as four_bar, or the path of one'),
         'Scene of the mechanism, by name or path. Diagnostics then report the deviation of the '
@@ -119,22 +119,28 @@ class Settings:
         START,
     )
     # By name, of the second body, or the ground, against the first.
-    joints: Mapping[str, tuple[str, str]] = _parameter(
+    joints: Mapping[str, tuple[str, str]] = parameter(
         [],
         kinds.identifiers(),
         'Names of the joints on ~/joint_states. Each has a parameter <joint>.bodies.',
         INACTIVE,
     )
-    joint_state_rate: float = _parameter(
+    joint_state_rate: float = parameter(
         0.0,
         kinds.number(0.0, 1000.0, 'Hz'),
         'Rate of ~/joint_states: at multiples of its period, extrapolated from the nearest '
         'instant; 0: at each instant.',
     )
-    publish_tf: bool = _parameter(
+    topics: str = parameter(
+        'standard',
+        kinds.one_of('standard', 'all'),
+        'Topics of results: standard are those that people read, and state with all numbers; all '
+        'adds a topic for each other number, each standard deviation, path and pair of bodies.',
+    )
+    publish_tf: bool = parameter(
         False, kinds.FLAG, 'Whether the frames of the bodies are published on /tf; needs tf2_msgs.'
     )
-    frame_prefix: str = _parameter(
+    frame_prefix: str = parameter(
         '',
         kinds.text(r'[\w/.-]*', 'letters, digits and any of _ / . -'),
         'Prefix of the frame names of the bodies, such as rig1/.',

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.bags import NODE_NAME, BagError, in_place_of, read_messages, topics
-from kinpole_ros.messages import COLORS, DRAWING, outputs_of, theory_of, type_name
+from kinpole_ros.linkage.theory import load_theory
+from kinpole_ros.messages import COLORS, DRAWING, outputs_of, type_name
 from kinpole_ros.settings import Settings, load_settings
 from kinpole_ros.tools.record.result_bag import (
     bodies_by_node,
@@ -85,9 +86,10 @@ def topics_of(config: str | None) -> RigTopics:
         return _topics_of_bag(config)
     settings = load_settings(config) if config else Settings()
     node = f'/{NODE_NAME}'
+    theory = load_theory(settings) if settings.scene else None
     kinds = {
         output.under(node): type_name(output.message_type)
-        for output in outputs_of(settings, theory_of(settings))
+        for output in outputs_of(settings, theory)
     }
     axis = _nearest_axis((plane_of(settings.plane) or XY).normal)
     return RigTopics(node, kinds, tuple(settings.bodies), tuple(settings.joints), axis, '')

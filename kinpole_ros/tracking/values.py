@@ -1,9 +1,13 @@
 """Names of quantities, values with their uncertainty, and pairs of bodies of an estimate."""
 
+from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from kinpole_ros.tracking.estimate import Estimate
 
 # Most bodies with relative motions of all pairs: 20 have 190 pairs, 300 would have 44,850.
 MOST_PAIRED_BODIES = 20
@@ -25,6 +29,22 @@ class Numbers(NamedTuple):
     value: np.ndarray
     variance: np.ndarray
     determined: np.ndarray
+
+
+class RegisteredQuantity(NamedTuple):
+    """
+    A quantity that another package computes from estimates, for the table of topics.
+
+    `kind` is point, vector, force or torque; numbers (T,) are along the normal of the plane. It
+    needs derivatives up to `order`, and has the height of a `body`.
+    """
+
+    topic: str
+    kind: str
+    order: int
+    unit: str
+    values: Callable[['Estimate'], Numbers | Vectors]
+    body: int = 0
 
 
 class FramePoses(NamedTuple):

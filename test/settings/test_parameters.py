@@ -101,6 +101,7 @@ WRONG = [
     ('executor', ['EventsExecutor', '', 1, None], 'one of lean, rclpy'),
     ('joint_state_rate', [-1.0, 1001, 'fast', True, float('nan')], '0 to 1000 Hz'),
     ('publish_tf', ['yes', 0, None], 'true or false'),
+    ('topics', ['some', '', 1, None], 'one of standard, all'),
     ('frame_prefix', ['a b', 3, None, 'é!', 'a\n'], 'letters, digits and any of _ / . -'),
     ('joints', [[''], ['a', 'a'], 'a', ['a b'], [1]], 'a list of different names'),
     (

@@ -25,7 +25,7 @@ PACKAGE = str(Path(kinpole_ros.__file__).parent)
 USUAL = {
     *('messages/_reader.py', 'tracking/tracker.py', 'tracking/timeline.py', 'tracking/placing.py'),
     *('tracking/step.py', 'tracking/estimate.py', 'tracking/quantities.py'),
-    *('messages/_results.py', 'messages/_rows.py', 'messages/_drawing.py', 'messages/_events.py'),
+    *('messages/_results.py', 'messages/_rows.py', 'messages/_drawing.py'),
 }
 # A frame that C does not take alone; events are searched once in a share of a window.
 CORRECTED = {

@@ -13,6 +13,7 @@ import numpy as np
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats._bag import BAG
 from kinpole_ros.bags.formats._c3d import C3D
+from kinpole_ros.bags.formats._deeplabcut import DEEPLABCUT
 from kinpole_ros.bags.formats._file import (
     UNITS,
     File,
@@ -24,8 +25,8 @@ from kinpole_ros.bags.formats._file import (
 )
 from kinpole_ros.bags.formats._keypoints import KEYPOINTS
 from kinpole_ros.bags.formats._motion_capture import MOTIVE, QUALISYS, TRC, VICON
-from kinpole_ros.bags.formats._pose_estimation import DEEPLABCUT, SLEAP
 from kinpole_ros.bags.formats._sheet import listed, shown
+from kinpole_ros.bags.formats._sleap import SLEAP
 from kinpole_ros.bags.formats._table import ANIPOSE, TABLE, header_row
 from kinpole_ros.bags.formats._video import KINOVEA, TRACKER
 

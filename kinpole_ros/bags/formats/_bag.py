@@ -6,10 +6,9 @@ types need not be installed. Frames are assembled from several topics by their s
 """
 
 from array import array
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ from kinpole_ros.bags._channels import BagMessage
 from kinpole_ros.bags._files import ROS1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
 from kinpole_ros.bags._marker_frames import read_frames
 from kinpole_ros.bags._reader import read_messages, types_and_definitions
-from kinpole_ros.bags._storages import Ros1Message, ros1_messages
+from kinpole_ros.bags._storages import ros1_messages, ros1_topics
 from kinpole_ros.bags.formats._file import File, Format, Options, Points
 from kinpole_ros.bags.formats._sheet import check_cells, check_names, number_names, shown
 from kinpole_ros.messages import (
@@ -92,7 +91,7 @@ def _recognizes(file: File) -> bool:
 
 def _read(file: File, options: Options) -> Points:
     is_ros1 = file.head.startswith(ROS1_MAGIC)
-    types, definitions = (_describe_ros1 if is_ros1 else types_and_definitions)(file.path)
+    types, definitions = (ros1_topics if is_ros1 else types_and_definitions)(file.path)
     topics = _choose_topics(file, types)
     if not is_ros1 and _kind(types[topics[0]]) == 'markers':
         frames, _ = read_frames(file.path, topics[0], report=lambda e: file.notes.append(str(e)))
@@ -304,27 +303,13 @@ def _make_store(types: set[str], definitions: dict[str, str], is_ros1: bool) -> 
     return store
 
 
-def _describe_ros1(path: Path) -> tuple[dict[str, str], dict[str, str]]:
-    """Collect the types of topics, and their definitions, as far as a bag of ROS 1 goes."""
-    types: dict[str, str] = {}
-    definitions: dict[str, str] = {}
-    try:
-        for message in ros1_messages(path):
-            types[message.topic] = message.type_name
-            definitions[message.type_name] = message.definition
-    except Truncated:
-        if not types:
-            raise
-    return types, definitions
-
-
 def _make_decoder(
     file: File,
     types: dict[str, str],
     topics: list[str],
     definitions: dict[str, str],
     is_ros1: bool,
-) -> Callable[[Ros1Message | BagMessage], Any]:
+) -> Callable[[BagMessage], Any]:
     """Return a function that decodes the messages on these topics."""
     names = {types[topic] for topic in topics}
     try:
@@ -334,27 +319,20 @@ def _make_decoder(
             f'{file.path}: the definition of {shown(", ".join(sorted(names)))} cannot be read '
             f'({shown(" ".join(str(error).split()))}); fix: record again'
         ) from error
-    if is_ros1:
-        return lambda one: store.deserialize_ros1(one.data, one.type_name.replace('/', '/msg/'))
-    return lambda one: store.deserialize_cdr(one.data, one.type_name)
+    deserialize = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
+    return lambda one: deserialize(one.data, one.type_name)
 
 
 def _read_series(
-    file: File, topics: list[str], decode: Callable[[Ros1Message | BagMessage], Any]
+    file: File, topics: list[str], decode: Callable[[BagMessage], Any]
 ) -> list[_Series]:
     """Read the messages of these topics; those that cannot be read are left out, and noted."""
     names = _shorten_topics(topics)
     columns: dict[tuple[Any, ...], tuple[array[int], array[int], array[float]]] = {}
     fault, fault_count, size = '', 0, 0
-    messages: Iterable[Ros1Message | BagMessage] = (
-        ros1_messages(file.path)
-        if file.head.startswith(ROS1_MAGIC)
-        else read_messages(file.path, topics)
-    )
+    read = ros1_messages if file.head.startswith(ROS1_MAGIC) else read_messages
     try:
-        for message in messages:
-            if message.topic not in names:
-                continue
+        for message in read(file.path, topics):
             try:
                 if len(message.data) > _LARGEST_MESSAGE:
                     raise ValueError(f'{len(message.data)} bytes')
@@ -411,13 +389,14 @@ def _shorten_topics(topics: list[str]) -> dict[str, str]:
 
 
 def _observations(
-    file: File, content: Any, message: Ros1Message | BagMessage, topic: str
+    file: File, content: Any, message: BagMessage, topic: str
 ) -> Iterator[_Observation]:
     """Yield the markers or poses in the decoded content of a message."""
     kind = _kind(message.type_name)
     if kind == 'markers':
         with suppress(MessageError):
-            frames = read_markers(_convert(content, MARKER_TYPES[_MARKERS[message.type_name]]))
+            cls = MARKER_TYPES[_MARKERS[_short_type(message.type_name)]]
+            frames = read_markers(_convert(content, cls))
             if frames.identities:
                 stamp, values = int(frames.stamps[0]), frames.points.ravel().tolist()
                 yield _Observation('', frames.identities, stamp, values)

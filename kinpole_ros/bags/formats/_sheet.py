@@ -223,7 +223,7 @@ class Sheet:
         while block := list(islice(rows, step)):
             cells = [row[c] if c < len(row) else '' for row in block for c in columns]
             if self.delimiter != ',':
-                self._check_marks(cells, names, first)
+                self._check_marks(block, dict(zip(columns, names, strict=True)), first)
             numbers = np.array(_numbers_or_inf(cells, self.delimiter != ','))
             if (bad := np.isinf(numbers)).any():
                 index = int(bad.argmax())
@@ -236,15 +236,22 @@ class Sheet:
             yield numbers.reshape(len(block), len(columns))
             first += len(block)
 
-    def _check_marks(self, cells: Sequence[str], names: Sequence[str], first: int) -> None:
-        """Note where the first decimal mark of each kind is; raise BagError for two kinds."""
-        text = ' '.join(cells)
+    def _check_marks(self, rows: list[list[str]], names: dict[int, str], first: int) -> None:
+        """
+        Note where the first decimal mark of each kind is; raise BagError for two kinds.
+
+        `names` are those of the columns to be read. Numbers of other columns count, too, since the
+        marks of a column alone may be between thousands.
+        """
         for mark in set('.,') - self._marks.keys():
-            if mark in text:
-                index = next(k for k, cell in enumerate(cells) if mark in cell)
-                row, column = divmod(index, len(names))
-                place = f'line {self.lines[first + row]}, column {shown(names[column])}'
-                self._marks[mark] = f"'{shown(cells[index])}' in {place}"
+            for row, cells in enumerate(rows):
+                for column, cell in enumerate(cells) if mark in ' '.join(cells) else ():
+                    if mark in cell and (column in names or _is_decimal(cell)):
+                        name = shown(names.get(column) or self.cell(0, column))
+                        place = f'line {self.lines[first + row]}, column {name}'
+                        self._marks.setdefault(mark, f"'{shown(cell)}' in {place}")
+                if mark in self._marks:
+                    break
         if len(self._marks) > 1:
             raise BagError(
                 f'{self.path} has two decimal marks: {self._marks["."]}, and {self._marks[","]}; '
@@ -287,7 +294,8 @@ class Sheet:
         Parameters
         ----------
         columns
-            Those of x, y and maybe z (else 0) by the name of each marker.
+            Those of x, y and maybe z by the name of each marker. A z without column is 0, and NaN
+            where x or y is.
         first, end
             Rows.
         number
@@ -301,7 +309,11 @@ class Sheet:
             sources += [*axes, None][:3]
             titles += [f'{name}{separator}{axis}' for axis in 'xyz']
         numbers = self.numbers(sources, titles, first, end)
-        return numbers[:, 1:].reshape(len(numbers), len(columns), 3), numbers[:, 0]
+        points = numbers[:, 1:].reshape(len(numbers), len(columns), 3)
+        # A row at a time would be slow, and a copy of all as large as the file.
+        for axis in range(2):
+            points[np.isnan(points[..., axis]), 2] = np.nan
+        return points, numbers[:, 0]
 
     def markers(
         self, names_row: int, axes_row: int, columns: Sequence[int]
@@ -434,6 +446,10 @@ def _numbers_or_inf(cells: Sequence[str], have_decimal_commas: bool) -> list[flo
         except ValueError:
             pass
     return [number_or_inf(cell.strip() or 'nan') for cell in cells]
+
+
+def _is_decimal(cell: str) -> bool:
+    return bool(_NUMBER.fullmatch(cell.strip().replace(',', '.')))
 
 
 def number_or_inf(cell: str) -> float:

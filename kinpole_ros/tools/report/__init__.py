@@ -9,9 +9,8 @@ import numpy as np
 from kinpole_ros import __version__
 from kinpole_ros.bags import BagError, assumed_body, in_place_of, replay, warnings_of
 from kinpole_ros.files import printable
-from kinpole_ros.linkage.theory import DeviationSummary
+from kinpole_ros.linkage.theory import DeviationSummary, load_theory
 from kinpole_ros.mechanism import load_scene
-from kinpole_ros.messages import theory_of
 from kinpole_ros.settings import Settings
 from kinpole_ros.tools.record.record import Record, with_lost_frames
 from kinpole_ros.tools.record.result_bag import has_results, read_record
@@ -78,7 +77,8 @@ def report(
         cut = ['the bag is cut off; what follows is not shown'] if record.cut else []
         notes = [*cut, *record.notes]
     else:
-        collector = Collector(_most_instants(len(settings.bodies)), theory_of(settings))
+        of_scene = load_theory(settings) if settings.scene else None
+        collector = Collector(_most_instants(len(settings.bodies)), of_scene)
         result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)
         notes = warnings_of(result, settings)
         if assumption := assumed_body(len(result.identities), settings, source or bag):

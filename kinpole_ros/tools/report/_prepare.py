@@ -76,7 +76,7 @@ def prepared(
 
 
 def _is_bag(file: str) -> bool:
-    if not Path(file).is_file() or Path(file).suffix.lower() in _BAG_ENDINGS:
+    if not Path(file).exists() or Path(file).suffix.lower() in _BAG_ENDINGS:
         return True
     try:
         topics(file)
