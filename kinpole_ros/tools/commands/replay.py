@@ -112,7 +112,7 @@ def _agrees(positions: 'PositionReport | None') -> bool:
 
 
 def _result_lines(result: Any) -> Iterator[str]:
-    """Yield lines on the stamps, on what was determined, and on the deviations from a scene."""
+    """Yield lines on the stamps, and on what was determined."""
     counts = {
         'stamps repeated': result.repeated,
         'frames late': result.late,
@@ -130,11 +130,6 @@ def _result_lines(result: Any) -> Iterator[str]:
     for body, shares in result.determined.items():
         listed = ', '.join(f'{pole} {share:.1%}' for pole, share in shares.items())
         yield f'{body}: determined at {listed} of them'
-    for row in result.scene_deviations:
-        yield (
-            f'{row.subject}: {row.what} {row.rms:.2g} {row.unit}, {row.deviations:.1f} deviations '
-            f'(rms of {row.instants} instants)'
-        )
 
 
 def _position_lines(positions: 'PositionReport | None') -> Iterator[str]:
