@@ -223,24 +223,3 @@ def _pairs_line(settings: Settings) -> str:
         f'relative rates and centers of pairs are left out: there are {count} bodies, and pairs '
         f'are measured of up to {MOST_PAIRED_BODIES}; fix: for these, name fewer bodies'
     )
-
-
-def concatenate_outcomes(outcomes: Sequence[Replayed]) -> Replayed:
-    """Return the outcome of a bag from those of its stretches, of which the last saw all frames."""
-    last = outcomes[-1]
-    count = sum(outcome.estimates for outcome in outcomes)
-    determined = {
-        body: {
-            pole: sum(round(one.determined[body][pole] * one.estimates) for one in outcomes)
-            / max(count, 1)
-            for pole in poles
-        }
-        for body, poles in last.determined.items()
-    }
-    never = set.intersection(*(set(outcome.unknown) for outcome in outcomes))
-    reasons: dict[str, str] = {}
-    for outcome in outcomes:
-        if outcome.estimates:
-            reasons |= outcome.unknown
-    unknown = {body: reasons.get(body, '') for body in last.unknown if body in never}
-    return last._replace(estimates=count, determined=determined, unknown=unknown)

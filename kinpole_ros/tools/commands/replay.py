@@ -188,7 +188,8 @@ def batch(options: argparse.Namespace) -> int:
     --tls-cert and --tls-key. They have kinpole_ros installed, and bags and output have the same
     paths there. Dask runs code from whoever can reach it: without TLS, that is anyone in the
     network. Options in the configuration of Dask need not be repeated here. Without --scheduler,
-    the workers are processes of this machine and listen to nobody.
+    the workers are processes of this machine and listen to nobody; without Dask, bags are replayed
+    one after another.
 
     Exit status: 0 if all bags are done; 2 if one failed, is cut off, or has a body without any
     estimate: see the columns error, truncated, unknown and warnings.
