@@ -112,7 +112,7 @@ setup(
     extras_require={
         'ros': ROS,
         'wheels': ROS,
-        'batch': ['fsspec>=2023.5'],
+        'batch': ['dask>=2023.5', 'fsspec>=2023.5'],
         'cluster': ['dask>=2023.5', 'distributed>=2023.5'],
         'bench': ['matplotlib>=3.7', 'pynumdiff>=0.3', 'scipy>=1.11'],
         'docs': ['furo>=2024.1.29', 'myst-parser>=3', 'numpydoc>=1.8', 'sphinx>=7.4'],

@@ -9,7 +9,7 @@ from types import MappingProxyType
 # is on no package index: pip finds its extras in a checkout only.
 EXTRAS = MappingProxyType(
     {
-        'batch': ('fsspec',),
+        'batch': ('dask', 'fsspec'),
         'bench': ('matplotlib', 'pynumdiff', 'scipy'),
         'cluster': ('dask', 'distributed'),
         'formats': ('h5py',),

@@ -12,7 +12,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -23,11 +22,9 @@ import pytest
 from conftest import bodies_of, decoded, write_config
 
 import kinpole_ros.bags.batch as module
-from kinpole_ros.bags import BagError, BagWriter, _reader, read_messages, topics
+from kinpole_ros.bags import BagError
 from kinpole_ros.bags import replay as replay_one
-from kinpole_ros.bags._replay import replay_stretch
-from kinpole_ros.bags._replayed import concatenate_outcomes
-from kinpole_ros.bags._stretch import equal_stretches
+from kinpole_ros.bags._replay import replay_into
 from kinpole_ros.bags.batch import _folder, _results, _workers, batch
 from kinpole_ros.bags.batch._results import Job, finished, replay_bag
 from kinpole_ros.files import _writing, as_cell
@@ -75,20 +72,9 @@ def files(folder: Path) -> dict[str, int]:
     return {p.name: p.stat().st_mtime_ns for p in folder.iterdir() if p.name != 'summary.csv'}
 
 
-class InTurn:
-    """Workers that do each job at once, in this thread."""
-
-    count = 1
-
-    def submit(self, job: Callable[..., Any], arguments: Any, progress: Any) -> 'Future[Any]':
-        done: Future[Any] = Future()
-        done.set_result(job(*arguments, lambda share: None))
-        return done
-
-
-@contextmanager
-def in_turn(*_: Any) -> Iterator[InTurn]:
-    yield InTurn()
+def in_turn(jobs: list[Job], workers: int, take: Any, share: Any) -> None:
+    """In place of processes: each job at once, in this thread."""
+    _workers.replay_here(jobs, take, share)
 
 
 def link(bag: Path, *places: Path) -> list[Path]:
@@ -225,7 +211,7 @@ def test_a_run_that_was_stopped_keeps_what_is_finished_and_goes_on(
     assert 1 <= len(finished) < 10
     assert all((out / name).read_bytes() for name in finished)
 
-    monkeypatch.setattr(module, 'local_workers', in_turn)
+    monkeypatch.setattr(module, 'replay_in_processes', in_turn)
     assert main(['batch', *map(str, words)]) == 0
     said, complaints = capsys.readouterr()
     assert complaints == ''
@@ -328,19 +314,37 @@ def test_a_cluster_that_ends_costs_one_line_and_leaves_a_summary(
 def test_a_worker_ends_with_a_batch_that_is_killed_in_the_middle_of_its_job() -> None:
     code = (
         f'import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n'
-        'from kinpole_ros.bags.batch._workers import local_workers\n'
-        'from test_batch import report_and_sleep\n'
+        'from test_batch import in_a_process, report_and_sleep\n'
         "if __name__ == '__main__':\n"
-        '    with local_workers(1) as crew:\n'
-        '        crew.submit(report_and_sleep, (), lambda pid: print(pid, flush=True)).result()\n'
+        '    in_a_process([report_and_sleep], lambda _, pid: print(int(pid), flush=True))\n'
     )
     with process('-c', code) as started:
         assert started.stdout is not None
-        pid = int(started.stdout.readline())
+        pid = 0
+        while not pid:  # what comes first is that it has begun
+            pid = int(started.stdout.readline())
         assert is_running(pid)
         started.kill()
         started.wait()
         until(lambda: not is_running(pid), 20)
+
+
+def in_a_process(
+    replays: list[Callable[..., Any]], share: Callable[[int, float], None]
+) -> dict[int, dict[str, Any]]:
+    """Rows of jobs, whose settings are the functions to call in place of a replay."""
+    rows: dict[int, dict[str, Any]] = {}
+    jobs = [Job(f'{k}.mcap', 'memory://', SETTINGS, None, []) for k in range(len(replays))]
+    numbered = [replace(job, kinds=[replay]) for job, replay in zip(jobs, replays, strict=True)]
+    with mock.patch.object(_workers, '_replay', call_kind):
+        _workers.replay_in_processes(numbered, 1, rows.__setitem__, share)
+    return rows
+
+
+def call_kind(numbered: tuple[int, Job], share: Any) -> _workers.Done:
+    number, job = numbered
+    share(number, 0.0)
+    return _workers.Done(number, job.kinds[0](lambda done: share(number, done)))  # type: ignore[operator]
 
 
 def report_and_sleep(progress: Callable[[float], None]) -> None:
@@ -467,27 +471,28 @@ def die_of_a_signal(progress: Callable[[float], None]) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def raise_what_cannot_be_pickled(progress: Callable[[float], None]) -> None:
-    raise ValueError(lambda: None)
-
-
-def add(first: int, second: int, progress: Callable[[float], None]) -> int:
+def half_a_job(progress: Callable[[float], None]) -> dict[str, Any]:
     progress(0.5)
-    return first + second
+    return {'error': ''}
 
 
 def test_a_worker_process_that_dies_costs_the_job_it_was_at() -> None:
-    shares: list[float] = []
-    with _workers.local_workers(1) as crew:
-        died = crew.submit(die_of_a_signal, (), None)
-        odd = crew.submit(raise_what_cannot_be_pickled, (), None)
-        added = crew.submit(add, (2, 3), shares.append)
-        with pytest.raises(BagError, match=r'its worker process ended \(SIGKILL\); fix: run'):
-            died.result(60)
-        with pytest.raises(RuntimeError, match='ValueError'):
-            odd.result(60)
-        assert added.result(60) == 5
-    assert shares == [0.5]
+    shares: list[tuple[int, float]] = []
+    rows = in_a_process(
+        [half_a_job, die_of_a_signal, half_a_job], lambda *share: shares.append(share)
+    )
+    assert 'its worker process ended; fix: run the same command again' in rows.pop(1)['error']
+    assert rows == {0: {'error': ''}, 2: {'error': ''}}
+    assert {(0, 0.5), (2, 0.5)} < set(shares)
+
+
+def test_a_fault_of_ours_costs_only_its_bag(
+    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag, out = bag_and_folder(simulated, tmp_path)
+    monkeypatch.setattr(_results, 'replay_into', lambda *_: 1 / 0)
+    row = replay_bag(Job(bag, out, SETTINGS, None, ['csv']))
+    assert row == {'bag': bag, 'error': 'ZeroDivisionError: division by zero'}
 
 
 def test_results_are_made_anew_when_bag_settings_or_scene_change(
@@ -555,8 +560,7 @@ def test_results_that_are_exchanged_in_part_are_not_finished(
     with monkeypatch.context() as broken:
         # A stop between the names, as a kill would have it, has no error of ours.
         broken.setattr(_results, 'write_text', lambda *_: 1 / 0)
-        with pytest.raises(ZeroDivisionError):
-            replay_bag(Job(bag, out, replace(SETTINGS, window=0.3), None, ['csv', 'mcap']))
+        replay_bag(Job(bag, out, replace(SETTINGS, window=0.3), None, ['csv', 'mcap']))
     assert finished(Job(bag, out, SETTINGS, None, ['csv', 'mcap'])) is None
 
 
@@ -571,12 +575,12 @@ def test_runs_into_one_folder_take_turns_at_a_bag(
         assert not begun.is_set(), 'replayed twice, or by two at once'
         begun.set()
         assert go.wait(60)
-        return replay_stretch(*args, **options)
+        return replay_into(*args, **options)
 
     def one_run() -> None:
         rows.append(replay_bag(Job(bag, out, SETTINGS, None, ['csv'])))
 
-    monkeypatch.setattr(_results, 'replay_stretch', replay_when_told)
+    monkeypatch.setattr(_results, 'replay_into', replay_when_told)
     runs = [threading.Thread(target=one_run) for _ in range(2)]
     for run_ in runs:
         run_.start()
@@ -641,14 +645,22 @@ def test_what_cannot_be_used_is_one_line(
         assert line.count('\n') == 1
 
 
-def test_only_a_cluster_needs_dask(
-    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_without_dask_bags_are_replayed_one_after_another(
+    simulated: Simulated,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     bag = simulated('cardan', rate=100, duration=0.3)
     monkeypatch.setitem(sys.modules, 'distributed', None)
     monkeypatch.setitem(sys.modules, 'dask', None)
-    (row,) = batch([bag], tmp_path / 'here', SETTINGS, workers=1)
+    (row,) = batch([bag], tmp_path / 'here', SETTINGS)
     assert row['error'] == ''
+    assert not caplog.messages
+    bags = link(bag, tmp_path / 'a.mcap', tmp_path / 'b.mcap')
+    assert [row['error'] for row in batch(bags, tmp_path / 'here', SETTINGS, workers=2)] == ['', '']
+    (said,) = caplog.messages
+    assert said.endswith('uses all cores, is not installed; fix: pip install dask fsspec')
     with pytest.raises(
         BagError, match=r'^--scheduler needs Dask; fix: pip install dask distributed'
     ):
@@ -713,91 +725,6 @@ def test_results_do_not_become_a_part_of_the_folder_they_are_of(
     with pytest.raises(BagError, match=r'runs is a bag to be replayed, .* another folder'):
         batch([tmp_path / 'runs'], tmp_path / 'runs', Settings())
     assert [path.name for path in (tmp_path / 'runs').iterdir()] == ['run.mcap']
-
-
-def test_a_long_bag_done_by_two_workers_has_the_results_of_one(
-    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip('pyarrow')
-    from pyarrow import parquet
-
-    spoiled = {'jitter': 1e-4, 'dropout': 0.05, 'noise': 1e-4}
-    bag = simulated('cardan', rate=100, duration=30, message='point_cloud2', **spoiled)
-    monkeypatch.setattr(module, 'local_workers', in_turn)
-    kinds = ['mcap', 'csv', 'parquet']
-    (row,) = batch([bag], tmp_path / 'one', SETTINGS, kinds=kinds, workers=1)
-    concatenated: list[list[int]] = []
-
-    def join(results: list[Any]) -> Any:
-        concatenated.append([result.estimates for result in results])
-        return concatenate_outcomes(results)
-
-    monkeypatch.setattr(_results, '_LONG_BYTES', 0)
-    monkeypatch.setattr(_results, 'concatenate_outcomes', join)
-    assert batch([bag], tmp_path / 'two', SETTINGS, kinds=kinds, workers=2) == [row]
-    ((first, second),) = concatenated
-    assert min(first, second) > 500
-    assert not list((tmp_path / 'two').glob('*.part'))
-    one, two = (
-        {path.suffix: path for path in (tmp_path / name).iterdir() if path.stem != 'summary'}
-        for name in ('one', 'two')
-    )
-    assert one['.csv'].read_bytes() == two['.csv'].read_bytes()
-    assert parquet.read_table(one['.parquet']).equals(parquet.read_table(two['.parquet']))
-    # Drawings are of other instants: each of a tenth of a second after the one before.
-    drawn = ('/centrode/fixed', '/centrode/moving', '/visualization')
-    figures = [
-        [message for message in read_messages(path) if not message.topic.endswith(drawn)]
-        for path in (one['.mcap'], two['.mcap'])
-    ]
-    assert figures[0] == figures[1]
-    assert topics(one['.mcap']) == topics(two['.mcap'])
-
-
-def test_a_gap_at_the_seam_of_two_stretches_does_not_change_the_diagnostics(
-    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bag = tmp_path / 'bag.mcap'
-    source = simulated('cardan', rate=100, duration=20, noise=1e-4, message='point_cloud2')
-    with BagWriter(bag) as writer:
-        for number, m in enumerate(read_messages(source, ['/markers'])):
-            # 3.5 s are missing after the block with which the second stretch begins to estimate,
-            # in which no diagnostics are due.
-            if not 1000 <= number < 1350:
-                writer.write_raw(m.topic, m.type_name, m.data, m.log_time)
-            if number % 50 == 49:
-                writer.flush()
-    monkeypatch.setattr(_reader, '_BLOCK_MESSAGES', 50)
-    settings = Settings(bodies=bodies_of('cardan'))
-    replay_stretch(bag, settings, {'mcap': tmp_path / 'one.mcap'})
-    halves = [tmp_path / '0.mcap', tmp_path / '1.mcap']
-    for half, stretch in zip(halves, equal_stretches(2), strict=True):
-        replay_stretch(bag, settings, {'mcap': half}, stretch=stretch)
-    first, second, one = (
-        list(read_messages(path, ['/diagnostics'])) for path in (*halves, tmp_path / 'one.mcap')
-    )
-    assert second[0].log_time - first[-1].log_time > 3e9
-    assert first + second == one
-
-
-def test_a_bag_that_changes_while_it_is_replayed_in_stretches_is_done_again(
-    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bag = tmp_path / 'bag.mcap'
-    shutil.copyfile(simulated('cardan', rate=100, duration=1), bag)
-    monkeypatch.setattr(module, 'local_workers', in_turn)
-    monkeypatch.setattr(_results, '_LONG_BYTES', 0)
-    replay_half = module.replay_part
-
-    def replay_and_change(job: Job, number: int, *more: Any) -> Any:
-        outcome = replay_half(job, number, *more)
-        os.utime(bag, ns=(number, number))
-        return outcome
-
-    monkeypatch.setattr(module, 'replay_part', replay_and_change)
-    (row,) = batch([bag], tmp_path / 'results', SETTINGS, workers=2)
-    assert not row['error']
-    assert finished(Job(str(bag), tmp_path / 'results', SETTINGS, None, ['mcap'])) is None
 
 
 def test_progress_goes_by_bytes_within_bags_and_over_what_is_left(
@@ -865,7 +792,7 @@ def test_on_windows_a_lock_is_asked_for_until_it_is_there(
 def test_bags_are_named_by_a_file_too(
     simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, 'local_workers', in_turn)
+    monkeypatch.setattr(module, 'replay_in_processes', in_turn)
     bag = simulated('cardan', rate=100, duration=0.3)
     named = link(bag, tmp_path / 'a.mcap', tmp_path / 'b c.mcap')
     names = tmp_path / 'names.txt'
@@ -897,7 +824,7 @@ def test_results_of_very_many_bags_lie_in_folders_and_are_found_where_they_were(
     bag = simulated('cardan', rate=100, duration=0.3)
     bags = link(bag, *(tmp_path / f'{name}.mcap' for name in 'abc'))
     out = tmp_path / 'out'
-    monkeypatch.setattr(module, 'local_workers', in_turn)
+    monkeypatch.setattr(module, 'replay_in_processes', in_turn)
     (flat,) = batch(bags[:1], out, SETTINGS)
     monkeypatch.setattr(_folder, '_MOST_IN_FOLDER', 2)
     rows = batch(bags, out, SETTINGS)
@@ -938,7 +865,7 @@ def test_bags_and_results_may_be_in_a_store(
     assert store.cat('/lab/out/summary.csv').decode().count('\n') == 5
 
     # Again: what is there is not made anew, but of a bag that changed.
-    monkeypatch.setattr(module, 'local_workers', in_turn)
+    monkeypatch.setattr(module, 'replay_in_processes', in_turn)
     before = {name: about['created'] for name, about in store.find('/lab/out', detail=True).items()}
     store.pipe('/lab/runs/one.mcap', bag.read_bytes())
     again = batch(names, 'memory://lab/out', SETTINGS)

@@ -35,6 +35,7 @@ from kinpole_ros.tracking.statistics import medians
 START = 10**18
 NOISE = 2e-4
 ROOT = Path(__file__).parents[1]
+XY_COLUMNS = ((0, 'x'), (1, 'y'))
 
 
 def rotation(degrees, axis=(1.0, 0.3, 0.0)):
@@ -606,3 +607,42 @@ def test_a_filmed_double_pendulum_has_two_pins(
     assert 'pin A body_1 body_2' in text
     assert 'O-A body_1 90.96' in text
     assert 'A-blue body_2 69.5' in text
+
+
+def exchanged_columns() -> MarkerFrames:
+    """A four-bar in which the x of the first two markers of the crank are exchanged."""
+    frames, _ = markers_of('four_bar', 4, hidden=0.0)
+    points = frames.points.copy()
+    points[:, [0, 1], 0] = points[:, [1, 0], 0]
+    return frames._replace(points=points)
+
+
+def test_two_markers_with_one_coordinate_exchanged_are_no_trammel() -> None:
+    linkage = discover([exchanged_columns()])
+    assert [joint.kind for joint in linkage.joints] == ['pin', 'pin']
+    (note,) = [note for note in linkage.notes if 'trammel' in note]
+    assert note.startswith('crank moves as a trammel, and as a body with a pin whose two markers ')
+
+
+def test_report_says_of_a_table_what_discover_says(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = exchanged_columns()
+    named = enumerate(frames.identities)
+    columns = {
+        f'{name}_{axis}': frames.points[:, k, i] for k, name in named for i, axis in XY_COLUMNS
+    }
+    rows = np.stack([(frames.stamps - START) * 1e-9, *columns.values()], axis=1)
+    path, bag = tmp_path / 'a.csv', tmp_path / 'a.mcap'
+    np.savetxt(path, rows, '%.7f', ',', header=','.join(['t', *columns]), comments='')
+    assert main(['import', str(path), '--output', str(bag)]) == 0
+    capsys.readouterr()
+    assert main(['discover', str(bag)]) == 0
+    found = capsys.readouterr().out.splitlines()
+    assert main(['report', str(path), '--output', str(tmp_path / 'a.html')]) == 0
+    reported = capsys.readouterr().out.splitlines()
+    first = next(k for k, line in enumerate(found) if line.startswith('joint'))
+    said = [line for line in found[first:] if line and not line.startswith('the draft')]
+    assert any(line.startswith('length') for line in said)
+    start = reported.index(said[0])
+    assert reported[start : start + len(said)] == said

@@ -32,6 +32,7 @@ PYTHON_PACKAGES = {
     'bench': None,
     'derivatives_reference': None,
     'c3d': None,
+    'dask': None,
     'distributed': None,
     'fsspec': None,
     'h5py': None,

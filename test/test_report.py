@@ -254,7 +254,7 @@ def test_theory_of_the_scene_lies_in_the_bands_of_the_measurement(tmp_path) -> N
             assert np.isfinite(off).all()
             assert np.median(np.abs(off / np.array(body[name]['sigma']))) < 1.5, name
         assert list(body['theory']) == list(RATE_NAMES)
-    assert [row[0] for row in data['deviations']] == ['coupler', 'rocker', 'A', 'B']
+    assert [row[0] for row in data['deviations']] == ['O', 'C', 'A', 'B']
 
 
 def test_theory_does_not_depend_on_how_the_frames_of_bodies_lie(blocks) -> None:

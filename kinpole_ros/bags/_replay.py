@@ -16,7 +16,6 @@ from kinpole_ros.bags._files import BagError, Truncated, bag_files, in_place_of
 from kinpole_ros.bags._marker_frames import NODE_NAME, frame_blocks, input_topic
 from kinpole_ros.bags._reader import Progress
 from kinpole_ros.bags._replayed import Replayed, ReplayTotals
-from kinpole_ros.bags._stretch import Stretch
 from kinpole_ros.bags._tables import CsvTable, ParquetTable
 from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.messages import (
@@ -86,27 +85,26 @@ def replay(
     named = {'mcap': output, 'csv': csv, 'parquet': parquet}
     targets = {kind: path for kind, path in named.items() if path is not None}
     _check_targets(bag, targets)
-    replaying = _Replaying(bag, settings, source, Stretch())
+    replaying = _Replaying(bag, settings, source)
     with ExitStack() as stack:
         files = {kind: stack.enter_context(in_place_of(path)) for kind, path in targets.items()}
         return replaying.run(files, targets, progress, take)
 
 
-def replay_stretch(
+def replay_into(
     bag: str | Path,
     settings: Settings,
     files: Mapping[str, Path],
     topic: str | None = None,
     progress: Progress | None = None,
-    stretch: Stretch | None = None,
 ) -> Replayed:
     """
-    Replay a bag, or a stretch of it, into files by kind: 'mcap', 'csv', 'parquet'.
+    Replay a bag into files by kind: 'mcap', 'csv', 'parquet'.
 
     Files are written where they are, while `replay` moves them there when they are complete.
     """
     source = input_topic(bag, settings, topic)
-    return _Replaying(bag, settings, source, stretch or Stretch()).run(files, files, progress, None)
+    return _Replaying(bag, settings, source).run(files, files, progress, None)
 
 
 def _check_targets(bag: str | Path, targets: Mapping[str, str | Path]) -> None:
@@ -154,12 +152,10 @@ def _keep_freed_memory() -> None:
 
 
 class _Replaying:
-    """A replay of a bag, or a stretch of it; `source` is the topic and the kind of its messages."""
+    """A replay of a bag; `source` is the topic and the kind of its messages."""
 
-    def __init__(
-        self, bag: str | Path, settings: Settings, source: tuple[str, str], stretch: Stretch
-    ) -> None:
-        self._bag, self._settings, self._stretch = bag, settings, stretch
+    def __init__(self, bag: str | Path, settings: Settings, source: tuple[str, str]) -> None:
+        self._bag, self._settings = bag, settings
         self._topic, self._kind = source
         theory = None
         if settings.scene:
@@ -172,7 +168,6 @@ class _Replaying:
         self._outputs = outputs_of(settings, theory)
         self._diagnostics = _PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, theory, self._topic))
         self._totals = ReplayTotals(settings, self._tracker, theory)
-        self._share_read = 0.0  # of the bytes of the bag
 
     def run(
         self,
@@ -182,12 +177,6 @@ class _Replaying:
         take: Callable[[Estimate], None] | None,
     ) -> Replayed:
         """Replay into files by kind; `names` are their names in messages of errors."""
-
-        def report(share: float) -> None:
-            self._share_read = share
-            if progress is not None:
-                progress(share)
-
         _keep_freed_memory()
         with ExitStack() as stack:
             writer = None
@@ -200,15 +189,12 @@ class _Replaying:
                 if kind in files
             ]
             has_readers_of_events = writer is not None or bool(tables) or take is not None
-            blocks = frame_blocks(self._bag, self._topic, self._kind, self._reader, report)
+            blocks = frame_blocks(self._bag, self._topic, self._kind, self._reader, progress)
             for frames, log_times, error in blocks:
                 if error is not None:
                     self._add_error(error)
                 if not frames:
                     continue
-                self._stretch.update(self._share_read, int(frames[0].stamps[0]))
-                if self._stretch.is_over:
-                    break
                 for estimate in self._track(frames, log_times, writer, has_readers_of_events):
                     self._totals.add_estimate(estimate)
                     for table in tables:
@@ -242,24 +228,17 @@ class _Replaying:
         has_readers_of_events: bool,
     ) -> Sequence[Estimate]:
         """Track a block of frames, and return its estimates and write their messages, if any."""
-        stretch = self._stretch
-        # The totals of frames are of all frames up to the end of the stretch: they are taken from
-        # the last stretch. Estimates are only those of the stretch, and are added up.
         for part in frames:
             self._totals.add_frames(part)
         parts: Iterable[MarkerFrames] = frames
         if writer is not None:
-            self._diagnostics.is_silent = not stretch.is_estimated
             parts = self._diagnostics.split(frames, self._tracker)
-        order = self._settings.highest_order if stretch.is_estimated else None
+        order = self._settings.highest_order
         estimates = self._tracker.add_parts(parts, order, has_readers_of_events)
         self._totals.update_space()
         if writer is not None:
-            # Also made where they are not written, since later messages depend on earlier ones.
-            messages = self._messages(estimates, log_times)
-            if stretch.is_written:
-                writer.write_many(messages)
-        return estimates if stretch.is_written else []
+            writer.write_many(self._messages(estimates, log_times))
+        return estimates
 
     def _messages(self, estimates: list[Estimate], log_times: np.ndarray) -> list[Column]:
         """Return messages, logged with the frames with which their estimates fell due."""
@@ -297,12 +276,10 @@ class _PeriodicDiagnostics:
     The diagnostics of each second of stamps, as of its last frame, as the node publishes them.
 
     `trouble` are faults of the input for the next diagnostics, as `DiagnosticsMaker` takes them.
-    While `is_silent` none are returned.
     """
 
     def __init__(self, maker: DiagnosticsMaker) -> None:
         self.trouble: dict[str, str] = {}
-        self.is_silent = False
         self._maker = maker
         self._last_stamp: int | None = None  # of the last diagnostics
         # The newest estimate, if the last diagnostics do not describe it.
@@ -334,10 +311,7 @@ class _PeriodicDiagnostics:
     def _begin(self, number: int, stamp: int, tracker: Tracker) -> None:
         """Begin the diagnostics of the second that ends with the frame of this number."""
         seconds = 0.0 if self._last_stamp is None else (stamp - self._last_stamp) / _SECOND
-        # Also begun while silent, since the next diagnostics count from these.
-        finish = self._maker.begin(stamp, tracker, seconds, self.trouble)
-        if not self.is_silent:
-            self._begun.append((number, finish))
+        self._begun.append((number, self._maker.begin(stamp, tracker, seconds, self.trouble)))
         self._last_stamp, self.trouble = stamp, {}
 
     def column(self, estimates: list[Estimate], log_times: np.ndarray) -> Column:

@@ -17,7 +17,7 @@ from kinpole_ros.tracking.values import MOST_PAIRED_BODIES, POLE_NAMES
 
 if TYPE_CHECKING:
     from kinpole_ros.linkage.positions import PositionReport
-    from kinpole_ros.linkage.theory import DeviationSummary, Theory
+    from kinpole_ros.linkage.theory import Theory
 
 _SECOND = 1_000_000_000  # ns
 
@@ -58,8 +58,8 @@ class Replayed(NamedTuple):
         The bodies that were never estimated, and why not at the last instant, '' without instants.
     concatenated : list of str
         The files that were read as one recording only because they are in one folder.
-    scene_deviations, scene_positions
-        How far the rates and the joints are from the scene, if there is one.
+    scene_positions : PositionReport or None
+        How far the joints are from the scene, if there is one.
     space : SpaceReport
         How the motion lay in space, at the end.
     stamps : StampState or None
@@ -95,7 +95,6 @@ class Replayed(NamedTuple):
     identities: tuple[str, ...]
     unknown: dict[str, str]
     concatenated: list[str]
-    scene_deviations: 'list[DeviationSummary]'
     scene_positions: 'PositionReport | None'
     space: SpaceReport
     lost: int
@@ -125,11 +124,11 @@ class ReplayTotals:
         poles = POLE_NAMES[: settings.highest_order]
         self._determined = {body: dict.fromkeys(poles, 0) for body in tracker.bodies}
         self._unknown = dict.fromkeys(tracker.bodies, '')
-        self._comparison = None
+        self._positions = None
         if theory is not None:
-            from kinpole_ros.linkage.theory import Comparison
+            from kinpole_ros.linkage.positions import Positions
 
-            self._comparison = Comparison(theory)
+            self._positions = Positions(theory.scene, theory.matches)
 
     def add_frames(self, frames: MarkerFrames) -> None:
         """Add frames (T,) before the tracker takes them."""
@@ -165,12 +164,12 @@ class ReplayTotals:
                 self._unknown.pop(body, None)
             elif body in self._unknown:
                 self._unknown[body] = str(reasons[-1])
-        if self._comparison is not None:
-            self._comparison.append(estimate)
+        if self._positions is not None:
+            self._positions.append(estimate)
 
     def result(self, concatenated: list[str], pose_problem: str) -> Replayed:
         """Return the outcome; `pose_problem` is a line on the input, '' if nothing is wrong."""
-        tracker, counts, comparison = self._tracker, self._tracker.counts, self._comparison
+        tracker, counts, positions = self._tracker, self._tracker.counts, self._positions
 
         def by_body(values: Sequence[float] | Sequence[str]) -> dict[str, Any]:
             return dict(zip(tracker.bodies, values, strict=True))
@@ -201,8 +200,7 @@ class ReplayTotals:
             identities=self._identities,
             unknown=self._unknown,
             concatenated=concatenated,
-            scene_deviations=comparison.rates() if comparison is not None else [],
-            scene_positions=comparison.positions() if comparison is not None else None,
+            scene_positions=None if positions is None else positions.report(),
             space=updated(self._space, tracker.space()),
             lost=counts['lost'],
             stamps=tracker.stamp_state(),
@@ -225,24 +223,3 @@ def _pairs_line(settings: Settings) -> str:
         f'relative rates and centers of pairs are left out: there are {count} bodies, and pairs '
         f'are measured of up to {MOST_PAIRED_BODIES}; fix: for these, name fewer bodies'
     )
-
-
-def concatenate_outcomes(outcomes: Sequence[Replayed]) -> Replayed:
-    """Return the outcome of a bag from those of its stretches, of which the last saw all frames."""
-    last = outcomes[-1]
-    count = sum(outcome.estimates for outcome in outcomes)
-    determined = {
-        body: {
-            pole: sum(round(one.determined[body][pole] * one.estimates) for one in outcomes)
-            / max(count, 1)
-            for pole in poles
-        }
-        for body, poles in last.determined.items()
-    }
-    never = set.intersection(*(set(outcome.unknown) for outcome in outcomes))
-    reasons: dict[str, str] = {}
-    for outcome in outcomes:
-        if outcome.estimates:
-            reasons |= outcome.unknown
-    unknown = {body: reasons.get(body, '') for body in last.unknown if body in never}
-    return last._replace(estimates=count, determined=determined, unknown=unknown)

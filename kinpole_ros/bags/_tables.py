@@ -2,7 +2,7 @@
 
 import csv
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -228,15 +228,3 @@ class ParquetTable(_Table):
             self._writer.close()
         finally:
             self._file.close()
-
-
-def join_parquet(sources: Sequence[Path], target: Path) -> None:
-    """Join tables that a `ParquetTable` wrote, in order."""
-    from pyarrow import parquet
-
-    files = [parquet.ParquetFile(source) for source in sources]
-    with parquet.ParquetWriter(target, files[0].schema_arrow, compression='zstd') as writer:
-        for file in files:
-            with file:
-                for number in range(file.num_row_groups):
-                    writer.write_table(file.read_row_group(number))

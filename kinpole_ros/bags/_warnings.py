@@ -98,7 +98,7 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
     if settings.scene and result.estimates:
         if result.scene_positions is not None:
             lines += [f'scene {settings.scene}: {text}' for text in result.scene_positions.words]
-        elif not result.scene_deviations:
+        else:
             lines.append(
                 f'the scene {settings.scene} was compared at no instant: bodies that its joints '
                 'connect were never all seen; mark more of them, or see to the view of the markers'

@@ -18,7 +18,6 @@ import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.records import (
     Channel,
     Chunk,
@@ -230,44 +229,6 @@ class BagWriter:
             first, start = last, end
             if self._size > _CHUNK_BYTES:
                 self._finish_chunk()
-
-    def append(self, path: Path) -> None:
-        """
-        Append all messages of another file that a BagWriter wrote, which come later.
-
-        Its topics must be ours, in the same order, or be the first ones here.
-        """
-        self._finish_chunk()
-        with open(path, 'rb') as file:
-            summary = make_reader(file).get_summary()
-            if summary is None or summary.statistics is None:
-                raise ValueError(f'{path} has no summary')
-            for number, channel in sorted(summary.channels.items()):
-                schema = summary.schemas[channel.schema_id]
-                self._schemas.setdefault(schema.name, schema)
-                topic = self._topics.setdefault(
-                    channel.topic, _Topic(channel, schema.name, schema.name)
-                )
-                if topic.channel.id != number:
-                    raise ValueError(f'{path} has other topics')
-                topic.messages += summary.statistics.channel_message_counts.get(number, 0)
-            indexes = summary.chunk_indexes
-            if not indexes:
-                return
-            start, last = indexes[0].chunk_start_offset, indexes[-1]
-            shift = self._offset - start
-            end = last.chunk_start_offset + last.chunk_length + last.message_index_length
-            file.seek(start)
-            try:
-                while piece := file.read(min(end - file.tell(), _COPY_BYTES)):
-                    self._put(piece)
-            except OSError as error:
-                raise self._closed_by(error) from error
-        for index in indexes:
-            index.chunk_start_offset += shift
-            offsets = index.message_index_offsets
-            index.message_index_offsets = {k: offset + shift for k, offset in offsets.items()}
-            self._add_chunk_index(index)
 
     def add_topic(self, topic: str, message_type: type) -> None:
         """Have the topic in the bag, even if no message comes."""

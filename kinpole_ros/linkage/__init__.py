@@ -10,7 +10,13 @@ from kinpole_ros.linkage._discover import discover
 from kinpole_ros.linkage._draft import Checked, check_draft, draft
 from kinpole_ros.linkage._linkage import Length, Linkage, Place
 from kinpole_ros.linkage._record import UndiscoveredError
-from kinpole_ros.linkage._report import parameter_file, table
+from kinpole_ros.linkage._report import (
+    input_texts,
+    joint_lines,
+    marker_lines,
+    parameter_file,
+    table,
+)
 
 __all__ = [
     'Checked',
@@ -21,6 +27,9 @@ __all__ = [
     'check_draft',
     'discover',
     'draft',
+    'input_texts',
+    'joint_lines',
+    'marker_lines',
     'parameter_file',
     'table',
 ]

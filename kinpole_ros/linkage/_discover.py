@@ -14,6 +14,7 @@ from kinpole_ros.linkage._joints import (
     fit_pin,
     fit_slide,
     fit_wheel,
+    is_mirrored_pair,
 )
 from kinpole_ros.linkage._linkage import (
     Linkage,
@@ -227,6 +228,13 @@ def _add_slides(
     pinned = {frozenset((pin.one, pin.other)) for pin in joints}
     pairs = [pair for pair in candidate_pairs(bodies) if frozenset(pair) not in pinned]
     for joint, is_only_one in _slides(bodies, pairs):
+        if is_mirrored_pair(bodies[joint.one], joint):
+            notes.append(
+                f'{names[joint.one]} moves as a trammel, and as a body with a pin whose two '
+                'markers have one coordinate exchanged: neither is taken; fix: see to the columns '
+                'of its markers, or give it a third one'
+            )
+            continue
         removed = 2 if joint.kind in ('trammel', 'slide') else 1
         # With a joint that holds more, nothing could move.
         if freedom - removed < 1:

@@ -31,6 +31,8 @@ _MAX_DISTANCE = 50
 # A wheel larger than this many times the size of its marked part hardly turns.
 _MAX_WHEEL = 10.0
 _MAX_GEAR_RATIO = 50
+# Deviations up to which the center of a trammel's circle may be the mean of the markers.
+_CENTERED_SIGMAS = 6.0
 
 
 class Joint(NamedTuple):
@@ -238,6 +240,17 @@ def _trammel(
     angle, deviations = float(np.angle(beta)), (deviation, deviation)
     points = complex(alpha), complex(d)
     return Joint('trammel', *numbers, *points, deviations, residual, expected, angle, abs(beta))
+
+
+def is_mirrored_pair(pose: Pose, trammel: Joint) -> bool:
+    """
+    Whether a trammel may be a pin of two markers with one coordinate exchanged.
+
+    Exchanged, two markers turn the other way about their mean, which still moves on a circle about
+    the pin: the motion of a trammel whose circle has its center there.
+    """
+    is_centered = abs(trammel.on_one) < _CENTERED_SIGMAS * trammel.deviation[0]
+    return trammel.kind == 'trammel' and len(pose.shape) == 2 and is_centered
 
 
 def fit_wheel(first: Pose, second: Pose, slot: Joint) -> Rolling | None:

@@ -39,7 +39,17 @@ def table(linkage: Linkage, checked: Checked | None) -> list[str]:
         Frames, plane, unit, bodies, joints, lengths, and what could not be determined.
 
     """
-    lines = [*_input_lines(linkage), '', *_aligned(_body_rows(linkage))]
+    lines = [f'{name + ":":<9}{text}' for name, text in input_texts(linkage).items()]
+    lines += ['', *_aligned(_body_rows(linkage)), *marker_lines(linkage)]
+    lines += ['', *joint_lines(linkage)]
+    if checked is not None:
+        lines.append(_draft_line(checked))
+    return lines
+
+
+def marker_lines(linkage: Linkage) -> list[str]:
+    """Name the markers that are of no moving body."""
+    lines = []
     if linkage.fixed:
         lines.append(f'markers that stand still: {_marker_list(linkage, linkage.fixed)}')
     if linkage.single:
@@ -47,7 +57,13 @@ def table(linkage: Linkage, checked: Checked | None) -> list[str]:
             f'markers of no body: {_marker_list(linkage, linkage.single)} (alone on theirs, loose, '
             'or exchanged with others: then set marker_identity: shape)'
         )
-    lines += ['', *(_joint_lines(linkage) if linkage.space is None else _space_lines(linkage))]
+    return lines
+
+
+def joint_lines(linkage: Linkage) -> list[str]:
+    """Tables of joints and lengths, degrees of freedom, and what could not be determined."""
+    is_planar = linkage.space is None
+    lines = _planar_lines(linkage) if is_planar else _space_lines(linkage)
     lengths = linkage.lengths()
     if lengths:
         rows: list[_Row] = [('length', 'of', 'mm', 'deviation')]
@@ -55,12 +71,9 @@ def table(linkage: Linkage, checked: Checked | None) -> list[str]:
             name, value = f'{length.one}-{length.other}', f'{length.value * 1e3:.3f}'
             rows.append((name, length.body, value, f'{length.deviation * 1e3:.2g}'))
         lines += ['', *_aligned(rows)]
-    if linkage.space is None:
+    if is_planar:
         lines += ['', f'degrees of freedom, by these joints: {linkage.freedom}']
-    lines += [f'note: {note}' for note in linkage.notes]
-    if checked is not None:
-        lines.append(_draft_line(checked))
-    return lines
+    return lines + [f'note: {note}' for note in linkage.notes]
 
 
 def _aligned(rows: Sequence[_Row]) -> list[str]:
@@ -71,7 +84,8 @@ def _aligned(rows: Sequence[_Row]) -> list[str]:
     ]
 
 
-def _input_lines(linkage: Linkage) -> list[str]:
+def input_texts(linkage: Linkage) -> dict[str, str]:
+    """Describe frames, plane, unit and names."""
     stamps = linkage.stamps
     uneven = stamps.jitter / stamps.interval
     frames = f'{len(linkage.seconds)} frames, {linkage.seconds[-1]:.1f} s, '
@@ -84,12 +98,12 @@ def _input_lines(linkage: Linkage) -> list[str]:
     if stamps.dropped:
         frames += f'; {stamps.dropped} left out, as repeated'
     names = 'hold' if linkage.ordered else 'none, or they do not hold: identified by shape'
-    return [
-        f'frames:  {frames}',
-        f'plane:   {_plane(linkage)}',
-        f'unit:    {_unit(linkage)}',
-        f'names:   {names}',
-    ]
+    return {
+        'frames': frames,
+        'plane': _plane(linkage),
+        'unit': _unit(linkage),
+        'names': names,
+    }
 
 
 def _plane(linkage: Linkage) -> str:
@@ -203,7 +217,7 @@ def _space_lines(linkage: Linkage) -> list[str]:
     return _aligned(rows) if len(rows) > 1 else ['joints in space: none that the data show']
 
 
-def _joint_lines(linkage: Linkage) -> list[str]:
+def _planar_lines(linkage: Linkage) -> list[str]:
     head = ('joint', 'of', 'where it is on the ground, mm', 'deviation', 'left over')
     rows = [head, *_pin_rows(linkage), *_slide_rows(linkage), *_wheel_rows(linkage)]
     if len(rows) == 1:

@@ -1,9 +1,7 @@
 """
-A scene compared with the measurement: rates, relative centers and balances of the tracked bodies.
+A scene on the tracked bodies: how both match, the balance of its loads, and its points.
 
-The scene's markers show how its body frames lie in the measured bodies. Their positions are
-compared with the joints, whatever drives the scene (`positions`). If its one driver is the angle of
-a tracked body, the scene is also moved to where the rig is, and its rates are compared.
+The scene's markers show how its body frames lie in the measured bodies.
 """
 
 import re
@@ -14,59 +12,20 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from kinpole_ros.linkage._matches import BodyMatch, MismatchError, match_bodies
-from kinpole_ros.linkage.positions import PositionReport, Positions
-from kinpole_ros.mechanism import (
-    GROUND,
-    Force,
-    LinkageError,
-    Load,
-    Mechanism,
-    Motion,
-    Scene,
-    SceneError,
-    load_scene,
-)
+from kinpole_ros.mechanism import GROUND, Force, Load, Scene, SceneError, load_scene
 from kinpole_ros.mechanism._equations import part_sum
 from kinpole_ros.planar import Port, covariance, measured_balance
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.planar._poles import center_offset, point_motion
+from kinpole_ros.planar._poles import point_motion
 from kinpole_ros.settings import POSE_TYPES, ParameterError, Settings, of_poses
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.reasons import SIGNIFICANT
 from kinpole_ros.tracking.values import Numbers, RegisteredQuantity, Vectors
 
-# Time between instants whose rates are compared, ns: the golden ratio, so that no rate of a
-# machine always shows the same position.
-_COMPARED_NS = 618_033_989
 # Ends of the topics of a point, and their units, by the order of the derivative.
 _POINT_TOPICS = (('', 'm'), ('/velocity', 'm/s'), ('/acceleration', 'm/s²'), ('/jerk', 'm/s³'))
 # Names that may be part of a topic's.
 _TOKEN = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
-
-
-class Difference(NamedTuple):
-    """
-    A measured quantity less the scene's, or the distance of both, and its standard deviation.
-
-    `subject` is the body or joint, `what` the quantity; value and deviation are in `unit`.
-    """
-
-    subject: str
-    what: str
-    unit: str
-    value: float
-    deviation: float
-
-
-class DeviationSummary(NamedTuple):
-    """A difference over `instants` of a recording: rms, and rms in standard deviations."""
-
-    subject: str
-    what: str
-    unit: str
-    rms: float
-    deviations: float
-    instants: int
 
 
 class PointOfInterest(NamedTuple):
@@ -184,118 +143,6 @@ def body_frames(theory: Theory, estimate: Estimate) -> Frames:
         if np.isfinite(frame[1]).any():
             frames[body] = frame
     return frames
-
-
-def rate_differences(theory: Theory, estimate: Estimate) -> list[Difference]:
-    """
-    Angular velocities (rad/s) of bodies less those of the scene, driven as measured.
-
-    Only of bodies whose rates are estimated; empty where the scene cannot be moved to the rig.
-    """
-    if not theory.driver:
-        return []
-    b, frames = theory.matches[theory.driver].tracked, body_frames(theory, estimate)
-    if theory.driver not in frames or estimate.missing[b]:
-        return []
-    mechanism = theory.scene.mechanism
-    start = float(mechanism.drivers[0].motion(np.zeros(1))[0, 0])
-    turned = estimate.angle[0, b] + frames[theory.driver][1] - start
-    motion = _swept(mechanism, start, (turned + np.pi) % (2 * np.pi) - np.pi)
-    if motion is None:
-        return []
-    # Per rad of the driver: the ratio of the rates, and how it changes.
-    ratio, ratio_change = motion.angle[1, :, 0], motion.angle[2, :, 0]
-    rate, noise = estimate.angle[1, b], estimate.angle_covariance[:2, :2, b]
-    differences = []
-    for body, match in theory.matches.items():
-        own, number = match.tracked, match.in_scene
-        if body == theory.driver or estimate.missing[own] or not np.isfinite(ratio[number]):
-            continue
-        by = np.array([ratio_change[number] * rate, ratio[number]])
-        deviation = float(np.sqrt(estimate.angle_covariance[1, 1, own] + by @ noise @ by))
-        value = float(estimate.angle[1, own] - ratio[number] * rate)
-        what = 'angular velocity less theory'
-        differences.append(Difference(body, what, 'rad/s', value, deviation))
-    return differences
-
-
-def _swept(mechanism: Mechanism, start: float, turn: float) -> Motion | None:
-    """The mechanism with its driver turned from its start, or turned there the other way round."""
-    for angle in (turn, turn - np.copysign(2 * np.pi, turn)):
-        try:
-            return mechanism.sweep(np.array([start + angle]))
-        except LinkageError:
-            continue
-    return None
-
-
-def joint_offsets(theory: Theory, estimate: Estimate) -> list[Difference]:
-    """
-    Distances (m) of the relative instant centers of two tracked bodies from the pins of both.
-
-    A pin is where the scene has it on the bodies as measured. The deviation is the distance over
-    its Mahalanobis distance. Only where the center is determined.
-    """
-    frames = body_frames(theory, estimate)
-    pairs = {(int(j), int(i)): k for k, (j, i) in enumerate(zip(*estimate.pairs, strict=True))}
-    center = estimate.relative_icr
-    differences = []
-    for joint in theory.scene.mechanism.assembly.joints:
-        if joint.center().kind != 'pin' or not {joint.one, joint.other} <= frames.keys():
-            continue
-        b, c = (theory.matches[body].tracked for body in (joint.one, joint.other))
-        k = pairs.get((max(b, c), min(b, c)))
-        if k is None or not center.determined[k]:
-            continue
-        origin, angle = frames[joint.one]
-        point = origin + joint.a * np.exp(1j * angle)
-        pin = estimate.origin(0)[b] + point * np.exp(1j * estimate.angle[0, b])
-        distance, deviations = center_offset(center.value[k], pin, center.covariance[k])
-        if deviations > 0:
-            off = float(distance), float(distance / deviations)
-            differences.append(Difference(joint.name, 'relative center off the pin', 'm', *off))
-    return differences
-
-
-class Comparison:
-    """How far bodies are from a scene over a recording."""
-
-    def __init__(self, theory: Theory) -> None:
-        self._theory = theory
-        self._positions = Positions(theory.scene, theory.matches)
-        self._latest: Estimate | None = None
-        # By subject, quantity and unit: instants, sums of squares of values and of deviations.
-        self._sums: dict[tuple[str, str, str], np.ndarray] = {}
-
-    def append(self, estimate: Estimate) -> None:
-        """Append estimates (T, B): all of their positions, and the rates of some instants."""
-        self._positions.append(estimate)
-        period = estimate.stamp // _COMPARED_NS
-        # The first instant of all is the least certain, and is not compared.
-        last = period[0] if self._latest is None else self._latest.stamp[-1] // _COMPARED_NS
-        for k in (period != np.append(last, period[:-1])).nonzero()[0]:
-            self._compare(estimate[int(k)])
-        self._latest = estimate
-
-    def _compare(self, now: Estimate) -> None:
-        for off in (*rate_differences(self._theory, now), *joint_offsets(self._theory, now)):
-            if off.deviation > 0:
-                sums = self._sums.setdefault(off[:3], np.zeros(3))
-                sums += 1, off.value**2, (off.value / off.deviation) ** 2
-
-    def positions(self) -> PositionReport | None:
-        """Positions compared with the joints; None where they have nothing in common."""
-        return self._positions.report()
-
-    def rates(self) -> list[DeviationSummary]:
-        """All differences of rates; empty where the scene could not be moved to the rig."""
-        if not self._sums and self._latest is not None:
-            self._compare(self._latest[-1])
-        result = []
-        for names, (instants, *squares) in self._sums.items():
-            rms, deviations = np.sqrt(squares / instants).tolist()
-            result.append(DeviationSummary(*names, rms, deviations, int(instants)))
-        return result
 
 
 def balance(theory: Theory, estimate: Estimate) -> Numbers:

@@ -170,13 +170,8 @@ class DiagnosticsMaker:
                 values[f'{pair}: the same in deviations'] = float(deviations)
         if self._theory is None:
             return _status(name, DiagnosticStatus.OK, 'no scene given', values)
-        from kinpole_ros.linkage.theory import joint_offsets, rate_differences
-
         scene = self._theory.scene.name
         level, message = DiagnosticStatus.OK, f'compared with the scene {scene}'
-        for off in (*rate_differences(self._theory, now), *joint_offsets(self._theory, now)):
-            values[f'{off.subject}: {off.what} ({off.unit})'] = off.value
-            values[f'{off.subject}: deviation of that ({off.unit})'] = off.deviation
         positions = self._positions.append(now) if self._positions else None
         if positions is None and not values:
             message = f'too little is known yet to compare the scene {scene}'

@@ -253,7 +253,7 @@ def kennedy_residual(centers: Complex, covariance: Real) -> tuple[Real, Real]:
     velocities lie on a line by algebra, so the centers must be measured independently: for
     instance pins from poses, and the relative center from velocities. The residual then shows pins
     with play, bodies that are not rigid, and velocities that lag. It does not show a joint that is
-    elsewhere on the line; `center_offset` does.
+    elsewhere on the line.
 
     """
     first, second, third = np.asarray(centers, complex)
@@ -273,18 +273,3 @@ def kennedy_residual(centers: Complex, covariance: Real) -> tuple[Real, Real]:
             + normal.imag**2 * matrix[..., 1, 1]
         )
         return local.imag, local.imag / np.sqrt((weights * across).sum(axis=0))
-
-
-def center_offset(center: Complex, joint: Complex, covariance: Real) -> tuple[Real, Real]:
-    """
-    Distance (...), m, of a measured relative center from the joint where it should be.
-
-    `covariance` (..., 2, 2), m^2, is that of both. The second result is the Mahalanobis distance,
-    whose mean square is 2 where the joint is right.
-    """
-    off = np.asarray(center, complex) - joint
-    matrix = np.asarray(covariance, float)
-    xx, xy, yy = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 1]
-    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        square = yy * off.real**2 - 2 * xy * off.real * off.imag + xx * off.imag**2
-        return np.abs(off), np.sqrt(square / (xx * yy - xy**2))

@@ -46,6 +46,42 @@ class DiscoverOptions(NamedTuple):
     plot: str | Path | None = None
 
 
+class Found(NamedTuple):
+    """A linkage, the topic of its markers, and whether that is live."""
+
+    linkage: Linkage
+    topic: str
+    is_live: bool
+
+
+def find_linkage(
+    source: str,
+    options: DiscoverOptions,
+    progress: Progress = None,
+    on_truncated: Callable[[Truncated], None] | None = None,
+) -> Found:
+    """
+    Find the bodies and joints of a bag of markers, or of a topic that is being published.
+
+    `progress` is called with the fraction done, `on_truncated` with what is missing from a
+    truncated bag. Raises BagError if the markers cannot be read, or nothing is found.
+    """
+    if options.seconds is not None and not 0 < options.seconds < float('inf'):
+        raise BagError(f'--seconds is {options.seconds}; it must be more than 0')
+    normal = _normal(options.plane)
+
+    def stage(first: float, last: float) -> Progress:
+        if progress is None:
+            return None
+        return lambda fraction: progress(first + (last - first) * fraction)
+
+    frames, name, is_live = _read(source, options, stage(0.0, _READING), on_truncated)
+    try:
+        return Found(discover(frames, stage(_READING, _SEARCH), normal), name, is_live)
+    except UndiscoveredError as error:
+        raise BagError(f'{source}: {error}') from None
+
+
 def discover_rig(
     source: str,
     options: DiscoverOptions | None = None,
@@ -55,29 +91,14 @@ def discover_rig(
     """
     Find the bodies and joints of a rig; return lines to print, and write the files of the options.
 
-    `source` is a bag of markers, or a topic that is being published. `progress` is called with the
-    fraction done, `on_truncated` with what is missing from a truncated bag. Raises BagError if the
-    markers cannot be read, nothing is found, or a file cannot be written.
+    Parameters and errors are those of `find_linkage`; a file that cannot be written is a BagError.
     """
     options = options or DiscoverOptions()
-    if options.seconds is not None and not 0 < options.seconds < float('inf'):
-        raise BagError(f'--seconds is {options.seconds}; it must be more than 0')
-    normal = _normal(options.plane)
     if options.plot is not None:
         from kinpole_ros.tools.plot import picture_format
 
         picture_format(options.plot)
-
-    def stage(first: float, last: float) -> Progress:
-        if progress is None:
-            return None
-        return lambda fraction: progress(first + (last - first) * fraction)
-
-    frames, name, is_live = _read(source, options, stage(0.0, _READING), on_truncated)
-    try:
-        linkage = discover(frames, stage(_READING, _SEARCH), normal)
-    except UndiscoveredError as error:
-        raise BagError(f'{source}: {error}') from None
+    linkage, name, is_live = find_linkage(source, options, progress, on_truncated)
     about = f'Found by kinpole discover {printable(source)}'
     drawn = draft(linkage, f'{about}: a draft, to be checked and named.')
     if progress is not None:

@@ -386,7 +386,8 @@ def test_a_body_of_an_odd_size_is_likely_in_another_unit(
 
 
 def test_a_scene_is_held_against_bodies_in_any_plane() -> None:
-    from kinpole_ros.linkage.theory import Comparison, load_theory
+    from kinpole_ros.linkage.positions import Positions
+    from kinpole_ros.linkage.theory import load_theory
 
     scene = load_scene('four_bar')
     t = np.arange(400) / 200
@@ -402,10 +403,11 @@ def test_a_scene_is_held_against_bodies_in_any_plane() -> None:
     )
     theory = load_theory(given)
     assert theory is not None
-    comparison = Comparison(theory)
+    positions = Positions(theory.scene, theory.matches)
     frames = frames_of(points @ rotation((1, 1, 0), 40).T)._replace(identities=names)
     for estimate in Tracker(given).add(frames, 2):
-        comparison.append(estimate)
-    rates = [row for row in comparison.rates() if row.unit == 'rad/s']
-    assert len(rates) == 2
-    assert max(row.deviations for row in rates) < 3
+        positions.append(estimate)
+    report = positions.report()
+    assert report is not None
+    assert len(report.joints) == 4
+    assert report.words == []

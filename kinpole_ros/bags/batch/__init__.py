@@ -8,45 +8,30 @@ was made of. So a run that was stopped goes on where it was, and a bag that fail
 import logging
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
-from itertools import islice
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from kinpole_ros.bags import BagError
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._folder import ResultFolder, absolute, row_in_folder
-from kinpole_ros.bags.batch._results import (
-    EXPECTED,
-    KINDS,
-    Job,
-    Row,
-    alone,
-    bag_size,
-    is_result,
-    join_parts,
-    replay_bag,
-    replay_part,
-    stretch_counts,
-)
+from kinpole_ros.bags.batch._results import KINDS, Job, Row, bag_size, is_result
 from kinpole_ros.bags.batch._workers import (
+    Share,
+    Take,
     TlsFiles,
-    Workers,
-    cluster_workers,
     is_open_to_all,
-    local_workers,
+    replay_here,
+    replay_in_processes,
+    replay_on_cluster,
 )
 from kinpole_ros.files import read_limited
+from kinpole_ros.packages import install_command
 from kinpole_ros.settings import Settings
 
 __all__ = ['KINDS', 'TlsFiles', 'batch', 'is_open_to_all', 'listed_bags']
 
-_QUEUED = 8  # bags for each worker: the scheduler of a cluster slows down under more
-_CHECK_INTERVAL = 5.0  # s without a result, after which to see whether there are workers
 _MOST_LIST_BYTES = 64 << 20  # a hundred thousand paths of 600
 
 
@@ -122,7 +107,7 @@ def batch(
         The address of a Dask scheduler whose workers have this package and see the same files.
     workers : int, optional
         Without a scheduler, the number of processes here, which nobody else can reach; the number
-        of cores by default.
+        of cores by default. Without Dask, bags are replayed in this process.
     progress : callable, optional
         Called with the share done of what was not finished before, by bytes.
     report : callable, optional
@@ -163,16 +148,25 @@ def batch(
     folder.prepare(len(paths))
     jobs = [folder.job(path, settings, topic, kinds) for path in paths]
     rows: dict[str, Row] = {}
-    bar = None if progress is None else _Progress(progress)
+    bar = _Progress(progress)
+
+    def add(job: Job, row: Row) -> None:
+        rows[job.bag] = row
+        if report is not None:
+            with bar.lock:
+                report(row)
+
+    def take(number: int, row: Row) -> None:
+        bar.take(number, 1.0)
+        add(waiting[number], row_in_folder(waiting[number], row))
+
     try:
         for job in jobs:
             if (row := folder.finished(job)) is not None:
-                rows[job.bag] = row
-                _report(report, row, bar)
-        waiting = [job for job in jobs if job.bag not in rows]
-        for row in _run(waiting, scheduler, workers, bar, tls) if waiting else ():
-            rows[row['bag']] = row
-            _report(report, row, bar)
+                add(job, row)
+        if waiting := [job for job in jobs if job.bag not in rows]:
+            bar.begin([bag_size(job.bag) for job in waiting])
+            _run(waiting, scheduler, workers, tls, take, bar.take)
     finally:
         # Bags that were finished while we were being stopped count too.
         listed = [rows.get(job.bag) or folder.finished(job) for job in jobs]
@@ -181,120 +175,31 @@ def batch(
     return summary
 
 
-def _report(report: Callable[[Row], None] | None, row: Row, bar: '_Progress | None') -> None:
-    if report is not None:
-        with nullcontext() if bar is None else bar.lock:
-            report(row)
-
-
 def _run(
     jobs: list[Job],
     scheduler: str | None,
     workers: int | None,
-    bar: '_Progress | None',
     tls: TlsFiles | None,
-) -> Iterator[Row]:
-    """Run jobs on a cluster or here, and yield the row of each as it comes."""
+    take: Take,
+    share: Share,
+) -> None:
+    """Replay the bags on a cluster or here, and call `take` with the row of each as it comes."""
     if scheduler is not None:
-        return _rows(jobs, [1] * len(jobs), cluster_workers(scheduler, tls), bar)
-    most = workers or os.cpu_count() or 1
-    counts = stretch_counts(jobs, most)
-    in_memory = any(_store.is_in_memory(path) for job in jobs for path in (job.bag, job.root))
-    return _rows(jobs, counts, local_workers(min(most, sum(counts)), in_memory), bar, is_local=True)
-
-
-def _rows(
-    jobs: list[Job],
-    counts: list[int],
-    started: AbstractContextManager[Workers],
-    bar: '_Progress | None',
-    is_local: bool = False,
-) -> Iterator[Row]:
-    """Submit jobs, those of long bags in stretches, and yield the row of each as it comes."""
-    numbers: dict[Future[Any], int] = {}
-    try:
-        with ExitStack() as locks, started as crew:
-            yield from _submit(jobs, counts, crew, bar, locks, numbers)
-    finally:
-        # Local workers were killed and leave parts; those of a cluster finish their jobs.
-        if is_local:
-            for number in set(numbers.values()):
-                if isinstance(jobs[number].root, Path):
-                    with suppress(OSError), alone(jobs[number], wait=False):
-                        pass
-
-
-def _submit(
-    jobs: list[Job],
-    counts: list[int],
-    crew: Workers,
-    bar: '_Progress | None',
-    locks: ExitStack,
-    numbers: dict[Future[Any], int],
-) -> Iterator[Row]:
-    """Keep the crew busy; `numbers` are those of the jobs of the futures that are not done."""
-    futures: dict[int, list[Future[Any]]] = {}
-    fingerprints: dict[int, list[Any]] = {}  # of bags in stretches, as they were at the begin
-    waiting = iter(range(len(jobs)))
-    if bar is not None:
-        bar.begin([bag_size(job.bag) for job in jobs])
-
-    def begin(number: int) -> None:
-        job, count = jobs[number], counts[number]
-        progress = None if bar is None else partial(bar.take, number)
-        if count > 1:
-            try:
-                fingerprints[number] = job.fingerprint()
-                locks.enter_context(alone(job, wait=False))
-            except EXPECTED:
-                count = 1  # its worker reports an error, or waits for another run at the bag
-        if count == 1:
-            futures[number] = [crew.submit(replay_bag, (job,), progress)]
-        else:
-            # The last stretch takes the longest.
-            futures[number] = [
-                crew.submit(replay_part, (job, k, count), progress if k == count - 1 else None)
-                for k in range(count)
-            ]
-        numbers.update(dict.fromkeys(futures[number], number))
-
-    for number in islice(waiting, _QUEUED * crew.count):
-        begin(number)
-    trouble = ''
-    while numbers:
-        completed = wait(numbers, _CHECK_INTERVAL, return_when=FIRST_COMPLETED).done
-        before, trouble = trouble, '' if completed else crew.trouble()
-        if trouble != before and trouble:
-            logging.getLogger(__name__).warning('%s', trouble)
-        for done in completed:
-            number = numbers.pop(done)
-            if number in numbers.values():
-                continue
-            for following in islice(waiting, 1):
-                begin(following)
-            if bar is not None:
-                bar.take(number, 1.0)
-            row = _row(jobs[number], fingerprints.get(number), futures.pop(number))
-            yield row_in_folder(jobs[number], row)
-
-
-def _row(job: Job, fingerprint: list[Any] | None, futures: list[Future[Any]]) -> Row:
-    """Return the row of a bag of which all is done; in stretches, with its fingerprint before."""
-    errors = [error for future in futures if (error := future.exception()) is not None]
-    try:
-        if not errors:
-            results = [future.result() for future in futures]
-            if len(results) == 1 or fingerprint is None:
-                row: Row = results[0]
-                return row
-            return join_parts(job, fingerprint, results)
-    except EXPECTED as error:
-        errors = [error]
-    text = str(errors[0])
-    if not isinstance(errors[0], EXPECTED):
-        # A worker that died, or one without this package; or a fault of ours.
-        text = f'{type(errors[0]).__name__}: {text}'
-    return {'bag': job.bag, 'error': ' '.join(text.split())}
+        replay_on_cluster(jobs, scheduler, tls, take, share)
+        return
+    count = min(workers or os.cpu_count() or 1, len(jobs))
+    has_dask = find_spec('dask') is not None
+    if count > 1 and not has_dask:
+        logging.getLogger(__name__).warning(
+            'bags are replayed one after another, since Dask, which uses all cores, is not '
+            'installed; fix: %s',
+            install_command('batch'),
+        )
+    # No other process has access to what is in the memory of this one.
+    if has_dask and not any(_store.is_in_memory(path) for j in jobs for path in (j.bag, j.root)):
+        replay_in_processes(jobs, count, take, share)
+    else:
+        replay_here(jobs, take, share)
 
 
 class _Progress:
@@ -304,9 +209,9 @@ class _Progress:
     Shares come in other threads, which hold the `lock` while they report.
     """
 
-    def __init__(self, progress: Callable[[float], None]) -> None:
+    def __init__(self, progress: Callable[[float], None] | None) -> None:
         self.lock = threading.Lock()
-        self._progress = progress
+        self._progress = progress or (lambda share: None)
 
     def begin(self, sizes: list[int]) -> None:
         self._sizes, self._total = sizes, sum(sizes)

@@ -8,7 +8,6 @@ import glob
 import hashlib
 import json
 import os
-import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
@@ -18,11 +17,7 @@ from typing import Any
 
 from kinpole_ros import __version__
 from kinpole_ros.bags import BagError, Replayed, bag_files, warnings_of
-from kinpole_ros.bags._replay import replay_stretch
-from kinpole_ros.bags._replayed import concatenate_outcomes
-from kinpole_ros.bags._stretch import equal_stretches
-from kinpole_ros.bags._tables import join_parquet
-from kinpole_ros.bags._writer import BagWriter
+from kinpole_ros.bags._replay import replay_into
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.files import lock, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML
@@ -33,7 +28,6 @@ KINDS = ('mcap', 'csv', 'parquet')
 EXPECTED = (BagError, LinkageError, ParameterError, SceneError, OSError)
 _LONGEST_NAME = 200  # bytes of a name, which may have 255 with its endings
 _MOST_RECORD_BYTES = 16 << 20
-_LONG_BYTES = 4 << 20  # of a bag worth dividing, at some 200 a frame: five seconds of work or more
 # What JSON of another form raises.
 _MALFORMED = (ValueError, LookupError, TypeError, RecursionError)
 
@@ -74,10 +68,9 @@ class Job:
         """Return the address of the folder of the results, in a store."""
         return f'{self.root}/{self.shard}'.rstrip('/')
 
-    def files(self, folder: Path, number: int | None = None) -> dict[str, Path]:
-        """Return the files by kind to write results to, or those of the stretch of this number."""
-        stem = self.name if number is None else f'{self.name}.{number}'
-        return {kind: folder / f'{stem}.{kind}.part' for kind in self.kinds}
+    def files(self, folder: Path) -> dict[str, Path]:
+        """Return the files by kind to write results to."""
+        return {kind: folder / f'{self.name}.{kind}.part' for kind in self.kinds}
 
     def fingerprint(self) -> list[Any]:
         """Return what is equal as long as all that results depend on is unchanged."""
@@ -110,7 +103,10 @@ def replay_bag(job: Job, progress: Callable[[float], None] | None = None) -> Row
         with alone(job):
             return finished(job) or _make(job, job.folder, progress)
     except EXPECTED as error:
-        return {'bag': job.bag, 'error': ' '.join(str(error).split())}
+        text = str(error)
+    except Exception as error:  # a fault of ours
+        text = f'{type(error).__name__}: {error}'
+    return {'bag': job.bag, 'error': ' '.join(text.split())}
 
 
 def _make(job: Job, folder: Path, progress: Callable[[float], None] | None) -> Row:
@@ -118,23 +114,8 @@ def _make(job: Job, folder: Path, progress: Callable[[float], None] | None) -> R
     fingerprint = job.fingerprint()
     is_url = _store.is_url(job.bag)
     with _store.fetched(job.bag) if is_url else nullcontext(job.bag) as source:
-        outcome = replay_stretch(source, job.settings, job.files(folder), job.topic, progress)
+        outcome = replay_into(source, job.settings, job.files(folder), job.topic, progress)
     return _name_results(job, folder, fingerprint, outcome)
-
-
-def stretch_counts(jobs: Sequence[Job], workers: int) -> list[int]:
-    """
-    Return the number of stretches of each bag, more than one where bags are fewer than workers.
-
-    A comparison with a scene runs on from frame to frame, and is not divided.
-    """
-    most = workers // len(jobs)
-    counts = []
-    for job in jobs:
-        is_divisible = most > 1 and not job.settings.scene and isinstance(job.root, Path)
-        is_long = is_divisible and not _store.is_url(job.bag) and bag_size(job.bag) > _LONG_BYTES
-        counts.append(most if is_long else 1)
-    return counts
 
 
 def bag_size(bag: str) -> int:
@@ -145,39 +126,6 @@ def bag_size(bag: str) -> int:
         return max(1, sum(file.stat().st_size for file in bag_files(bag)))
     except EXPECTED:
         return 1
-
-
-def replay_part(
-    job: Job, number: int, count: int, progress: Callable[[float], None] | None = None
-) -> Replayed:
-    """Replay the stretch of this number, of so many, into files of its own next to the results."""
-    files, stretch = job.files(job.folder, number), equal_stretches(count)[number]
-    return replay_stretch(job.bag, job.settings, files, job.topic, progress, stretch)
-
-
-def join_parts(job: Job, fingerprint: list[Any], outcomes: list[Replayed]) -> Row:
-    """Join the results of the stretches of a bag, of this fingerprint when they began."""
-    stretches = [job.files(job.folder, number) for number in range(len(outcomes))]
-    for kind, target in job.files(job.folder).items():
-        _join_files([files[kind] for files in stretches], target, kind)
-    return _name_results(job, job.folder, fingerprint, concatenate_outcomes(outcomes))
-
-
-def _join_files(sources: Sequence[Path], target: Path, kind: str) -> None:
-    """Join the results of stretches, 'mcap', 'parquet' or 'csv', as one replay writes them."""
-    if kind == 'mcap':
-        with BagWriter(target) as writer:
-            for source in sources:
-                writer.append(source)
-    elif kind == 'parquet':
-        join_parquet(sources, target)
-    else:
-        with target.open('wb') as table:
-            for number, source in enumerate(sources):
-                with source.open('rb') as file:
-                    if number:
-                        file.readline()
-                    shutil.copyfileobj(file, table, 1 << 20)
 
 
 def _name_results(job: Job, folder: Path, fingerprint: list[Any], outcome: Replayed) -> Row:

@@ -1,9 +1,8 @@
 """
-Workers of a batch: processes of this machine, or a Dask cluster.
+Where the bags of a batch are replayed: here, in processes of this machine, or on a Dask cluster.
 
-Dask's local cluster would listen on a port at which any user of the machine could run code. A
-`ProcessPoolExecutor` fails all of its jobs when one process dies, has no messages of progress, and
-leaves its processes running when it is killed. So processes here are reached through pipes.
+The last two are schedulers of Dask for one map over the bags. Dask's local cluster would listen on
+a port at which any user of the machine could run code, so the processes are reached through pipes.
 """
 
 import asyncio
@@ -13,184 +12,173 @@ import os
 import signal
 import threading
 import uuid
-from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing import resource_tracker
+from functools import partial
 from multiprocessing.connection import Connection
-from queue import Empty, SimpleQueue
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 from kinpole_ros.bags import BagError
+from kinpole_ros.bags.batch._results import Job, Row, alone, replay_bag
 from kinpole_ros.packages import install_command
 
-# The function of a job takes its arguments, and a function to call with the share done, 0 to 1.
-Job = Callable[..., Any]
-Arguments = tuple[Any, ...]
-Progress = Callable[[float], None]
+# Called with the number of a job, and with its row or with the share of it that is done.
+Take = Callable[[int, Row], None]
+Share = Callable[[int, float], None]
 
 # Not 'forkserver', the default on Linux from Python 3.14 on: that one listens on a socket.
 _CONTEXT = multiprocessing.get_context('spawn')
-_SHARE, _RESULT, _ERROR = range(3)  # the kinds of message that a worker process sends
 _CONNECT_TIMEOUT = 30  # s, for a scheduler to answer and for its first worker to connect
-_TOPIC = 'kinpole'  # of the events by which Dask workers report their progress
+_CHECK_INTERVAL = 5.0  # s between two looks whether a cluster has workers
+_TOPIC = 'kinpole'  # of the events by which Dask workers report the share done
 _TLS = ('tls', 'wss')  # Dask's protocols in which both ends show certificates
 
 
-class Workers(Protocol):
-    """Runs the jobs of a batch."""
-
-    count: int  # jobs that run at a time
-
-    def submit(self, job: Job, arguments: Arguments, progress: Progress | None) -> Future[Any]:
-        """Begin a job; `progress` is called, in any thread, with the share that is done."""
-
-    def trouble(self) -> str:
-        """Return what keeps all jobs waiting; '' for nothing."""
+def replay_here(jobs: Sequence[Job], take: Take, share: Share) -> None:
+    """Replay the bags in this process, one after another."""
+    for number, job in enumerate(jobs):
+        take(number, replay_bag(job, partial(share, number)))
 
 
-class _LocalWorkers:
-    """Worker processes, with a thread here for each; or one thread of this process."""
-
-    def __init__(
-        self, threads: ThreadPoolExecutor, processes: '_Processes | None', count: int
-    ) -> None:
-        self.count = count
-        self._threads, self._processes = threads, processes
-
-    def submit(self, job: Job, arguments: Arguments, progress: Progress | None) -> Future[Any]:
-        if self._processes is None:
-            return self._threads.submit(job, *arguments, progress or _ignore)
-        return self._threads.submit(self._processes.run, job, arguments, progress)
-
-    def trouble(self) -> str:
-        return ''
-
-
-class _Processes:
+def replay_in_processes(jobs: Sequence[Job], workers: int, take: Take, share: Share) -> None:
     """
-    Worker processes at pipes that nobody else can use.
+    Replay the bags in worker processes of this machine.
 
-    A process that dies costs the job it was at; the next job gets a new process.
+    A process that dies takes Dask's pool with it. Those bags that had begun are then tried again,
+    each by itself, so that one that ends its process costs only itself. Raises BagError where no
+    process can be started.
     """
+    left = dict(enumerate(jobs))
 
-    def __init__(self, count: int) -> None:
-        self._lock = threading.Lock()
-        self._is_closed = False
-        self._started: set[Any] = set()
-        self._idle: SimpleQueue[tuple[Any, Connection]] = SimpleQueue()
-        # Its start unblocks the signals that a process to be started should have blocked.
-        with suppress(AttributeError):  # Windows has none
-            resource_tracker.ensure_running()
+    def finish(number: int, row: Row) -> None:
+        del left[number]
+        take(number, row)
+
+    while left:
+        begun: set[int] = set()
         try:
-            for _ in range(count):
-                self._idle.put(self._start())
-        except BaseException:
-            self.close()
-            raise
-
-    def close(self) -> None:
-        """End all processes, and with them their jobs."""
-        with self._lock:
-            self._is_closed = True
-            processes, self._started = self._started, set()
-        for process in processes:
-            # Its pipe is closed by the thread that may be reading it.
-            process.kill()
-            process.join()
-
-    def _start(self) -> tuple[Any, Connection]:
-        with self._lock:
-            if self._is_closed:
-                raise BagError('the batch is stopped')
-            try:
-                pipe, other_end = _CONTEXT.Pipe()
-                # The end of the pipe ends it. A daemon could start no processes of its own.
-                process = _CONTEXT.Process(target=_serve, args=(other_end,))
-                with other_end, _interrupts_blocked():
-                    process.start()
-            except (OSError, RuntimeError) as error:
-                raise BagError(
-                    f'no worker processes can be started ({error}); fix: see to the memory and '
-                    'the processes this machine has to spare, or give fewer --workers'
-                ) from None
-            self._started.add(process)
-        return process, pipe
-
-    def run(self, job: Job, arguments: Arguments, progress: Progress | None) -> Any:
-        """Return the result of a job, run by an idle process; raises what the job raises."""
-        try:
-            process, pipe = self._idle.get_nowait()
-        except Empty:
-            process, pipe = self._start()
-        try:
-            pipe.send((job, arguments))
-            while (message := pipe.recv())[0] == _SHARE:
-                if progress is not None:
-                    progress(message[1])
-        except (EOFError, OSError):
-            with self._lock:
-                self._started.discard(process)
-            process.join()
-            raise BagError(
-                f'its worker process ended ({_reason(process.exitcode)}); fix: run the '
-                'same command again, with fewer --workers if memory is short'
-            ) from None
-        self._idle.put((process, pipe))
-        kind, value = message
-        if kind == _ERROR:
-            raise value
-        return value
+            _replay_in_pool(left, workers, finish, share, begun)
+            return
+        except BrokenProcessPool:
+            # A process that dies at its start has begun none.
+            for number in sorted(begun & left.keys()) or [*left][:1]:
+                try:
+                    _replay_in_pool({number: jobs[number]}, 1, finish, share, set())
+                except BrokenProcessPool:
+                    finish(number, {'bag': jobs[number].bag, 'error': _DIED})
 
 
-@contextmanager
-def local_workers(count: int, here: bool = False) -> Iterator[Workers]:
-    """
-    Start so many worker processes of this machine, which are killed at the end.
-
-    With `here` it is one thread of this process, which has access to its memory. Raises BagError
-    when no process can be started.
-    """
-    with ThreadPoolExecutor(1 if here else count) as threads:
-        processes = None if here else _Processes(count)
-        try:
-            yield _LocalWorkers(threads, processes, 1 if here else count)
-        finally:
-            threads.shutdown(wait=False, cancel_futures=True)
-            if processes is not None:
-                processes.close()
+_DIED = (
+    'its worker process ended; fix: run the same command again, with fewer --workers if memory is '
+    'short'
+)
 
 
-def _end_with_parent() -> None:
-    """End this process with the one that started it, in the middle of a job too."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
+def _replay_in_pool(
+    jobs: Mapping[int, Job], workers: int, take: Take, share: Share, begun: set[int]
+) -> None:
+    """Replay bags by number in a pool of processes; adds those that began to `begun`."""
+    from dask.callbacks import Callback
+
+    rows = _mapped(jobs, _send_share)
+    shares, shares_end = _CONTEXT.Pipe(duplex=False)
+    life_end, life = _CONTEXT.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(workers, _CONTEXT, _begin_worker, (shares_end, life_end))
+    left = set(jobs)
+
+    def on_task(_: Any, result: Any, *__: Any) -> None:
+        # Dask names its tasks, and adds others, as it likes. A row may come twice.
+        for done in result if isinstance(result, list) else ():
+            if isinstance(done, Done) and done.number in left:
+                left.remove(done.number)
+                take(*done)
+
+    def read_shares() -> None:
+        with suppress(EOFError):
+            while True:
+                number, done = shares.recv()
+                begun.add(number)
+                share(number, done)
+
+    reader = threading.Thread(target=read_shares, daemon=True)
+    try:
+        _start(pool, workers)
+        reader.start()
+        with Callback(posttask=on_task):
+            rows.compute(scheduler='processes', pool=pool, chunksize=1)
+    finally:
+        # The end of its pipe ends a worker, also in the middle of a bag.
+        life.close()
+        shares_end.close()
+        pool.shutdown(cancel_futures=True)
+        if reader.ident is not None:
+            reader.join()
+        for number in begun & left:
+            if not isinstance(jobs[number].root, str):
+                with suppress(OSError), alone(jobs[number], wait=False):
+                    pass  # it removes unfinished parts
+
+
+def _mapped(jobs: Mapping[int, Job], share: Share) -> Any:
+    """Return the bag of Dask with the numbers and rows of the jobs, one in each partition."""
+    from dask import bag
+
+    return bag.from_sequence([*jobs.items()], npartitions=len(jobs)).map(_replay, share=share)
+
+
+class Done(NamedTuple):
+    """The row of the job of this number."""
+
+    number: int
+    row: Row
+
+
+def _replay(numbered: tuple[int, Job], share: Share) -> Done:
+    """Replay a bag in a worker."""
+    number, job = numbered
+    share(number, 0.0)
+    return Done(number, replay_bag(job, partial(share, number)))
+
+
+def _start(pool: ProcessPoolExecutor, workers: int) -> None:
+    """Start the processes, which ignore Ctrl-C: a terminal sends it to all, and this one ends."""
+    try:
+        with _interrupts_blocked():
+            for _ in range(workers):
+                pool.submit(int)
+    except (OSError, RuntimeError) as error:
+        raise BagError(
+            f'no worker processes can be started ({error}); fix: see to the memory and the '
+            'processes this machine has to spare, or give fewer --workers'
+        ) from None
+
+
+_shares: Connection | None = None  # of a worker process, to the one that started it
+
+
+def _begin_worker(shares: Connection, life: Connection) -> None:
+    """Keep the pipe for shares, and end with the other one; runs in a worker process."""
+    global _shares
+    _shares = shares
+
+    def end() -> None:
+        with suppress(EOFError, OSError):
+            life.recv()
         os._exit(1)
 
+    threading.Thread(target=end, daemon=True).start()
 
-def _serve(pipe: Connection) -> None:
-    """Run the jobs that come through a pipe, until it is closed; runs in a worker process."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    with suppress(EOFError, OSError):
-        while True:
-            job, arguments = pipe.recv()
-            try:
-                message = _RESULT, job(*arguments, lambda share: pipe.send((_SHARE, share)))
-            except Exception as error:
-                message = _ERROR, error
-            try:
-                pipe.send(message)
-            except OSError:
-                raise
-            except Exception:  # an error that cannot be pickled
-                pipe.send((_ERROR, RuntimeError(f'{type(message[1]).__name__}: {message[1]}')))
+
+def _send_share(number: int, done: float) -> None:
+    if _shares is not None:
+        _shares.send((number, done))
 
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C, which a terminal sends to all; this one ends them."""
     if not hasattr(signal, 'pthread_sigmask'):
         yield
         return
@@ -199,18 +187,6 @@ def _interrupts_blocked() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-def _reason(exit_code: int | None) -> str:
-    if exit_code is None or exit_code >= 0:
-        return f'exit status {exit_code}'
-    with suppress(ValueError):
-        return signal.Signals(-exit_code).name
-    return f'signal {-exit_code}'
-
-
-def _ignore(share: float) -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -249,55 +225,73 @@ def is_open_to_all(scheduler: str) -> bool:
     return not separator or protocol not in _TLS
 
 
-class _ClusterWorkers:
-    """The workers of a Dask client."""
+def replay_on_cluster(
+    jobs: Sequence[Job], scheduler: str, tls: TlsFiles | None, take: Take, share: Share
+) -> None:
+    """
+    Replay the bags on a Dask cluster, by the address of its scheduler.
 
-    def __init__(self, client: Any) -> None:
-        self._client = client
-        self.count = max(1, len(client.nthreads()))
-        self._executor = client.get_executor(pure=False)
-        # Other batches may use the same cluster.
-        self._batch = uuid.uuid4().hex
-        self._progress: list[Progress | None] = []
-        client.subscribe_topic(_TOPIC, self._on_progress)
+    Bags that have begun go on when the connection ends, those that wait are given up. Raises
+    BagError when there is no Dask, no scheduler that answers, or no worker.
+    """
+    with _client(scheduler, tls) as client:
+        from distributed import as_completed
 
-    def submit(self, job: Job, arguments: Arguments, progress: Progress | None) -> Future[Any]:
-        number = len(self._progress)
-        self._progress.append(progress)
-        future: Future[Any] = self._executor.submit(_run, job, arguments, (self._batch, number))
-        return future
-
-    def _on_progress(self, event: tuple[Any, tuple[str, int, float]]) -> None:
-        batch, number, share = event[1]
-        progress = self._progress[number] if batch == self._batch else None
-        if progress is not None:
-            progress(share)
-
-    def trouble(self) -> str:
-        if self._client.nthreads():
-            return ''
-        address = self._client.scheduler.address
-        return f'the Dask cluster has no worker; waiting for one: `dask worker {address}`'
+        topic = f'{_TOPIC}-{uuid.uuid4().hex}'  # other batches may use the same cluster
+        client.subscribe_topic(topic, lambda event: share(*event[1]))
+        rows = _mapped(dict(enumerate(jobs)), partial(_log_share, topic))
+        futures = client.compute(rows.to_delayed())
+        numbers = {future.key: number for number, future in enumerate(futures)}
+        with _warning_without_workers(client):
+            for future in as_completed(futures):
+                number = numbers[future.key]
+                # A worker that died, or one without this package.
+                if future.status == 'error':
+                    error = future.exception()
+                    text = ' '.join(f'{type(error).__name__}: {error}'.split())
+                    take(number, {'bag': jobs[number].bag, 'error': text})
+                else:
+                    (done,) = future.result()
+                    take(*done)
 
 
-def _run(job: Job, arguments: Arguments, job_id: tuple[str, int]) -> Any:
-    """Run a job in a Dask worker, which reports its progress as an event."""
+def _log_share(topic: str, number: int, done: float) -> None:
+    """Report the share of a bag in a Dask worker, as an event."""
     from distributed import get_worker
 
-    worker = get_worker()
-    return job(*arguments, lambda share: worker.log_event(_TOPIC, (*job_id, share)))
+    get_worker().log_event(topic, (number, done))
 
 
 @contextmanager
-def cluster_workers(scheduler: str, tls: TlsFiles | None = None) -> Iterator[Workers]:
-    """
-    Connect to a Dask cluster by the address of its scheduler.
+def _warning_without_workers(client: Any) -> Iterator[None]:
+    """Warn while a cluster has no workers."""
+    ended = threading.Event()
 
-    Raises BagError when there is no Dask, no scheduler that answers, or no worker. Jobs that have
-    begun go on when the connection ends, those that wait are given up.
-    """
+    def check() -> None:
+        has_workers = True
+        while not ended.wait(_CHECK_INTERVAL):
+            with suppress(Exception):  # of a connection that is lost, the futures say more
+                had_workers, has_workers = has_workers, bool(client.nthreads())
+                if had_workers and not has_workers:
+                    address = client.scheduler.address
+                    logging.getLogger(__name__).warning(
+                        'the Dask cluster has no worker; waiting for one: `dask worker %s`', address
+                    )
+
+    thread = threading.Thread(target=check, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+
+
+@contextmanager
+def _client(scheduler: str, tls: TlsFiles | None) -> Iterator[Any]:
+    """Connect to a cluster; raises BagError where that fails, or the scheduler ends."""
     try:
         from distributed import Client, Security
+        from distributed.comm import CommClosedError
     except ImportError:
         fix = install_command('cluster')
         raise BagError(f'--scheduler needs Dask; fix: {fix}') from None
@@ -330,10 +324,9 @@ def cluster_workers(scheduler: str, tls: TlsFiles | None = None) -> Iterator[Wor
                 f'`dask worker {scheduler}`'
             ) from None
         try:
-            yield _ClusterWorkers(client)
-        # Dask's own error of a lost connection is an OSError.
-        except (CancelledError, OSError):
-            if client.status == 'running':
+            yield client
+        except (CancelledError, CommClosedError) as error:
+            if isinstance(error, CancelledError) and client.status == 'running':
                 raise
             raise BagError(
                 f'the Dask scheduler at {scheduler} ended; what is done is in the summary; fix: '

@@ -112,7 +112,7 @@ def _agrees(positions: 'PositionReport | None') -> bool:
 
 
 def _result_lines(result: Any) -> Iterator[str]:
-    """Yield lines on the stamps, on what was determined, and on the deviations from a scene."""
+    """Yield lines on the stamps, and on what was determined."""
     counts = {
         'stamps repeated': result.repeated,
         'frames late': result.late,
@@ -130,11 +130,6 @@ def _result_lines(result: Any) -> Iterator[str]:
     for body, shares in result.determined.items():
         listed = ', '.join(f'{pole} {share:.1%}' for pole, share in shares.items())
         yield f'{body}: determined at {listed} of them'
-    for row in result.scene_deviations:
-        yield (
-            f'{row.subject}: {row.what} {row.rms:.2g} {row.unit}, {row.deviations:.1f} deviations '
-            f'(rms of {row.instants} instants)'
-        )
 
 
 def _position_lines(positions: 'PositionReport | None') -> Iterator[str]:
@@ -193,7 +188,8 @@ def batch(options: argparse.Namespace) -> int:
     --tls-cert and --tls-key. They have kinpole_ros installed, and bags and output have the same
     paths there. Dask runs code from whoever can reach it: without TLS, that is anyone in the
     network. Options in the configuration of Dask need not be repeated here. Without --scheduler,
-    the workers are processes of this machine and listen to nobody.
+    the workers are processes of this machine and listen to nobody; without Dask, bags are replayed
+    one after another.
 
     Exit status: 0 if all bags are done; 2 if one failed, is cut off, or has a body without any
     estimate: see the columns error, truncated, unknown and warnings.

@@ -9,7 +9,8 @@ import numpy as np
 from kinpole_ros import __version__
 from kinpole_ros.bags import BagError, assumed_body, in_place_of, replay, warnings_of
 from kinpole_ros.files import printable
-from kinpole_ros.linkage.theory import DeviationSummary, load_theory
+from kinpole_ros.linkage.positions import JointSummary
+from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.settings import Settings
 from kinpole_ros.tools.record.record import Record, with_lost_frames
@@ -65,7 +66,7 @@ def report(
     that the bag was made of, which the page names. Raises BagError if there is nothing to show, or
     `output` cannot be written.
     """
-    theory: list[DeviationSummary] = []
+    joints: list[JointSummary] = []
     if topic is None and has_results(bag):
         if settings.scene:
             raise BagError(
@@ -93,7 +94,9 @@ def report(
         along = plane.name[:1], plane.name[1:2]
         if plane.axes is None:
             along = _axis_name(plane.basis[0], 'e1'), _axis_name(plane.basis[1], 'e2')
-        record, theory = collector.record(along), result.scene_deviations
+        record = collector.record(along)
+        if result.scene_positions is not None:
+            joints = result.scene_positions.joints
     shown, is_lost = with_lost_frames(record)
     data = {
         **pack(shown),
@@ -102,10 +105,7 @@ def report(
         'about': _about(record),
         'notes': notes,
         'scene': Path(settings.scene).stem,
-        'deviations': [
-            [row.subject, row.what, f'{row.rms:.2g} {row.unit}', f'{row.deviations:.1f}']
-            for row in theory
-        ],
+        'deviations': [[row.joint, f'{row.rms:.2g} m', f'{row.deviations:.1f}'] for row in joints],
         'made': f'kinpole {__version__}',
     }
     with in_place_of(output) as part:

@@ -13,8 +13,6 @@ from kinpole_ros.tools.record.result_bag import has_results
 
 # Files with these endings are bags, even if they cannot be read.
 _BAG_ENDINGS = ('.mcap', '.db3', '.bag')
-# Lines of discover on markers that are in no body, and on what could not be found.
-_ON_MARKERS = ('markers that stand still', 'markers of no body', 'note:')
 _MOST_NAMES = 4  # bodies that are named in a line
 
 
@@ -93,16 +91,18 @@ def _import_text(imported: Imported) -> str:
 def _discover(
     file: str, bag: str, topic: str | None, rig: Path, progress: Callable[[float], None] | None
 ) -> tuple[Path | None, list[str]]:
-    """Write the parameter file of discover; return it, None if it finds nothing, and lines."""
-    from kinpole_ros.tools.discover import DiscoverOptions, discover_rig
+    """Write the parameter file of a found rig; return it, None if there is none, and lines."""
+    from kinpole_ros.linkage import input_texts, joint_lines, marker_lines, parameter_file
+    from kinpole_ros.tools.discover import DiscoverOptions, find_linkage
 
     try:
-        lines = discover_rig(bag, DiscoverOptions(topic, output=rig), progress)
+        linkage, marker_topic, _ = find_linkage(bag, DiscoverOptions(topic), progress)
     except BagError as error:
         return None, [f'bodies: not found: {str(error).removeprefix(f"{bag}: ")}']
-    values = {name: text.strip() for name, text in (line.split(':', 1) for line in lines[:4])}
-    bodies = load_settings(rig).bodies
-    names = [f'{name} of {len(markers)} markers' for name, markers in bodies.items()]
+    rig.write_text(parameter_file(linkage, marker_topic), encoding='utf-8')
+    values = input_texts(linkage)
+    counts = zip(linkage.names, map(len, linkage.markers), strict=True)
+    names = [f'{name} of {count} markers' for name, count in counts]
     suffix = f' and {len(names) - _MOST_NAMES} more' if len(names) > _MOST_NAMES else ''
     command = f'kinpole discover {shlex.quote(file if file == bag else "BAG")} --output rig.yaml'
     first = '' if file == bag else 'kinpole import FILE --output BAG, then '
@@ -111,5 +111,6 @@ def _discover(
         f'unit: {values["unit"]}; names: {values["names"]}; to change: --set scale:=1',
         f'bodies: {", ".join(names[:_MOST_NAMES])}{suffix}, found from the motion; to change: '
         f'{first}{command}, edit it, and give --config rig.yaml',
-        *(line for line in lines if line.startswith(_ON_MARKERS)),
+        *marker_lines(linkage),
+        *filter(None, joint_lines(linkage)),
     ]

@@ -148,13 +148,13 @@ function percent(count, total) {
 
 function drawTheory(element, data) {
   if (!data.deviations.length) return;
-  const [table, content] = newTable(['', 'figure', 'rms', 'in deviations']);
+  const [table, content] = newTable(['joint', 'off, rms', 'in deviations']);
   for (const [subject, ...cells] of data.deviations) {
     const row = content.insertRow();
     row.append(tag('th', subject, { scope: 'row' }), ...cells.map((text) => tag('td', text)));
   }
-  element.append(tag('h2', `Against the theory of ${data.scene}`), table, tag('p', 'The theory '
-    + 'follows the measured driver. Expected are 1 standard deviation for rates, 1.4 for distances.'));
+  element.append(tag('h2', `Against the scene ${data.scene}`), table, tag('p', 'How far the '
+    + 'measured bodies are off its joints. Expected are 1.4 standard deviations for a pin.'));
 }
 
 function drawNotes(element, data) {
