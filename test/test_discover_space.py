@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from test_discover import START, rotation, shuffled
 
-from kinpole_ros.bags import import_points, read_frames
+from kinpole_ros.bags import BagError, import_points, read_frames
 from kinpole_ros.linkage import Checked, Linkage, UndiscoveredError, discover, draft, table
 from kinpole_ros.settings import settings_from
 from kinpole_ros.tools.discover import DiscoverOptions, discover_rig
@@ -264,7 +264,7 @@ def test_a_line_does_not_show_its_plane_and_one_may_be_given(tmp_path):
 
 @pytest.mark.parametrize('plane', ['zz', '', '1,2', 'nan,0,1', '0,0,0'])
 def test_a_bad_plane_is_refused(plane):
-    with pytest.raises(ValueError, match='auto, xy, yz, zx or a normal'):
+    with pytest.raises(BagError, match='auto, xy, yz, zx or a normal'):
         discover_rig('none.mcap', DiscoverOptions(plane=plane))
 
 

@@ -62,7 +62,7 @@ def prepared(
             )
         has_bodies = settings.bodies != Settings().bodies
         if not has_bodies and (topic is not None or not has_results(bag)):
-            rig, lines = _discover(file, bag, topic, Path(folder) / 'rig.yaml', progress)
+            rig, lines, found = _discover(file, bag, topic, Path(folder) / 'rig.yaml', progress)
             assumed += lines
             if rig is not None:
                 settings = load_settings(rig, changes=changes)
@@ -70,6 +70,7 @@ def prepared(
                     f'window {settings.window:g} s, lag {settings.lag:g} s, noise estimated from '
                     'the markers; to change: --set window:=0.2 --set lag:=0.1'
                 )
+            assumed += found
         yield Prepared(bag, settings, assumed)
 
 
@@ -90,15 +91,15 @@ def _import_text(imported: Imported) -> str:
 
 def _discover(
     file: str, bag: str, topic: str | None, rig: Path, progress: Callable[[float], None] | None
-) -> tuple[Path | None, list[str]]:
-    """Write the parameter file of a found rig; return it, None if there is none, and lines."""
+) -> tuple[Path | None, list[str], list[str]]:
+    """Write the parameter file of a rig; return it or None, assumptions, and what was found."""
     from kinpole_ros.linkage import input_texts, joint_lines, marker_lines, parameter_file
     from kinpole_ros.tools.discover import DiscoverOptions, find_linkage
 
     try:
         linkage, marker_topic, _ = find_linkage(bag, DiscoverOptions(topic), progress)
     except BagError as error:
-        return None, [f'bodies: not found: {str(error).removeprefix(f"{bag}: ")}']
+        return None, [f'bodies: not found: {str(error).removeprefix(f"{bag}: ")}'], []
     rig.write_text(parameter_file(linkage, marker_topic), encoding='utf-8')
     values = input_texts(linkage)
     counts = zip(linkage.names, map(len, linkage.markers), strict=True)
@@ -106,11 +107,10 @@ def _discover(
     suffix = f' and {len(names) - _MOST_NAMES} more' if len(names) > _MOST_NAMES else ''
     command = f'kinpole discover {shlex.quote(file if file == bag else "BAG")} --output rig.yaml'
     first = '' if file == bag else 'kinpole import FILE --output BAG, then '
-    return rig, [
+    lines = [
         f'plane: {values["plane"]}; to change: --set plane:=xy',
         f'unit: {values["unit"]}; names: {values["names"]}; to change: --set scale:=1',
         f'bodies: {", ".join(names[:_MOST_NAMES])}{suffix}, found from the motion; to change: '
         f'{first}{command}, edit it, and give --config rig.yaml',
-        *marker_lines(linkage),
-        *filter(None, joint_lines(linkage)),
     ]
+    return rig, lines, [*marker_lines(linkage), *filter(None, joint_lines(linkage))]
