@@ -438,6 +438,7 @@ def test_a_recording_on_a_full_disk_ends_before_anything_comes() -> None:
         ('solve cardan --html a.png', '--html a.png: the output is an HTML page; end its name in'),
         ('solve cardan --csv b.csv --plot a.html', 'a.html is no picture; end its name in one of'),
         ('plot ROD --output a.html', 'a.html is no picture; end its name in one of'),
+        ('tolerance cardan --plot a.foo', 'a.foo is no picture; end its name in one of'),
         ('discover ROD --output b.yaml --plot a.html', 'a.html is no picture; end its name in'),
         ('discover ROD --output a.mcap', 'the output is a YAML file; end its name in .yaml'),
         ('fit cardan ROD --output a.mcap', 'the output is a YAML file; end its name in .yaml'),

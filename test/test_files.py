@@ -22,6 +22,7 @@ from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limit
 from kinpole_ros.files.bounded_yaml import load_yaml
 from kinpole_ros.mechanism import SceneError, load_scene
 from kinpole_ros.settings import ParameterError, assignments, load_settings
+from kinpole_ros.tools import commands
 from kinpole_ros.tools.cli import main
 
 MAGIC = b'\x89MCAP0\r\n'
@@ -535,3 +536,30 @@ def test_values_that_the_node_refuses_are_refused_in_a_file(
         load_settings(path)
     assert complaint in one_line(refused)
     assert 'config.yaml' in one_line(refused)
+
+
+@pytest.mark.parametrize('command', ['report', 'fit', 'layout', 'batch', 'plot'])
+def test_a_command_that_writes_files_ends_in_good_order_by_sigterm(
+    command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SIGTERM left the incomplete files of some."""
+    cleaned = []
+
+    def run(_: object) -> int:
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            return 0
+        finally:
+            cleaned.append(command)
+
+    monkeypatch.setattr(commands.COMMANDS[command], 'run', run)
+    words = {
+        'report': ['report', 'x'],
+        'fit': ['fit', 'x', 'y'],
+        'layout': ['layout', 'foxglove', '--output', 'x'],
+        'batch': ['batch', 'x', '--output', 'y'],
+        'plot': ['plot', 'x', '--output', 'y'],
+    }
+    with pytest.raises(SystemExit, match=str(128 + signal.SIGTERM)):
+        main(words[command])
+    assert cleaned == [command]

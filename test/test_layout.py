@@ -110,3 +110,10 @@ def test_layout_refuses_in_one_line_what_has_nothing_to_show(tmp_path, capsys) -
         assert main(['layout', 'foxglove', '--config', source, '--output', str(output)]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 2
     assert not output.exists()
+
+
+def test_a_bag_of_any_name_is_no_parameter_file(rig, tmp_path, capsys) -> None:
+    bag, output = tmp_path / 'monday.bak', tmp_path / 'a.json'
+    bag.write_bytes(rig[1].read_bytes())
+    assert main(['layout', 'foxglove', '--config', str(bag), '--output', str(output)]) == 0
+    assert 'crank, coupler, rocker of /kinpole' in capsys.readouterr().out

@@ -21,11 +21,10 @@ if TYPE_CHECKING:
 # each other than they compute: 207 us per frame of replay on 2 busy cores, against 60.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
-# Commands that SIGTERM, and SIGHUP of a closed terminal, end like Ctrl-C, so that they remove
-# incomplete results, and a player says goodbye to its subscribers.
-_CLEAN_UP = ('replay', 'simulate', 'solve', 'tolerance', 'discover', 'plot', 'import', 'play')
-# Commands that start ROS, which installs its own signal handlers.
-_START_ROS = (['node'], ['view'], ['record'])
+# Commands that start ROS, which installs its own signal handlers. SIGTERM, and SIGHUP of a closed
+# terminal, end all others like Ctrl-C, so that they remove incomplete results, and a player says
+# goodbye to its subscribers.
+_START_ROS = ('node', 'view', 'record')
 _INTERRUPTED = 130
 
 
@@ -53,7 +52,7 @@ def _run_as_process(words: list[str]) -> int:
     """
 
     def interrupt(number: int, frame: 'FrameType | None') -> None:
-        if words[:1] in _START_ROS or _is_importing(frame):
+        if (words[:1] and words[0] in _START_ROS) or _is_importing(frame):
             os._exit(_INTERRUPTED)
         raise KeyboardInterrupt
 
@@ -95,7 +94,7 @@ def _run(words: list[str]) -> int:
 
             return run_node(['kinpole', *words[1:]])
         options = parse_words(words)
-        with _clean_up_when_stopped() if options.command in _CLEAN_UP else nullcontext():
+        with nullcontext() if options.command in _START_ROS else _clean_up_when_stopped():
             return COMMANDS[options.command].run(options)
     except KeyboardInterrupt:
         return _INTERRUPTED

@@ -69,8 +69,6 @@ def demo(output: str | Path) -> int:
     os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 90))
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
-    # By default SIGTERM would leave node and recorder running.
-    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     recording.unlink(missing_ok=True)
     print(f'node:     kinpole node --ros-args --params-file {config}')
     print(f'recorder: kinpole record --output {recording}')

@@ -19,6 +19,7 @@ from kinpole_ros.settings import Settings, load_settings
 from kinpole_ros.tools.record.result_bag import (
     bodies_by_node,
     decode,
+    is_bag,
     odometry_row,
     plane_of_motion,
 )
@@ -82,7 +83,7 @@ def topics_of(config: str | None) -> RigTopics:
 
     Raises ParameterError or BagError if the file cannot be used.
     """
-    if config and (Path(config).is_dir() or config.endswith('.mcap')):
+    if config and Path(config).exists() and is_bag(config):
         return _topics_of_bag(config)
     settings = load_settings(config) if config else Settings()
     node = f'/{NODE_NAME}'
@@ -101,9 +102,7 @@ def _topics_of_bag(bag: str) -> RigTopics:
     if not nodes:
         raise BagError(f'{bag} holds no results; make them first: kinpole replay {bag} --output R')
     node = min(nodes)
-    # In the order of the node: each body has relative centers to some of those before it.
-    pairs = [topic for topic in kinds if topic.startswith(f'{node}/') and '/wrt/' in topic]
-    bodies = sorted(nodes[node], key=lambda body: sum(f'/{body}/wrt/' in pair for pair in pairs))
+    bodies = nodes[node]
     axis, frame, joints = 'z', '', []
     for message in read_messages(bag, [f'{node}/{body}/odom' for body in bodies]):
         odometry = decode(message.type_name, message.data)

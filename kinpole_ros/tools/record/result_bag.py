@@ -28,6 +28,8 @@ from kinpole_ros.tools.record.record import Columns, Record, Series
 from kinpole_ros.tracking.plane import AXES, Plane, as_parameter, plane_along, plane_of, upward
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors
 
+# Files with these endings are bags, even if they cannot be read.
+_BAG_ENDINGS = ('.mcap', '.db3', '.bag')
 ODOMETRY = 'nav_msgs/msg/Odometry'
 _MARKER_ARRAY = 'visualization_msgs/msg/MarkerArray'
 _DIAGNOSTICS = '/diagnostics'
@@ -59,6 +61,17 @@ class _Messages(NamedTuple):
         """Return the stamps (T,) and rows (T, ...) of a topic."""
         rows = self.rows.get(topic, {})
         return np.array(list(rows), np.int64), np.array(list(rows.values()), float)
+
+
+def is_bag(file: str) -> bool:
+    """Return whether a path is a bag, not a file or folder of points or parameters."""
+    if not Path(file).exists() or Path(file).suffix.lower() in _BAG_ENDINGS:
+        return True
+    try:
+        topics(file)
+    except BagError:
+        return False
+    return True
 
 
 def has_results(bag: str | Path) -> bool:
@@ -255,7 +268,8 @@ def _fill(
 
     for name, quantity in quantities.items():
         value, variance, determined = (part[:, number] for part in quantity)
-        write(name, np.where(determined, value, np.nan))
+        none = np.nan if isinstance(quantity, Numbers) else complex(np.nan, np.nan)
+        write(name, np.where(determined, value, none))
         if isinstance(quantity, Numbers):
             write(f'{name}_sigma', np.where(determined, np.sqrt(variance), np.nan))
             continue

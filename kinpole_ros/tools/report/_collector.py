@@ -105,7 +105,7 @@ def _estimate_columns(estimate: Estimate) -> Columns:
 def _add_point(columns: Columns, subject: Subject, name: str, vector: Vectors, k: int) -> None:
     """Add column `k` of points or vectors (T, ...) with their covariances."""
     determined = vector.determined[:, k]
-    columns[subject, name] = np.where(determined, vector.value[:, k], np.nan)
+    columns[subject, name] = np.where(determined, vector.value[:, k], complex(np.nan, np.nan))
     covariance = np.where(determined[:, None, None], vector.covariance[:, k], np.nan)
     columns[subject, f'{name}_covariance'] = covariance
 

@@ -7,12 +7,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from kinpole_ros.bags import BagError, Imported, import_points, topics
+from kinpole_ros.bags import BagError, Imported, import_points
 from kinpole_ros.settings import Settings, load_settings
-from kinpole_ros.tools.record.result_bag import has_results
+from kinpole_ros.tools.record.result_bag import has_results, is_bag
 
-# Files with these endings are bags, even if they cannot be read.
-_BAG_ENDINGS = ('.mcap', '.db3', '.bag')
 _MOST_NAMES = 4  # bodies that are named in a line
 
 
@@ -50,7 +48,7 @@ def prepared(
     assumed: list[str] = []
     with tempfile.TemporaryDirectory(prefix='kinpole_') as folder:
         bag = file
-        if not _is_bag(file):
+        if not is_bag(file):
             bag = str(Path(folder) / f'{Path(file).stem}.mcap')
             imported = import_points(file, bag, points.rate, points.scale, points.y_down)
             assumed.append(_import_text(imported))
@@ -72,16 +70,6 @@ def prepared(
                 )
             assumed += found
         yield Prepared(bag, settings, assumed)
-
-
-def _is_bag(file: str) -> bool:
-    if not Path(file).exists() or Path(file).suffix.lower() in _BAG_ENDINGS:
-        return True
-    try:
-        topics(file)
-    except BagError:
-        return False
-    return True
 
 
 def _import_text(imported: Imported) -> str:

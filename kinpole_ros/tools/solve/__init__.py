@@ -69,13 +69,17 @@ def solve_scene(scene: str | Path, options: SolveOptions | None = None) -> list[
     Analyze a scene: return lines to print, and write the files that the options name.
 
     `scene` is a file, the name of a scene that comes with kinpole, or the text of a scene. Raises
-    SceneError if it, an option or a file cannot be used, and LinkageError if the linkage does not
-    reach the position.
+    SceneError if it, an option or a file cannot be used, BagError for a picture that cannot be
+    written, and LinkageError if the linkage does not reach the position.
     """
     options = options or SolveOptions()
-    for path in (options.plot, options.polygon, *options.decompose[1:]):
+    # Drawings are written as SVG without matplotlib.
+    drawings = [path for path in (options.polygon, *options.decompose[1:]) if path]
+    for path in (options.plot, *(path for path in drawings if _ending(path) != 'svg')):
         if path:
-            _picture_format(path)
+            from kinpole_ros.tools.plot import picture_format  # which needs mcap
+
+            picture_format(path)
     loaded = load_scene(scene)
     for body in options.centrodes:
         if body not in loaded.mechanism.bodies:
@@ -163,16 +167,15 @@ class _Analysis:
             if self.motion.times is None:
                 rate = float(self.motion.rates[0, 0])
                 position = at_rate(position.scene, position.inputs[0], rate)
-            kind, extras = _picture_format(options.plot), (options.centers, options.centrodes)
-            with open_output(options.plot) as part:
-                draw_solution(part, kind, self.motion, position, *extras)
+            extras = options.centers, options.centrodes
+            draw_solution(options.plot, self.motion, position, *extras)
             yield f'written to {options.plot}'
         if options.polygon:
             from kinpole_ros.tools.solve._polygons import draw_polygons, polygon_lines
 
             yield from polygon_lines(self.here)
             with open_output(options.polygon) as part:
-                draw_polygons(part, _picture_format(options.polygon), self.here)
+                draw_polygons(part, _ending(options.polygon), self.here)
             yield f'written to {options.polygon}'
         if options.decompose:
             from kinpole_ros.tools.solve import _decomposition
@@ -182,7 +185,7 @@ class _Analysis:
             body = _decomposition.decompose(str(text), start, self.here, self.motion)
             yield from _decomposition.decomposition_lines(body)
             with open_output(file) as part:
-                _decomposition.draw_decomposition(part, _picture_format(file), body)
+                _decomposition.draw_decomposition(part, _ending(file), body)
             yield f'written to {file}'
 
     def _former_position(self) -> Solution:
@@ -195,14 +198,5 @@ class _Analysis:
         return self.motion.at(int(np.abs(distance - np.ptp(inputs) / 8).argmin()))
 
 
-def _picture_format(path: str | Path) -> str:
-    """Return the format that the ending of a picture names."""
-    kind = Path(path).suffix.lower().lstrip('.')
-    if kind == 'svg':  # some drawings are written as SVG without matplotlib
-        return kind
-    from matplotlib.backend_bases import FigureCanvasBase
-
-    formats = sorted(FigureCanvasBase.get_supported_filetypes())
-    if kind not in formats:
-        raise SceneError(f'{path} is no picture; end its name in one of {", ".join(formats)}')
-    return kind
+def _ending(path: str | Path) -> str:
+    return Path(path).suffix.lower().lstrip('.')

@@ -14,6 +14,7 @@ import numpy as np
 
 from kinpole_ros.mechanism import poles, polygon
 from kinpole_ros.mechanism._kennedy import center_name
+from kinpole_ros.tools.plot._style import saved_figure
 from kinpole_ros.tools.solve._shapes import wheel_lines
 from kinpole_ros.tools.solve._solution import (
     Solution,
@@ -55,21 +56,24 @@ class _Box:
 
 
 def draw_solution(
-    path: Path,
-    kind: str,
+    output: str | Path,
     solution: Solution,
     here: Solution,
     centers: bool,
     centrodes: Sequence[str],
 ) -> None:
     """
-    Draw the linkage at the one position `here`, and the rates over the motion of `solution`.
+    Draw to `output` the linkage at the one position `here`, and the rates over the motion.
 
     With `centers`, also its instant centers; of the bodies in `centrodes`, also their centrodes.
     """
-    from matplotlib.figure import Figure
+    with saved_figure(output, _SIZE, _DPI) as figure:
+        _draw_figure(figure, solution, here, centers, centrodes)
 
-    figure = Figure(figsize=_SIZE, layout='constrained')
+
+def _draw_figure(
+    figure: Any, solution: Solution, here: Solution, centers: bool, centrodes: Sequence[str]
+) -> None:
     grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1))
     draw_linkage(figure.add_subplot(grid[:, 0]), solution, here, centers, centrodes)
     at, mark, label, title = _abscissa(solution, here)
@@ -88,7 +92,6 @@ def draw_solution(
     # A scene has the name of its file, which need not be text.
     scene = os.fsencode(solution.scene.name).decode(errors='replace')
     figure.suptitle(f'{scene} {title}', parse_math=False)
-    figure.savefig(path, format=kind, dpi=_DPI)
 
 
 def _style(b: int) -> dict[str, Any]:

@@ -51,9 +51,13 @@ def tolerances(
 
     `texts` are NAME=DEVIATION, DEVIATION of all lengths or angles, play:PIN=RADIUS, and files with
     the output of `kinpole fit`; `samples` is the number of linkages with random errors, 0 for the
-    first order alone. Writes the CSV `table`, the `picture` and the HTML `page`. Raises SceneError
-    and LinkageError.
+    first order alone. Writes the CSV `table`, the `picture` and the HTML `page`. Raises SceneError,
+    LinkageError, and BagError for a picture that cannot be written.
     """
+    if picture:
+        from kinpole_ros.tools.plot._style import picture_format, saved_figure  # which needs mcap
+
+        picture_format(picture)
     loaded = load_scene(scene)
     errors, notes = _errors(loaded, texts)
     if not errors:
@@ -67,8 +71,8 @@ def tolerances(
             _write_table(part, solution, spread)
         lines.append(f'written to {table}')
     if picture:
-        with open_output(picture) as part:
-            _draw(part, Path(picture).suffix.lstrip('.'), solution, spread)
+        with saved_figure(picture, (13, 8), 150) as figure:
+            _draw(figure, solution, spread)
         lines.append(f'written to {picture}')
     if page:
         from kinpole_ros.tools.solve._page import write_page
@@ -198,11 +202,8 @@ def _write_table(path: Path, solution: Solution, spread: ToleranceSpread) -> Non
     write_columns(path, columns)
 
 
-def _draw(path: Path, kind: str, solution: Solution, spread: ToleranceSpread) -> None:
+def _draw(figure: Any, solution: Solution, spread: ToleranceSpread) -> None:
     """Draw paths with bands, and standard deviations over the range; dots are of the samples."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13, 8), layout='constrained')
     grid = figure.add_gridspec(3, 2, width_ratios=(1.1, 1))
     _draw_paths(figure.add_subplot(grid[:, 0]), spread)
     at, label = solution.times, 'time (s)'
@@ -232,7 +233,6 @@ def _draw(path: Path, kind: str, solution: Solution, spread: ToleranceSpread) ->
     dots = '' if sampled is None else ', dots: samples'
     title = f'{solution.scene.name}: standard deviations, to first order{dots}'
     figure.suptitle(title, parse_math=False)
-    figure.savefig(path, format=kind, dpi=150)
 
 
 def _draw_paths(axis: Any, spread: ToleranceSpread) -> None:
