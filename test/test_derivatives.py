@@ -21,7 +21,7 @@ from kinpole_ros.derivatives import (
     Poses,
     Windows,
     _models,
-    _poses,
+    _pose_derivatives,
     derive_poses,
 )
 from kinpole_ros.mechanism import load_scene
@@ -246,7 +246,9 @@ ONE_AMPLITUDE = 300.0
 def one_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """There is one process on a line, or a line, or rest: the first is by far the likeliest."""
     caches = _models._members, _models._functions
-    monkeypatch.setattr(_poses, '_tables', _poses._Tables((), np.empty((0, 7), np.int64)))
+    monkeypatch.setattr(
+        _pose_derivatives, '_tables', _pose_derivatives._Tables((), np.empty((0, 7), np.int64))
+    )
     monkeypatch.setattr(_models, 'SPECTRA', (ONE,))
     monkeypatch.setattr(_models, '_MAX_LENGTH', ONE[1] / 50)
     monkeypatch.setattr(_models, '_ROUGH', ())

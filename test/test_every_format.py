@@ -14,7 +14,7 @@ from kinpole_ros.messages import deserialize_message
 from kinpole_ros.messages._types import MarkerArray
 from kinpole_ros.settings import settings_from
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tools.report import Points as Given
+from kinpole_ros.tools.report import PointOptions as Given
 from kinpole_ros.tools.report import prepared
 
 KINDS = kinds(Path())

@@ -26,8 +26,8 @@ from kinpole_ros.bags import (
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import stamp_to_ns
 from kinpole_ros.settings import Settings
-from kinpole_ros.tools.plot import _picture, _plane, _style, plot
-from kinpole_ros.tools.plot._bodies import Body, Centrodes, body_of, centrodes
+from kinpole_ros.tools.plot import _instant, _result_picture, _style, plot
+from kinpole_ros.tools.plot._drawn_body import Body, DrawnCentrodes, body_of, centrodes
 from kinpole_ros.tools.record import lost
 from kinpole_ros.tools.record.record import pairs_of
 from kinpole_ros.tools.record.result_bag import plane_of_motion, read_record
@@ -457,20 +457,20 @@ def test_the_legend_tells_of_what_is_drawn(bags, tmp_path, monkeypatch, scene, r
 
 
 def test_what_is_in_view_and_known_well_enough_is_kept() -> None:
-    box = _plane.View(-1 - 1j, 1 + 1j, 1.0)
+    box = _instant.View(-1 - 1j, 1 + 1j, 1.0)
     points = np.array([0.5 - 0.5j, 2, -2, 2j, -2j])
     assert box.contains(points).tolist() == [True, False, False, False, False]
     ones = np.ones(3)
     sigma = np.array([0.04, 0.06, np.nan])
-    locus = Centrodes(np.arange(3), ones + 0j, ones + 0j, ones, sigma)
-    assert _plane.without_blurred(locus, 1.0).stamp.tolist() == [0, 2]
+    locus = DrawnCentrodes(np.arange(3), ones + 0j, ones + 0j, ones, sigma)
+    assert _instant.without_blurred(locus, 1.0).stamp.tolist() == [0, 2]
 
 
 def test_poles_at_infinity_do_not_squash_the_picture(bags) -> None:
     coupler = bodies_in(bags['four_bar'])[1]
     locus = centrodes(coupler)
     assert np.abs(locus.fixed).max() > 20
-    view = _plane.view_of(coupler, locus, _plane.view_radius(coupler, locus))
+    view = _instant.view_of(coupler, locus, _instant.view_radius(coupler, locus))
     assert max(abs(view.low), abs(view.high)) < 3
 
 
@@ -499,7 +499,7 @@ def test_a_curve_of_few_instants_is_not_called_one_of_none(bags, tmp_path, monke
     record = read_record(bags['cardan'])
     curvature = record.columns['rod', 'centrode_curvature']
     curvature[np.flatnonzero(np.isfinite(curvature))[1:]] = np.nan
-    monkeypatch.setattr(_picture, 'read_record', lambda *_: record)
+    monkeypatch.setattr(_result_picture, 'read_record', lambda *_: record)
     text = b'determined at less than 1% of the instants'
     assert text in drawn(bags['cardan'], tmp_path / 'few.svg')
 

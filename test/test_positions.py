@@ -259,7 +259,9 @@ def test_the_names_after_free_may_stand_before_or_after_the_files(
     (tmp_path / 'BAG').touch()
     monkeypatch.chdir(tmp_path)
     taken: list[tuple[Any, ...]] = []
-    monkeypatch.setattr('kinpole_ros.tools.fit.fit_bag', lambda *args: taken.append(args) or [])
+    monkeypatch.setattr(
+        'kinpole_ros.tools.fit_scene.fit_bag', lambda *args: taken.append(args) or []
+    )
     assert cli.main(['fit', *words.split()]) == 0
     scene, bag, _, free, output, *_ = taken[0]
     assert (scene, bag, list(chain(*free))) == ('SCENE', 'BAG', ['rod.B', 'crank'])

@@ -31,7 +31,7 @@ from kinpole_ros.messages._types import DiagnosticStatus, KeyValue, Odometry
 from kinpole_ros.settings import Settings, load_settings
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.record.diagnostics_log import DiagnosticsLog
-from kinpole_ros.tools.report import _page, report, settings_for
+from kinpole_ros.tools.report import _record_page, report, settings_for
 from kinpole_ros.tools.report._collector import Collector, theory_rates
 from kinpole_ros.tracking.reasons import SLOW_ICR
 from kinpole_ros.tracking.values import RATE_NAMES
@@ -107,7 +107,7 @@ def test_pins_are_found_and_nothing_else(made) -> None:
     ],
 )
 def test_figures_are_rounded_by_their_deviation(value, sigma, expected) -> None:
-    assert _page.rounded(np.array([value]), np.array([sigma])) == [expected]
+    assert _record_page.rounded(np.array([value]), np.array([sigma])) == [expected]
 
 
 @pytest.fixture(scope='module')
@@ -668,7 +668,7 @@ def test_images_of_points_are_their_velocities_and_accelerations(opened) -> None
         'angular_acceleration': {'value': [motion.angle[2]]},
         'iap': {'x': [float(iap.real)], 'y': [float(iap.imag)]},
     }
-    folder = Path(_page.__file__).parent / 'page'
+    folder = Path(_record_page.__file__).parent / 'page'
     code = '\n'.join((folder / f'{name}.js').read_text() for name in ('data', 'motion', 'polygons'))
     found = page.evaluate(
         f'([body, orders]) => {{ {code}; return orders.map((n) => imagesOf(null, body, 0, n)); }}',

@@ -24,7 +24,7 @@ from kinpole_ros.mechanism import (
     scenes_folder,
 )
 from kinpole_ros.tools import cli
-from kinpole_ros.tools.solve import SolveOptions, _picture, _shapes, solve_scene, tolerances
+from kinpole_ros.tools.solve import SolveOptions, _scene_picture, _shapes, solve_scene, tolerances
 from kinpole_ros.tools.solve._solution import acting_loads, over_range, over_time
 from kinpole_ros.tools.solve._statics import work_lines
 
@@ -206,7 +206,7 @@ def test_all_that_is_drawn_lies_in_the_picture(name: str) -> None:
     axis = figures.Figure().add_subplot()
     scene = load_scene(name)
     here = over_time(scene, np.zeros(1))
-    _picture.draw_linkage(axis, over_range(scene, 19), here, centers=False)
+    _scene_picture.draw_linkage(axis, over_range(scene, 19), here, centers=False)
     arrows = [text.xy for text in axis.texts if text.arrow_patch]
     assert arrows
     (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
@@ -573,7 +573,9 @@ def test_letters_on_lines_can_be_read() -> None:
     figures = pytest.importorskip('matplotlib.figure')
     axis = figures.Figure().add_subplot()
     scene = load_scene('four_bar')
-    _picture.draw_linkage(axis, over_range(scene, 19), over_time(scene, np.zeros(1)), centers=True)
+    _scene_picture.draw_linkage(
+        axis, over_range(scene, 19), over_time(scene, np.zeros(1)), centers=True
+    )
     letters = [text for text in axis.texts if text.get_text()]
     assert {'crank', 'coupler', 'rocker', 'I12'} <= {text.get_text() for text in letters}
     assert all(text.get_path_effects() for text in letters)

@@ -33,9 +33,9 @@ evidence.h and events.h, in this order. A slower version with numpy is in
 test/derivatives_reference.
 """
 
-from kinpole_ros.derivatives._events import Event, Samples, find_events
+from kinpole_ros.derivatives._event_search import Event, Samples, find_events
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES
-from kinpole_ros.derivatives._poses import (
+from kinpole_ros.derivatives._pose_derivatives import (
     Call,
     Derivatives,
     Poses,

@@ -19,7 +19,7 @@ from kinpole_ros.mechanism import (
 from kinpole_ros.tools import cli
 from kinpole_ros.tools.solve import SolveOptions, solve_scene
 from kinpole_ros.tools.solve._decomposition import decompose, decomposition_panels
-from kinpole_ros.tools.solve._drawing import Panel, width_of
+from kinpole_ros.tools.solve._panels import Panel, width_of
 from kinpole_ros.tools.solve._polygons import polygon_panels
 from kinpole_ros.tools.solve._solution import at_value, over_time, point_motions
 

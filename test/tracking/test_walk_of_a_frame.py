@@ -32,7 +32,7 @@ CORRECTED = {
     *('tracking/correction.py', 'tracking/names.py', 'tracking/identity.py'),
     *('tracking/candidates.py', 'tracking/statistics.py', 'planar/_procrustes.py'),
 }
-NOW_AND_THEN = {'tracking/events.py', 'tracking/history.py', 'derivatives/_events.py'}
+NOW_AND_THEN = {'tracking/events.py', 'tracking/history.py', 'derivatives/_event_search.py'}
 
 
 def cloud(points: np.ndarray, k: int) -> bytes:

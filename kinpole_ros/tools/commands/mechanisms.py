@@ -232,7 +232,7 @@ def fit(options: argparse.Namespace) -> int:
       kinpole fit machine.yaml run.mcap --free rocker.B coupler --output fitted.yaml
       kinpole fit --free rocker.B,coupler machine.yaml run.mcap
     """
-    from kinpole_ros.tools.fit import fit_bag
+    from kinpole_ros.tools.fit_scene import fit_bag
 
     inputs = [options.scene, options.bag, options.config]
     check_outputs(inputs, [('--output', options.output, 'a YAML file')])

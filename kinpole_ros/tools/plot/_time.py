@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.tools.plot._bodies import Body
+from kinpole_ros.tools.plot._drawn_body import Body
 from kinpole_ros.tools.plot._style import BAND, BLUE, ESTIMATE, EVENT, GRAY, LOST, THIN
 from kinpole_ros.tools.record.lost import breaks_of, broken, lost_spans
 from kinpole_ros.tools.record.record import Series, sigma_along
@@ -22,7 +22,7 @@ _LOG_FACTOR = 30
 _STRIP_PERCENTILE = 90
 
 
-class Panel(NamedTuple):
+class TimePanel(NamedTuple):
     """
     A number over time; `series` is None if the bag has none.
 
@@ -37,7 +37,7 @@ class Panel(NamedTuple):
     truth: Series | None
 
 
-def rate_panels(body: Body, truth: Mapping[str, Series]) -> list[Panel]:
+def rate_panels(body: Body, truth: Mapping[str, Series]) -> list[TimePanel]:
     """Return the panels of angular velocity, acceleration and jerk."""
     rate = float(np.median(np.abs(body.series['angular_velocity'].value)))
     panels = []
@@ -45,11 +45,11 @@ def rate_panels(body: Body, truth: Mapping[str, Series]) -> list[Panel]:
         name, cut = RATE_NAMES[order - 1], 0 if order == 1 else 2
         # In powers of the rate: the acceleration of a steady wheel is flat, however noisy.
         height = 0.05 * rate**order
-        panels.append(Panel(label, body.series.get(name), height, cut, truth.get(name)))
+        panels.append(TimePanel(label, body.series.get(name), height, cut, truth.get(name)))
     return panels
 
 
-def centrode_panels(body: Body, truth: Mapping[str, Series]) -> list[Panel]:
+def centrode_panels(body: Body, truth: Mapping[str, Series]) -> list[TimePanel]:
     """Return the panels of the curvature of the fixed centrode and the speed of the ICR."""
     velocity, exact_velocity = body.series.get('icr_velocity'), truth.get('icr_velocity')
     speed = exact = None
@@ -64,8 +64,8 @@ def centrode_panels(body: Body, truth: Mapping[str, Series]) -> list[Panel]:
     name = 'centrode_curvature'
     label = 'κ of the fixed\ncentrode (1/m)'
     return [
-        Panel(label, body.series.get(name), straight, 4, truth.get(name)),
-        Panel('speed |u| of\nthe ICR (m/s)', speed, slow, 4, exact),
+        TimePanel(label, body.series.get(name), straight, 4, truth.get(name)),
+        TimePanel('speed |u| of\nthe ICR (m/s)', speed, slow, 4, exact),
     ]
 
 
@@ -75,7 +75,9 @@ def _is_pinned(body: Body) -> bool:
     return velocity is not None and 2 * np.count_nonzero(velocity.value == 0) > len(velocity.value)
 
 
-def draw_panel(axis: Any, strip: Any, body: Body, panel: Panel, start: int, instant: int) -> None:
+def draw_panel(
+    axis: Any, strip: Any, body: Body, panel: TimePanel, start: int, instant: int
+) -> None:
     """Draw a panel on `axis`, and its band of two standard deviations on `strip`."""
     spans = (lost_spans(body.frames) - [start, 0]) * 1e-9
     for one in (axis, strip):
@@ -123,7 +125,7 @@ def draw_panel(axis: Any, strip: Any, body: Body, panel: Panel, start: int, inst
 
 
 def _draw_strip(
-    strip: Any, panel: Panel, series: Series, time: np.ndarray, band: np.ndarray
+    strip: Any, panel: TimePanel, series: Series, time: np.ndarray, band: np.ndarray
 ) -> None:
     """Draw the band about zero, with the error in it."""
     strip.fill_between(time, -band, band, **BAND)

@@ -21,7 +21,7 @@ Columns: TypeAlias = dict[tuple[Subject, str], np.ndarray]
 _PIN_DEVIATION = 0.05
 
 
-class Joint(NamedTuple):
+class Pin(NamedTuple):
     """A pin of two bodies, `at` complex, m, in their frames; of one body, on the ground."""
 
     bodies: tuple[str, ...]
@@ -143,7 +143,7 @@ def with_lost_frames(record: Record) -> tuple[Record, np.ndarray]:
     return record._replace(stamp=stamp, columns=columns, outlines=outlines), is_lost
 
 
-def joints_of(record: Record) -> list[Joint]:
+def joints_of(record: Record) -> list[Pin]:
     """Return pins: poles at rest on the ground, and relative centers at rest in both bodies."""
     joints = []
     for body in record.bodies:
@@ -153,12 +153,12 @@ def joints_of(record: Record) -> list[Joint]:
         at_rest = (velocity == 0) & np.isfinite(icr)
         if 2 * np.count_nonzero(at_rest) > np.count_nonzero(np.isfinite(icr)):
             pin = complex(np.median(icr[at_rest].real), np.median(icr[at_rest].imag))
-            joints.append(Joint((body,), (pin,)))
+            joints.append(Pin((body,), (pin,)))
     for m, k in measured_pairs(len(record.bodies)):
         pair = record.bodies[k], record.bodies[m]
         points = [_point_at_rest(record, pair, body) for body in pair]
         if all(point is not None for point in points):
-            joints.append(Joint(pair, tuple(point for point in points if point is not None)))
+            joints.append(Pin(pair, tuple(point for point in points if point is not None)))
     return joints
 
 

@@ -16,12 +16,12 @@ from kinpole_ros.settings import Settings
 from kinpole_ros.tools.record.record import Record, with_lost_frames
 from kinpole_ros.tools.record.result_bag import has_results, read_record
 from kinpole_ros.tools.report._collector import Collector
-from kinpole_ros.tools.report._page import intervals, pack, page
-from kinpole_ros.tools.report._prepare import Points, prepared
+from kinpole_ros.tools.report._prepare import PointOptions, prepared
+from kinpole_ros.tools.report._record_page import intervals, pack, page
 from kinpole_ros.tracking.plane import XY, plane_of
 
 __all__ = [
-    'Points',
+    'PointOptions',
     'pack',
     'page',
     'prepared',
@@ -74,36 +74,18 @@ def report(
                 'markers, or leave out the scene'
             )
         record = read_record(bag, progress)
+        cut = ('the bag is cut off; what follows is not shown',) if record.cut else ()
         record = record.at_most(_most_instants(len(record.bodies)))
-        cut = ['the bag is cut off; what follows is not shown'] if record.cut else []
-        notes = [*cut, *record.notes]
+        record = record._replace(notes=(*cut, *record.notes))
     else:
-        of_scene = load_theory(settings) if settings.scene else None
-        collector = Collector(_most_instants(len(settings.bodies)), of_scene)
-        result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)
-        notes = warnings_of(result, settings)
-        if assumption := assumed_body(len(result.identities), settings, source or bag):
-            notes.insert(0, assumption)
-            if on_assumption is not None:
-                on_assumption(assumption)
-        if result.truncated is not None:
-            notes.append(str(result.truncated))
-        if not collector.total:
-            raise BagError(f'{source or bag}: {notes[-1] if notes else "no results"}')
-        plane = result.space.plane or plane_of(settings.plane) or XY
-        along = plane.name[:1], plane.name[1:2]
-        if plane.axes is None:
-            along = _axis_name(plane.basis[0], 'e1'), _axis_name(plane.basis[1], 'e2')
-        record = collector.record(along)
-        if result.scene_positions is not None:
-            joints = result.scene_positions.joints
+        record, joints = _replayed(bag, settings, topic, progress, on_assumption, source or bag)
     shown, is_lost = with_lost_frames(record)
     data = {
         **pack(shown),
         'lost': intervals(np.where(is_lost, _LOST, '').astype(object)),
         'title': printable(Path(source or bag).resolve().name),
         'about': _about(record),
-        'notes': notes,
+        'notes': record.notes,
         'scene': Path(settings.scene).stem,
         'deviations': [[row.joint, f'{row.rms:.2g} m', f'{row.deviations:.1f}'] for row in joints],
         'made': f'kinpole {__version__}',
@@ -111,6 +93,35 @@ def report(
     with in_place_of(output) as part:
         part.write_text(page(data), encoding='utf-8')
     return record
+
+
+def _replayed(
+    bag: str | Path,
+    settings: Settings,
+    topic: str | None,
+    progress: Callable[[float], None] | None,
+    on_assumption: Callable[[str], None] | None,
+    source: str | Path,
+) -> tuple[Record, list[JointSummary]]:
+    """Return the record of a bag of markers, and how far the joints of the scene are off."""
+    theory = load_theory(settings) if settings.scene else None
+    collector = Collector(_most_instants(len(settings.bodies)), theory)
+    result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)
+    notes = warnings_of(result, settings)
+    if assumption := assumed_body(len(result.identities), settings, source):
+        notes.insert(0, assumption)
+        if on_assumption is not None:
+            on_assumption(assumption)
+    if result.truncated is not None:
+        notes.append(str(result.truncated))
+    if not collector.total:
+        raise BagError(f'{source}: {notes[-1] if notes else "no results"}')
+    plane = result.space.plane or plane_of(settings.plane) or XY
+    along = plane.name[:1], plane.name[1:2]
+    if plane.axes is None:
+        along = _axis_name(plane.basis[0], 'e1'), _axis_name(plane.basis[1], 'e2')
+    joints = result.scene_positions.joints if result.scene_positions is not None else []
+    return collector.record(along)._replace(notes=tuple(notes)), joints
 
 
 def _axis_name(axis: np.ndarray, default: str) -> str:

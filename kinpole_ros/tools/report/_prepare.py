@@ -14,7 +14,7 @@ from kinpole_ros.tools.record.result_bag import has_results, is_bag
 _MOST_NAMES = 4  # bodies that are named in a line
 
 
-class Points(NamedTuple):
+class PointOptions(NamedTuple):
     """Data that a file of points may lack: frames per second, m per unit, whether y is down."""
 
     rate: float | None
@@ -36,7 +36,7 @@ def prepared(
     settings: Settings,
     changes: dict[str, object],
     topic: str | None,
-    points: Points,
+    points: PointOptions,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[Prepared]:
     """

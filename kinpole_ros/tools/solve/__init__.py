@@ -11,7 +11,7 @@ import numpy as np
 from kinpole_ros.mechanism import SceneError, centrodes, load_scene, scene_text
 from kinpole_ros.tools.solve._pitch import write_pitch_curves
 from kinpole_ros.tools.solve._solution import (
-    Solution,
+    SolvedScene,
     at_rate,
     at_value,
     open_output,
@@ -101,13 +101,13 @@ class _Analysis:
     """A scene, solved; `single` is the one position asked for, `here` that of the drawings."""
 
     options: SolveOptions
-    solution: Solution
-    single: Solution
-    here: Solution
+    solution: SolvedScene
+    single: SolvedScene
+    here: SolvedScene
     scene_text: str
 
     @cached_property
-    def motion(self) -> Solution:
+    def motion(self) -> SolvedScene:
         """The positions that were asked for; for a single one, the whole motion."""
         if self.solution.inputs.shape[1] > 1:
             return self.solution
@@ -151,7 +151,7 @@ class _Analysis:
                 f'{curves.slip:.1e}; written to {pitch_file}'
             )
         if options.html:
-            from kinpole_ros.tools.solve._page import write_page
+            from kinpole_ros.tools.solve._scene_page import write_page
 
             with open_output(options.html) as part:
                 write_page(part, self.motion, self.here, text=self.scene_text)
@@ -161,7 +161,7 @@ class _Analysis:
         """Write the picture and the drawings; yield a line for each, and those of the drawings."""
         options = self.options
         if options.plot:
-            from kinpole_ros.tools.solve._picture import draw_solution
+            from kinpole_ros.tools.solve._scene_picture import draw_solution
 
             position = self.single
             if self.motion.times is None:
@@ -188,7 +188,7 @@ class _Analysis:
                 _decomposition.draw_decomposition(part, _ending(file), body)
             yield f'written to {file}'
 
-    def _former_position(self) -> Solution:
+    def _former_position(self) -> SolvedScene:
         """Return the position at time 0; if that is `here`, one an eighth of the range away."""
         start = over_time(self.here.scene, np.zeros(1))
         if np.abs(start.values - self.here.values).max() > 1e-9:

@@ -11,9 +11,9 @@ import numpy as np
 
 from kinpole_ros import planar
 from kinpole_ros.mechanism import Poles, SceneError, poles, polygon
-from kinpole_ros.tools.solve._drawing import Panel, round_down, write_drawing
+from kinpole_ros.tools.solve._panels import Panel, round_down, write_drawing
 from kinpole_ros.tools.solve._shapes import body_vector
-from kinpole_ros.tools.solve._solution import Solution
+from kinpole_ros.tools.solve._solution import SolvedScene
 from kinpole_ros.tools.solve._text import Row, table_lines
 
 _WIDTH, _HEIGHT = 620.0, 480.0  # px
@@ -36,8 +36,8 @@ class DecomposedBody(NamedTuple):
     angles: np.ndarray
     velocity: np.ndarray
     rates: np.ndarray
-    here: Solution
-    motion: Solution
+    here: SolvedScene
+    motion: SolvedScene
     poles: Poles
 
     @property
@@ -46,7 +46,9 @@ class DecomposedBody(NamedTuple):
         return self.here.scene.mechanism.bodies.index(self.name)
 
 
-def decompose(text: str, former: Solution, here: Solution, motion: Solution) -> DecomposedBody:
+def decompose(
+    text: str, former: SolvedScene, here: SolvedScene, motion: SolvedScene
+) -> DecomposedBody:
     """
     Return the points of a body at two positions, from 'BODY:A,B'.
 

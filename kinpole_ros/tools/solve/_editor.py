@@ -5,12 +5,13 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.mechanism import GROUND
+from kinpole_ros.mechanism._joint_kinds import Joint
 from kinpole_ros.mechanism._loops import with_laws
 from kinpole_ros.mechanism._scene_file import value_spans
-from kinpole_ros.tools.solve._solution import Solution
+from kinpole_ros.tools.solve._solution import SolvedScene
 
 
-def editor_data(solution: Solution, text: str, order: np.ndarray) -> dict[str, Any] | None:
+def editor_data(solution: SolvedScene, text: str, order: np.ndarray) -> dict[str, Any] | None:
     """
     Return the scene for solver.js; None for a scene of vectors, which has no points to drag.
 
@@ -36,28 +37,7 @@ def editor_data(solution: Solution, text: str, order: np.ndarray) -> dict[str, A
         ends = indices[joint.one, joint.a], indices[joint.other, joint.b]
         if joint.rims():
             fixed |= {points[end][1] for end in ends}
-        joints.append(
-            {
-                'one': names.index(joint.one),
-                'a': ends[0],
-                'other': names.index(joint.other),
-                'b': ends[1],
-                'terms': [
-                    {
-                        'point': -1,
-                        'fixed': [
-                            term.length * np.cos(term.offset),
-                            term.length * np.sin(term.offset),
-                        ],
-                        'turn': names.index(term.turn),
-                        'slide': names.index(term.slide) if term.slide else -1,
-                    }
-                    for term in joint.loop_form().terms
-                ],
-                'loose': joint.is_span,
-                'held': joint.is_carried,
-            }
-        )
+        joints.append(_joint_data(joint, names, ends))
     inputs = with_laws(linkage, _inputs(solution))[:, :, order]
     zero = with_laws(linkage, np.stack([d.motion(np.zeros(1)) for d in mechanism.drivers], axis=1))
     tied = loops.tie0.tolist()
@@ -86,7 +66,29 @@ def editor_data(solution: Solution, text: str, order: np.ndarray) -> dict[str, A
     }
 
 
-def _inputs(solution: Solution) -> np.ndarray:
+def _joint_data(joint: Joint, names: list[str], ends: tuple[int, int]) -> dict[str, Any]:
+    """Return a joint between the points number `ends`, with the indices of its variables."""
+    terms = [
+        {
+            'point': -1,
+            'fixed': [term.length * np.cos(term.offset), term.length * np.sin(term.offset)],
+            'turn': names.index(term.turn),
+            'slide': names.index(term.slide) if term.slide else -1,
+        }
+        for term in joint.loop_form().terms
+    ]
+    return {
+        'one': names.index(joint.one),
+        'a': ends[0],
+        'other': names.index(joint.other),
+        'b': ends[1],
+        'terms': terms,
+        'loose': joint.is_span,
+        'held': joint.is_carried,
+    }
+
+
+def _inputs(solution: SolvedScene) -> np.ndarray:
     """Return values and derivatives (5, d, T) of the drivers; over a range, at a constant rate."""
     if solution.times is not None:
         drivers = solution.scene.mechanism.drivers

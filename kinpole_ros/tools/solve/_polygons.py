@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism import Polygon, SceneError, polygon
-from kinpole_ros.tools.solve._drawing import Panel, write_drawing
-from kinpole_ros.tools.solve._solution import Solution
+from kinpole_ros.tools.solve._panels import Panel, write_drawing
+from kinpole_ros.tools.solve._solution import SolvedScene
 from kinpole_ros.tools.solve._text import Row, table_lines
 
 _HEIGHT, _WIDTHS = 620.0, (460.0, 560.0, 560.0)  # px
@@ -59,7 +59,7 @@ def arrows_of(figure: Polygon) -> list[Arrow]:
     return arrows
 
 
-def polygon_lines(solution: Solution) -> list[str]:
+def polygon_lines(solution: SolvedScene) -> list[str]:
     """Return a table of the arrows of both polygons."""
     lines = []
     for figure in _polygons(solution)[1:]:
@@ -73,13 +73,13 @@ def polygon_lines(solution: Solution) -> list[str]:
     return lines
 
 
-def draw_polygons(path: Path, kind: str, solution: Solution) -> None:
+def draw_polygons(path: Path, kind: str, solution: SolvedScene) -> None:
     """Draw the linkage and both polygons at the first position, to scale."""
     title = f'{solution.scene.name}: velocity and acceleration polygons'
     write_drawing(path, kind, title, polygon_panels(solution))
 
 
-def polygon_panels(solution: Solution) -> list[Panel]:
+def polygon_panels(solution: SolvedScene) -> list[Panel]:
     """Return the panels of the linkage, the velocities and the accelerations."""
     edge, panels = 0.0, []
     for figure, width in zip(_polygons(solution), _WIDTHS, strict=True):
@@ -94,7 +94,7 @@ def polygon_panels(solution: Solution) -> list[Panel]:
     return panels
 
 
-def _polygons(solution: Solution) -> list[Polygon]:
+def _polygons(solution: SolvedScene) -> list[Polygon]:
     polygons = [polygon(solution.scene, solution.motion, order) for order in range(3)]
     if not all(np.isfinite(side.head) for figure in polygons for side in figure.sides):
         raise SceneError(

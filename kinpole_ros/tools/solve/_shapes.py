@@ -7,7 +7,7 @@ import numpy as np
 
 from kinpole_ros.mechanism import GROUND, Belt, Scene
 from kinpole_ros.mechanism._joint_kinds import Rim
-from kinpole_ros.tools.solve._solution import Solution
+from kinpole_ros.tools.solve._solution import SolvedScene
 
 
 def rims_of(scene: Scene, body: str) -> list[Rim]:
@@ -54,7 +54,7 @@ def belts_of(scene: Scene) -> list[dict[str, Any]]:
     ]
 
 
-def wheel_lines(here: Solution) -> Iterator[tuple[int, np.ndarray]]:
+def wheel_lines(here: SolvedScene) -> Iterator[tuple[int, np.ndarray]]:
     """
     Yield lines of wheels and belts at the first position, complex, with the number of the body.
 

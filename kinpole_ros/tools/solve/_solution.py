@@ -37,7 +37,7 @@ _RATE_ROUNDING = 1e-9
 Limits = tuple[float | None, float | None]
 
 
-class Solution(NamedTuple):
+class SolvedScene(NamedTuple):
     """
     A scene at T positions.
 
@@ -54,7 +54,7 @@ class Solution(NamedTuple):
     limits: Limits = (None, None)
     times: np.ndarray | None = None
 
-    def at(self, k: int) -> 'Solution':
+    def at(self, k: int) -> 'SolvedScene':
         """Return the position `k` alone."""
         times = None if self.times is None else self.times[[k]]
         motion = Motion(*(part[..., [k]] for part in self.motion))
@@ -68,14 +68,14 @@ class Solution(NamedTuple):
         return np.asarray(self.motion.values[0])
 
 
-def over_time(scene: Scene, times: np.ndarray) -> Solution:
+def over_time(scene: Scene, times: np.ndarray) -> SolvedScene:
     """Solve the motion that the drivers prescribe, at times (T,) in s."""
     inputs = np.stack([driver.motion(times) for driver in scene.mechanism.drivers], axis=1)
     motion = _without_rounding(scene.mechanism.motion(times))
-    return Solution(scene, inputs[0], inputs[1], motion, times=times)
+    return SolvedScene(scene, inputs[0], inputs[1], motion, times=times)
 
 
-def over_duration(scene: Scene, duration: str | None, count: int) -> Solution:
+def over_duration(scene: Scene, duration: str | None, count: int) -> SolvedScene:
     """
     Solve the motion that the drivers prescribe, at `count` times from 0 s.
 
@@ -106,7 +106,7 @@ def unit_note(scene: Scene, at: str) -> str:
     return f"--at {at} has no unit: taken as {value:g} m; for centimeters write --at '{at} cm'"
 
 
-def at_value(scene: Scene, at: str) -> Solution:
+def at_value(scene: Scene, at: str) -> SolvedScene:
     """Solve the scene with its one driver at a value with a unit, or in rad or m."""
     _check_one_driver(scene, '--at')
     value = quantity('--at', at, scene.mechanism.kind(0))
@@ -118,7 +118,7 @@ def at_value(scene: Scene, at: str) -> Solution:
         raise SceneError(f'{error}; {note}') from None
 
 
-def _at_input(scene: Scene, value: float) -> Solution:
+def _at_input(scene: Scene, value: float) -> SolvedScene:
     """Solve the scene with its one driver at a value in rad or m."""
     limit = _limit_near(scene, value)
     if limit is None:
@@ -131,7 +131,7 @@ def _at_input(scene: Scene, value: float) -> Solution:
     return solution._replace(motion=motion._replace(regular=np.zeros_like(motion.regular)))
 
 
-def over_range(scene: Scene, count: int) -> Solution:
+def over_range(scene: Scene, count: int) -> SolvedScene:
     """
     Solve the scene at `count` positions over the range that the linkage allows its one driver.
 
@@ -142,7 +142,7 @@ def over_range(scene: Scene, count: int) -> Solution:
     return at_rate(scene, np.linspace(low, high, count), driver_rate(scene), limits)
 
 
-def over_full_motion(scene: Scene, count: int) -> Solution:
+def over_full_motion(scene: Scene, count: int) -> SolvedScene:
     """Solve the range of the one driver, or else the motion that the drivers prescribe."""
     try:
         return over_range(scene, count)
@@ -176,12 +176,12 @@ def _limit_near(scene: Scene, value: float) -> float | None:
 
 def at_rate(
     scene: Scene, values: np.ndarray, rate: float, limits: Limits = (None, None)
-) -> Solution:
+) -> SolvedScene:
     """Solve the scene at values (T,) of its one driver, which moves at a constant rate."""
     inputs = np.zeros((5, 1, len(values)))
     inputs[0, 0], inputs[1] = values, rate
     motion = _without_rounding(scene.mechanism.at_inputs(inputs, None))
-    return Solution(scene, inputs[0], inputs[1], motion, limits)
+    return SolvedScene(scene, inputs[0], inputs[1], motion, limits)
 
 
 def _without_rounding(motion: Motion) -> Motion:
@@ -225,7 +225,7 @@ def _range(scene: Scene) -> tuple[float, float, Limits]:
     return low, high, (limits[0], limits[1])
 
 
-def point_motions(solution: Solution) -> dict[str, np.ndarray]:
+def point_motions(solution: SolvedScene) -> dict[str, np.ndarray]:
     """Return the named points of the moving bodies, each (4, T) complex: position to jerk."""
     motion = solution.motion
     bodies = solution.scene.mechanism.bodies
@@ -239,7 +239,7 @@ def point_motions(solution: Solution) -> dict[str, np.ndarray]:
     return motions
 
 
-def centers_of(solution: Solution) -> Centers:
+def centers_of(solution: SolvedScene) -> Centers:
     """Return the instant centers; with several drivers, for their rates."""
     rates = solution.rates if len(solution.rates) > 1 else None
     return instant_centers(solution.scene.mechanism, solution.values, rates)
@@ -267,7 +267,7 @@ class ActingLoads(NamedTuple):
         return [*self.external, *self.springs, *self.inertia]
 
 
-def acting_loads(solution: Solution) -> ActingLoads:
+def acting_loads(solution: SolvedScene) -> ActingLoads:
     """Return the loads at all positions."""
     scene, mechanism = solution.scene, solution.scene.mechanism
     return ActingLoads(
@@ -277,7 +277,7 @@ def acting_loads(solution: Solution) -> ActingLoads:
     )
 
 
-def require_loads(solution: Solution) -> ActingLoads:
+def require_loads(solution: SolvedScene) -> ActingLoads:
     """Return the loads at the first position; raise SceneError if there are none."""
     loads = acting_loads(solution.at(0))
     if not loads.loads:
@@ -288,7 +288,7 @@ def require_loads(solution: Solution) -> ActingLoads:
     return loads
 
 
-def advantages(solution: Solution) -> dict[tuple[str, str], np.ndarray]:
+def advantages(solution: SolvedScene) -> dict[tuple[str, str], np.ndarray]:
     """
     Return mechanical advantages (T,) over the one driver, by name and unit of the output.
 

@@ -10,7 +10,7 @@ from kinpole_ros.files import as_cell
 from kinpole_ros.mechanism import SceneError, Statics, holding, poles, transmission_angles
 from kinpole_ros.mechanism._equilibrium import why_no_reactions
 from kinpole_ros.tools.solve._solution import (
-    Solution,
+    SolvedScene,
     acting_loads,
     advantages,
     centers_of,
@@ -36,7 +36,7 @@ class _Columns(dict[str, np.ndarray]):
         self[f'{name}_x{suffix}'], self[f'{name}_y{suffix}'] = points.real, points.imag
 
 
-def write_table(path: Path, solution: Solution, centers: bool, statics: bool) -> None:
+def write_table(path: Path, solution: SolvedScene, centers: bool, statics: bool) -> None:
     """
     Write one row per position, in SI units; cells that are not determined are empty.
 
@@ -77,7 +77,7 @@ def write_table(path: Path, solution: Solution, centers: bool, statics: bool) ->
     write_columns(path, columns)
 
 
-def _add_statics(columns: _Columns, solution: Solution) -> None:
+def _add_statics(columns: _Columns, solution: SolvedScene) -> None:
     scene, mechanism = solution.scene, solution.scene.mechanism
     loads = acting_loads(solution).loads
     if scene.held_by:

@@ -20,7 +20,7 @@ from kinpole_ros.mechanism import (
 from kinpole_ros.mechanism._equilibrium import why_no_reactions
 from kinpole_ros.tools.solve._solution import (
     ActingLoads,
-    Solution,
+    SolvedScene,
     advantage_of,
     driver_text,
     point_name,
@@ -32,7 +32,7 @@ from kinpole_ros.tools.solve._text import Row, table_lines
 _UNITS = {True: ('N m', 'rad/s'), False: ('N', 'm/s')}
 
 
-def static_lines(solution: Solution) -> list[str]:
+def static_lines(solution: SolvedScene) -> list[str]:
     """Return the efforts of the drivers and the forces in the joints, at the first position."""
     scene, acting = solution.scene, require_loads(solution)
     values = solution.values[:, :1]
@@ -111,7 +111,7 @@ def _holder_line(scene: Scene, size: float, load: Load) -> str:
     return f'{size:.9g} N at {name}, along {angle}, balance the loads, with {driver} free'
 
 
-def work_lines(solution: Solution) -> list[str]:
+def work_lines(solution: SolvedScene) -> list[str]:
     """Return virtual work, the share of each load and each bearing force, at the first position."""
     here = solution.at(0)
     scene, acting = here.scene, require_loads(here)
@@ -144,7 +144,7 @@ def _load_text(scene: Scene, load: Load) -> str:
 
 
 def _balance_lines(
-    here: Solution, named: dict[str, Load], k: int, holder: Load | None, size: float
+    here: SolvedScene, named: dict[str, Load], k: int, holder: Load | None, size: float
 ) -> list[str]:
     """
     Return Σ F·v + Σ T ω = 0 for the motion of driver `k` alone, and the share of each load.
@@ -210,7 +210,7 @@ def _components(load: Load, z: complex) -> tuple[float | str, float | str]:
     return (z.real, '') if isinstance(load, Torque) else (z.real, z.imag)
 
 
-def _bearing_lines(here: Solution, named: dict[str, Load]) -> list[str]:
+def _bearing_lines(here: SolvedScene, named: dict[str, Load]) -> list[str]:
     """Return each bearing force as the power of the loads when that bearing alone moves."""
     mechanism = here.scene.mechanism
     if reason := why_no_reactions(mechanism):

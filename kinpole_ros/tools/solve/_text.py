@@ -7,7 +7,7 @@ import numpy as np
 from kinpole_ros.mechanism import Scene, explain, poles, transmission_angles
 from kinpole_ros.mechanism._kennedy import center_name
 from kinpole_ros.tools.solve._solution import (
-    Solution,
+    SolvedScene,
     advantages,
     centers_of,
     driver_text,
@@ -71,7 +71,7 @@ def head_lines(scene: Scene) -> list[str]:
     return [f'{scene.name}: {listed}, driven: {drivers}']
 
 
-def motion_lines(solution: Solution) -> list[str]:
+def motion_lines(solution: SolvedScene) -> list[str]:
     """Return bodies, lengths, points, poles and transmission at one position."""
     scene, motion = solution.scene, solution.motion
     values = ', '.join(
@@ -107,7 +107,7 @@ def _coordinates(points: Sequence[complex] | np.ndarray) -> list[float]:
     return [part for z in points for part in (z.real, z.imag)]
 
 
-def _pole_lines(solution: Solution) -> list[str]:
+def _pole_lines(solution: SolvedScene) -> list[str]:
     """Return the poles of the bodies at the first position, and the velocity of the ICR."""
     mechanism = solution.scene.mechanism
     body_poles = poles(mechanism, solution.motion)
@@ -119,7 +119,7 @@ def _pole_lines(solution: Solution) -> list[str]:
     return ['', *table_lines(['body', *head, 'u x m/s', 'u y m/s', 'κ 1/m'], rows)]
 
 
-def _transmission_lines(solution: Solution) -> list[str]:
+def _transmission_lines(solution: SolvedScene) -> list[str]:
     """Return mechanical advantages and transmission angles at the first position."""
     mechanism, lines = solution.scene.mechanism, list[str]()
     rows: list[Row] = [
@@ -135,7 +135,7 @@ def _transmission_lines(solution: Solution) -> list[str]:
     return lines
 
 
-def range_lines(solution: Solution) -> list[str]:
+def range_lines(solution: SolvedScene) -> list[str]:
     """Return the range of the driver, its dead points, and the motion over it."""
     scene = solution.scene
     name = scene.mechanism.drivers[0].name
@@ -156,13 +156,13 @@ def range_lines(solution: Solution) -> list[str]:
     return [*lines, *_motion_table(solution)]
 
 
-def time_lines(solution: Solution) -> list[str]:
+def time_lines(solution: SolvedScene) -> list[str]:
     """Return the motion over time."""
     assert solution.times is not None
     return [f'from 0 to {solution.times[-1]:.9g} s', *_motion_table(solution)]
 
 
-def _motion_table(solution: Solution) -> list[str]:
+def _motion_table(solution: SolvedScene) -> list[str]:
     """Return drivers, bodies and lengths at positions spread over the motion."""
     scene, motion = solution.scene, solution.motion
     drivers = scene.mechanism.drivers
@@ -183,7 +183,7 @@ def _motion_table(solution: Solution) -> list[str]:
     return table_lines([*columns], rows)
 
 
-def center_lines(solution: Solution) -> list[str]:
+def center_lines(solution: SolvedScene) -> list[str]:
     """Return the instant centers at the first position, and how they are deduced."""
     centers = centers_of(solution)
     rows: list[Row] = []

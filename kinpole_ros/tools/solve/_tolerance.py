@@ -16,7 +16,7 @@ from kinpole_ros.mechanism._dimension_errors import (
     tolerances_of,
 )
 from kinpole_ros.tools.solve._solution import (
-    Solution,
+    SolvedScene,
     driver_text,
     driver_unit,
     open_output,
@@ -75,7 +75,7 @@ def tolerances(
             _draw(figure, solution, spread)
         lines.append(f'written to {picture}')
     if page:
-        from kinpole_ros.tools.solve._page import write_page
+        from kinpole_ros.tools.solve._scene_page import write_page
 
         with open_output(page) as part:
             write_page(part, solution, solution.at(0), _record_columns(spread))
@@ -149,7 +149,7 @@ def _unit_of(kind: str) -> tuple[str, float]:
 
 
 def _spread_lines(
-    solution: Solution, spread: ToleranceSpread, errors: Sequence[Tolerance]
+    solution: SolvedScene, spread: ToleranceSpread, errors: Sequence[Tolerance]
 ) -> list[str]:
     """Return a row for each quantity: standard deviations over the range, and contributions."""
     rows: list[Row] = []
@@ -184,7 +184,7 @@ def _sampled(spread: ToleranceSpread) -> tuple[np.ndarray, np.ndarray] | None:
     return errors.std(axis=0, ddof=1), np.percentile(errors, [2.5, 97.5], axis=0)
 
 
-def _write_table(path: Path, solution: Solution, spread: ToleranceSpread) -> None:
+def _write_table(path: Path, solution: SolvedScene, spread: ToleranceSpread) -> None:
     columns: dict[str, np.ndarray] = {}
     if solution.times is not None:
         columns['t'] = solution.times
@@ -202,7 +202,7 @@ def _write_table(path: Path, solution: Solution, spread: ToleranceSpread) -> Non
     write_columns(path, columns)
 
 
-def _draw(figure: Any, solution: Solution, spread: ToleranceSpread) -> None:
+def _draw(figure: Any, solution: SolvedScene, spread: ToleranceSpread) -> None:
     """Draw paths with bands, and standard deviations over the range; dots are of the samples."""
     grid = figure.add_gridspec(3, 2, width_ratios=(1.1, 1))
     _draw_paths(figure.add_subplot(grid[:, 0]), spread)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.tools.plot._bodies import Body, Centrodes, centrodes
+from kinpole_ros.tools.plot._drawn_body import Body, DrawnCentrodes, centrodes
 from kinpole_ros.tools.plot._style import (
     BLACK,
     FIXED,
@@ -23,7 +23,7 @@ from kinpole_ros.tools.plot._style import (
     reversals,
 )
 from kinpole_ros.tools.record.lost import breaks_of
-from kinpole_ros.tools.record.record import Joint, Series, ellipse
+from kinpole_ros.tools.record.record import Pin, Series, ellipse
 
 # An ICR with a standard deviation above this fraction of the view is left out of the centrodes.
 _BLURRED = 0.05
@@ -57,11 +57,11 @@ class View(NamedTuple):
         return max((self.high - self.low).real, (self.high - self.low).imag)
 
 
-class Linkage(NamedTuple):
+class DrawnRig(NamedTuple):
     """The bodies by name, their pins, and their relative centers by pair (j, i)."""
 
     bodies: dict[str, Body]
-    joints: list[Joint]
+    joints: list[Pin]
     centers: dict[tuple[str, str], Series]
 
 
@@ -69,7 +69,7 @@ class Scope(NamedTuple):
     """A body to draw, its centrodes without blurred parts, and the view of them."""
 
     body: Body
-    centrodes: Centrodes
+    centrodes: DrawnCentrodes
     view: View
 
 
@@ -85,7 +85,7 @@ def _size(body: Body) -> float:
     return body.size if np.isfinite(body.size) else 0.0
 
 
-def view_radius(body: Body, loci: Centrodes) -> float:
+def view_radius(body: Body, loci: DrawnCentrodes) -> float:
     """Return how far from the body's origin poles are shown, m; many go to infinity."""
     extent = float(np.hypot(np.ptp(body.position.real), np.ptp(body.position.imag)))
     usual = float(np.median(np.abs(loci.moving))) if len(loci.moving) else 0.0
@@ -93,14 +93,14 @@ def view_radius(body: Body, loci: Centrodes) -> float:
     return min(max(1.5 * usual, _size(body)), farthest)
 
 
-def without_blurred(loci: Centrodes, radius: float) -> Centrodes:
+def without_blurred(loci: DrawnCentrodes, radius: float) -> DrawnCentrodes:
     """Return the centrodes without instants at which noise would draw a star over the picture."""
     with np.errstate(invalid='ignore'):
         sharp = ~(loci.sigma > _BLURRED * radius)
-    return Centrodes(*(values[sharp] for values in loci))
+    return DrawnCentrodes(*(values[sharp] for values in loci))
 
 
-def view_of(body: Body, loci: Centrodes, radius: float) -> View:
+def view_of(body: Body, loci: DrawnCentrodes, radius: float) -> View:
     """Return the view of the path of a body and of the ICRs within a radius of it."""
     start = complex(body.position[0])
     view = View(start, start, radius).with_points(body.position)
@@ -131,7 +131,7 @@ def _is_blurred(series: Series, radius: float) -> np.ndarray:
         return np.asarray(sigma > _BLURRED * radius)
 
 
-def draw_plane(axis: Any, scope: Scope, instant: int, linkage: Linkage) -> None:
+def draw_plane(axis: Any, scope: Scope, instant: int, linkage: DrawnRig) -> None:
     """Draw the linkage with this body in color, its centrodes, poles and relative centers."""
     body, loci, view = scope
     view = _draw_linkage(axis, body, view, instant, linkage)
@@ -163,7 +163,7 @@ def draw_plane(axis: Any, scope: Scope, instant: int, linkage: Linkage) -> None:
     axis.set_title(body.name, fontweight='bold', parse_math=False)
 
 
-def _draw_linkage(axis: Any, body: Body, view: View, instant: int, linkage: Linkage) -> View:
+def _draw_linkage(axis: Any, body: Body, view: View, instant: int, linkage: DrawnRig) -> View:
     """Draw outlines of all bodies through their markers and pins; return the view of them."""
     on_ground, between = {}, {}
     for joint in linkage.joints:

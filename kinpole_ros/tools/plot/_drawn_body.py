@@ -32,7 +32,7 @@ class Body(NamedTuple):
     events: np.ndarray
 
 
-class Centrodes(NamedTuple):
+class DrawnCentrodes(NamedTuple):
     """
     The ICR at `stamp` (K,), complex, m: `fixed` in the plane, and `moving` in the body's frame.
 
@@ -66,15 +66,15 @@ def body_of(record: Record, name: str) -> Body:
     )
 
 
-def centrodes(body: Body) -> Centrodes:
+def centrodes(body: Body) -> DrawnCentrodes:
     """Return both centrodes of a body, at the instants with a pose and an ICR."""
     if 'icr' not in body.series:
         none = np.empty(0)
-        return Centrodes(none.astype(np.int64), none + 0j, none + 0j, none, none)
+        return DrawnCentrodes(none.astype(np.int64), none + 0j, none + 0j, none, none)
     icr = body.series['icr']
     stamp, pose, point = np.intersect1d(body.stamp, icr.stamp, return_indices=True)
     fixed = icr.value[point]
     moving = (fixed - body.position[pose]) * np.exp(-1j * body.angle[pose])
     sigma = np.sqrt(np.trace(icr.spread[point], axis1=1, axis2=2))
     rate = body.series['angular_velocity']
-    return Centrodes(stamp, fixed, moving, rate.value[rate.stamp.searchsorted(stamp)], sigma)
+    return DrawnCentrodes(stamp, fixed, moving, rate.value[rate.stamp.searchsorted(stamp)], sigma)

@@ -16,7 +16,7 @@ from kinpole_ros.tools.record.record import Columns, Record
 from kinpole_ros.tools.report import pack, page
 from kinpole_ros.tools.solve._editor import editor_data
 from kinpole_ros.tools.solve._shapes import belts_of, outline_of, rims_of
-from kinpole_ros.tools.solve._solution import Solution, acting_loads, angle_rates, centers_of
+from kinpole_ros.tools.solve._solution import SolvedScene, acting_loads, angle_rates, centers_of
 from kinpole_ros.tools.solve._statics import work_lines
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
 
@@ -28,8 +28,8 @@ _ROUNDED = 'next to a dead point'  # where `over_range` drops derivatives that a
 
 def write_page(
     path: Path,
-    solution: Solution,
-    here: Solution,
+    solution: SolvedScene,
+    here: SolvedScene,
     deviations: Mapping[tuple[str, str], np.ndarray] | None = None,
     text: str = '',
 ) -> None:
@@ -40,9 +40,9 @@ def write_page(
     ----------
     path : Path
         The file; `open_output` gives one that replaces an older page when it is complete.
-    solution : Solution
+    solution : SolvedScene
         The motion over time, or over the range of the one driver at a constant rate.
-    here : Solution
+    here : SolvedScene
         The position of which the page shows the virtual work, if there are loads.
     deviations : mapping, optional
         Columns (T, ...) of a `Record` with standard deviations and covariances, by body and name.
@@ -85,12 +85,12 @@ def write_page(
     path.write_text(page(data), encoding='utf-8')
 
 
-def _times(solution: Solution) -> np.ndarray:
+def _times(solution: SolvedScene) -> np.ndarray:
     """Return the times (T,), s; over a range, which has one driver, those at its rate, never 0."""
     return solution.inputs[0] / solution.rates[0] if solution.times is None else solution.times
 
 
-def _record(solution: Solution, deviations: Mapping[tuple[str, str], np.ndarray]) -> Record:
+def _record(solution: SolvedScene, deviations: Mapping[tuple[str, str], np.ndarray]) -> Record:
     """Return the motion as a report has it, in the order of time."""
     scene, bodies = solution.scene, solution.scene.mechanism.bodies
     times = _times(solution)
@@ -114,7 +114,7 @@ def _diameter(scene: Scene, body: str, outline: np.ndarray) -> float:
     return max([float(np.abs(outline[:, None] - outline).max()), *diameters]) or float('nan')
 
 
-def _body_columns(solution: Solution) -> Columns:
+def _body_columns(solution: SolvedScene) -> Columns:
     """Return the columns of all bodies, at the T positions in the order of the solution."""
     mechanism, motion = solution.scene.mechanism, solution.motion
     body_poles, angles = poles(mechanism, motion), angle_rates(motion)
@@ -171,7 +171,7 @@ def _is_zero(rates: np.ndarray) -> np.ndarray:
     return np.asarray(np.abs(rates) <= _ROUNDING * np.nanmax(np.abs(rates), initial=0.0))
 
 
-def _pair_columns(solution: Solution) -> Columns:
+def _pair_columns(solution: SolvedScene) -> Columns:
     """Return the relative centers of pairs of moving bodies."""
     centers = centers_of(solution)
     no_covariance = np.full((solution.inputs.shape[-1], 2, 2), np.nan)

@@ -17,7 +17,7 @@ from kinpole_ros.mechanism._kennedy import center_name
 from kinpole_ros.tools.plot._style import saved_figure
 from kinpole_ros.tools.solve._shapes import wheel_lines
 from kinpole_ros.tools.solve._solution import (
-    Solution,
+    SolvedScene,
     angle_rates,
     centers_of,
     driver_unit,
@@ -57,8 +57,8 @@ class _Box:
 
 def draw_solution(
     output: str | Path,
-    solution: Solution,
-    here: Solution,
+    solution: SolvedScene,
+    here: SolvedScene,
     centers: bool,
     centrodes: Sequence[str],
 ) -> None:
@@ -72,7 +72,7 @@ def draw_solution(
 
 
 def _draw_figure(
-    figure: Any, solution: Solution, here: Solution, centers: bool, centrodes: Sequence[str]
+    figure: Any, solution: SolvedScene, here: SolvedScene, centers: bool, centrodes: Sequence[str]
 ) -> None:
     grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1))
     draw_linkage(figure.add_subplot(grid[:, 0]), solution, here, centers, centrodes)
@@ -99,7 +99,7 @@ def _style(b: int) -> dict[str, Any]:
     return {'linestyle': _DASHES[b % len(_DASHES)], 'color': _COLORS[b % len(_COLORS)]}
 
 
-def _abscissa(solution: Solution, here: Solution) -> tuple[np.ndarray, float, str, str]:
+def _abscissa(solution: SolvedScene, here: SolvedScene) -> tuple[np.ndarray, float, str, str]:
     """Return the abscissa of the rates (T,), where `here` is on it, its name, and a title."""
     if solution.times is not None:
         return solution.times, 0.0, 'time (s)', 'at 0 s'
@@ -127,7 +127,7 @@ def _set_limits(axis: Any, values: np.ndarray) -> None:
         axis.set_ylim(-4 * usual, 4 * usual)
 
 
-def _body_points(solution: Solution) -> dict[str, list[np.ndarray]]:
+def _body_points(solution: SolvedScene) -> dict[str, list[np.ndarray]]:
     """Return the points of each body as `point_motions` does, or its origin."""
     scene, bodies = solution.scene, solution.scene.mechanism.bodies
     points: dict[str, list[np.ndarray]] = {body: [] for body in bodies}
@@ -140,7 +140,11 @@ def _body_points(solution: Solution) -> dict[str, list[np.ndarray]]:
 
 
 def draw_linkage(
-    axis: Any, solution: Solution, here: Solution, centers: bool, centrodes: Sequence[str] = ()
+    axis: Any,
+    solution: SolvedScene,
+    here: SolvedScene,
+    centers: bool,
+    centrodes: Sequence[str] = (),
 ) -> None:
     """Draw the linkage at the one position `here`, and the paths of its points."""
     scene, bodies = solution.scene, solution.scene.mechanism.bodies
@@ -205,7 +209,7 @@ def _annotate(axis: Any, text: str, z: complex, offset: tuple[int, int], **style
     axis.annotate(text, (z.real, z.imag), **style)
 
 
-def _draw_vectors(axis: Any, here: Solution) -> dict[int, complex]:
+def _draw_vectors(axis: Any, here: SolvedScene) -> dict[int, complex]:
     """Draw the vectors of a scene without joints; return their middles by number of the body."""
     mechanism, middles = here.scene.mechanism, dict[int, complex]()
     for side in () if mechanism.assembly.joints else polygon(here.scene, here.motion, 0).sides:
@@ -219,7 +223,7 @@ def _draw_vectors(axis: Any, here: Solution) -> dict[int, complex]:
 
 
 def _draw_centrodes(
-    axis: Any, solution: Solution, here: Solution, names: Sequence[str], box: _Box
+    axis: Any, solution: SolvedScene, here: SolvedScene, names: Sequence[str], box: _Box
 ) -> None:
     """Draw the fixed and the moving centrodes of some bodies, near the linkage."""
     motion = solution.motion
@@ -237,7 +241,7 @@ def _draw_centrodes(
             axis.plot(z.real, z.imag, dashes, **style)
 
 
-def _draw_centers(axis: Any, here: Solution, box: _Box, size: float) -> None:
+def _draw_centers(axis: Any, here: SolvedScene, box: _Box, size: float) -> None:
     """Draw the instant centers near the linkage, and the lines that determine them."""
     centers, middle = centers_of(here), box.middle
     names: dict[complex, list[str]] = {}

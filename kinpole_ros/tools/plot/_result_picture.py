@@ -10,8 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from kinpole_ros.tools.plot import _plane, _time
-from kinpole_ros.tools.plot._bodies import body_of
+from kinpole_ros.tools.plot import _instant, _time
+from kinpole_ros.tools.plot._drawn_body import body_of
 from kinpole_ros.tools.plot._style import (
     BAND,
     BLACK,
@@ -67,7 +67,7 @@ def plot(
 
 
 def _draw(figure: Any, bag: str, record: Record, exact: dict[str, dict[str, Series]]) -> None:
-    linkage = _plane.Linkage(
+    linkage = _instant.DrawnRig(
         {name: body_of(record, name) for name in record.bodies},
         joints_of(record),
         {pair: series for pair in pairs_of(record) if (series := record.series(pair, 'icr'))},
@@ -76,8 +76,8 @@ def _draw(figure: Any, bag: str, record: Record, exact: dict[str, dict[str, Seri
     figure.set_size_inches(_WIDTH, 1.5 + _ROW_HEIGHT * len(bodies))
     start = min(int(body.stamp[0]) for body in bodies)
     end = max(int(body.stamp[-1]) for body in bodies)
-    scopes = [_plane.scope_of(body) for body in bodies]
-    instant = _plane.instant_of(scopes, (start + end) // 2)
+    scopes = [_instant.scope_of(body) for body in bodies]
+    instant = _instant.instant_of(scopes, (start + end) // 2)
     lost, omitted = record.lost, ', '.join(record.bodies[_MOST_BODIES:])
     figure.suptitle(
         f'{bag}: {", ".join(body.name for body in bodies)}'
@@ -93,7 +93,7 @@ def _draw(figure: Any, bag: str, record: Record, exact: dict[str, dict[str, Seri
     figure.get_layout_engine().set(w_pad=0.12)
     for row, scope in enumerate(scopes):
         axis = figure.add_subplot(grid[row, 0])
-        _plane.draw_plane(axis, scope, instant, linkage)
+        _instant.draw_plane(axis, scope, instant, linkage)
         # Between rows it would touch the name of the next body.
         axis.set_xlabel(f'{record.along[0]} (m)' if row == len(scopes) - 1 else '')
         axis.set_ylabel(f'{record.along[1]} (m)')
