@@ -129,11 +129,7 @@ def centrodes(
         moving_curvature = moving_centrode_curvature(curvature, of_other[1][1], speeds[0])
         lengths = speeds[:, count:] * (high - low) * rate[count:]
         lengths = lengths.reshape(2, count - 1, _NODES) @ weights * (step / 2)
-    sign = np.where(exists, np.sign(omega), 0)
-    inside = sign[count:].reshape(count - 1, _NODES)
-    unbroken = (inside == sign[: count - 1, None]).all(axis=1) & exists[1:count]
-    unbroken &= sign[: count - 1] == sign[1:count]
-    piece, arc = _pieces(exists[:count], unbroken, lengths)
+    piece, arc = _pieces(exists[:count], _unbroken(exists, omega, count), lengths)
     fixed, moving = (np.where(exists, points, _NAN)[:count] for points in (fixed, moving))
     return Centrodes(
         one,
@@ -149,6 +145,14 @@ def centrodes(
         (_pins(mechanism, one), _pins(mechanism, other)),
         size,
     )
+
+
+def _unbroken(exists: np.ndarray, omega: Real, count: int) -> np.ndarray:
+    """Return where the center exists between samples, and the bodies turn one way."""
+    sign = np.where(exists, np.sign(omega), 0)
+    inside = sign[count:].reshape(count - 1, _NODES)
+    turns_alike = (inside == sign[: count - 1, None]).all(axis=1) & exists[1:count]
+    return np.asarray(turns_alike & (sign[: count - 1] == sign[1:count]))
 
 
 def _check(mechanism: Mechanism, one: str, other: str, low: float, high: float, count: int) -> None:

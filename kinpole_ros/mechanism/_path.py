@@ -73,17 +73,7 @@ def trace(
     `start`.
     """
     branch = Branch(linkage, inputs)
-    first = branch.at(start, guess)
-    if not first.closed[0]:
-        drives = linkage.loops.drives
-        error = inputs(np.array([start]))[0, :, 0] - drives @ guess
-        raise LinkageError(_why_open(linkage, guess + np.linalg.pinv(drives) @ error))
-    if not (np.abs(first.determinant[:, 0]) > _DEAD).all():
-        loop = ', '.join(loop_names(linkage, most_singular(first)))
-        raise LinkageError(
-            f'the start is a dead point of the loop {loop}, from which it is not known where to '
-            'go: start next to it'
-        )
+    first = _first(branch, linkage, start, guess)
     is_angle = linkage.loops.is_angle
     length = np.abs(linkage.loops.lengths @ first.values[0, :, 0] + linkage.loops.length0).max()
     scale = np.where(is_angle, 1.0, length)
@@ -119,6 +109,22 @@ def trace(
         (low, high),
         len(down),
     )
+
+
+def _first(branch: Branch, linkage: Linkage, start: float, guess: Real) -> Solution:
+    """Return the position at the start; raise LinkageError if there is none, or a dead point."""
+    first = branch.at(start, guess)
+    if not first.closed[0]:
+        drives = linkage.loops.drives
+        error = branch.inputs(np.array([start]))[0, :, 0] - drives @ guess
+        raise LinkageError(_why_open(linkage, guess + np.linalg.pinv(drives) @ error))
+    if not (np.abs(first.determinant[:, 0]) > _DEAD).all():
+        loop = ', '.join(loop_names(linkage, most_singular(first)))
+        raise LinkageError(
+            f'the start is a dead point of the loop {loop}, from which it is not known where to '
+            'go: start next to it'
+        )
+    return first
 
 
 def _why_open(linkage: Linkage, guess: Real) -> str:

@@ -128,14 +128,11 @@ def measured_balance(
     Virtual work, sum(F . v) + sum(T w) = 0: seed 003, section 4.
 
     """
-    size = abs(through.effort) if through.point is not None else abs(np.real(through.effort))
-    if not np.all((size > 0) & (size < np.inf)):
-        raise ValueError('the input of a balance needs a direction: a force or torque not zero')
+    unit = _unit_port(through)
 
     def variance_of(body: int, linear: Linear) -> Real:
         return variance(linear, position_covariance[:, :, body], angle_covariance[:, :, body])
 
-    unit = through._replace(effort=through.effort / size)
     rate, *powers = (
         port_power(port.effort, port.point, position[:, port.body], angle[:, port.body])
         for port in (unit, *loads)
@@ -149,3 +146,11 @@ def measured_balance(
         total = np.asarray(sum(variance_of(body, linear) for body, linear in by_body.items()))
         is_moving = np.abs(rate.value) > significant * np.sqrt(variance_of(through.body, rate))
     return value, total, is_moving & np.isfinite(value) & np.isfinite(total)
+
+
+def _unit_port(port: Port) -> Port:
+    """Return a port with a force of 1 N or a torque of 1 N m; raise ValueError for none."""
+    size = abs(port.effort) if port.point is not None else abs(np.real(port.effort))
+    if not np.all((size > 0) & (size < np.inf)):
+        raise ValueError('the input of a balance needs a direction: a force or torque not zero')
+    return port._replace(effort=port.effort / size)

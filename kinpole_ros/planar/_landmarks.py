@@ -106,21 +106,28 @@ def landmark_kinematics(
         coefficient, partials = turn = rotation(order, angle)
         error = (np.abs(partials) * rounding[1 : order + 1]).sum(axis=0)
         poles[order - 1] = _where(np.abs(coefficient) > error, pole(order, position, angle, turn))
-    is_rotating = np.abs(angle[1]) > rounding[1]
-    velocity, curvature = missing, missing[..., 0]
-    if len(derivatives) > 2:
-        u = icr_velocity(position, angle)
-        velocity = _where(is_rotating, u)
-    if len(derivatives) > 3:
-        with np.errstate(invalid='ignore'):
-            error = ROUNDING * (np.abs(position[1]) + np.abs(u.by_position[1] * position[2]))
-            error += (np.abs(u.by_angle) * rounding[1:3]).sum(axis=0)
-        is_moving = is_rotating & (np.abs(u.value) > error)
-        curvature = np.where(is_moving, centrode_curvature(position, angle).value.real, np.nan)
+    velocity, curvature = _centrode(position, angle, rounding, len(derivatives) - 1)
     w, alpha, jerk, snap = angle[1:]
     icr, iap, ijp, isp = poles
     rates_and_poles = w, alpha, jerk, snap, icr, iap, ijp, isp
     return LandmarkKinematics(*rates_and_poles, velocity, curvature, to_plane(position), angle)
+
+
+def _centrode(position: Complex, angle: Real, rounding: Real, order: int) -> tuple[Real, Real]:
+    """Return the velocity of the ICR (..., 2) and the curvature of its path (...)."""
+    velocity = np.full((*position.shape[1:], 2), np.nan)
+    if order < 2:
+        return velocity, velocity[..., 0]
+    is_rotating = np.abs(angle[1]) > rounding[1]
+    u = icr_velocity(position, angle)
+    velocity = _where(is_rotating, u)
+    if order < 3:
+        return velocity, np.full(velocity.shape[:-1], np.nan)
+    with np.errstate(invalid='ignore'):
+        error = ROUNDING * (np.abs(position[1]) + np.abs(u.by_position[1] * position[2]))
+        error += (np.abs(u.by_angle) * rounding[1:3]).sum(axis=0)
+    is_moving = is_rotating & (np.abs(u.value) > error)
+    return velocity, np.where(is_moving, centrode_curvature(position, angle).value.real, np.nan)
 
 
 def _check_derivatives(points: Real, values: Sequence[ArrayLike | None]) -> list[Complex]:
