@@ -9,10 +9,11 @@ import numpy as np
 from kinpole_ros.linkage._motion_plane import MotionPlane, fit_plane, space_noise, track_noise
 from kinpole_ros.linkage._poses import Pose, fit_body, refine_groups
 from kinpole_ros.linkage._record import Record, UndiscoveredError
-from kinpole_ros.linkage._rigid import MIN_FRAMES, Groups, distance_spreads, group, single_markers
+from kinpole_ros.linkage._rigid import Groups, distance_spreads, group, single_markers
 from kinpole_ros.linkage._solid import SolidPose, finite_mean, out_of_plane, turn_scatter
 from kinpole_ros.linkage._space import DISTANCE_FRAMES, SpaceBodies, find_bodies, soft_bodies
 from kinpole_ros.linkage._unordered import order_points
+from kinpole_ros.linkage.limits import PAIR_FRAMES
 from kinpole_ros.planar._plane import Complex
 
 # Noise over the size of a body, beyond which unreliable names are not trusted after all.
@@ -169,10 +170,10 @@ def _check_motion(bodies: Bodies) -> None:
 
 def _seen_often(column: np.ndarray) -> np.ndarray:
     """Which of the markers (T, n), NaN for none, are in enough frames; raises if none is."""
-    is_frequent = np.isfinite(column).sum(axis=0) >= MIN_FRAMES
+    is_frequent = np.isfinite(column).sum(axis=0) >= PAIR_FRAMES
     if not is_frequent.any():
         raise UndiscoveredError(
-            f'none of {column.shape[1]} markers is seen in {MIN_FRAMES} frames; fix: record '
+            f'none of {column.shape[1]} markers is seen in {PAIR_FRAMES} frames; fix: record '
             'longer, or see that the markers are in view'
         )
     return np.asarray(is_frequent)

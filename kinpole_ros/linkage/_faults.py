@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.linkage._least_squares import Normal, always_free, independent
+from kinpole_ros.linkage.limits import DEPENDENT
 from kinpole_ros.mechanism import Dimension, Equations
 from kinpole_ros.planar._plane import Real
 
@@ -21,8 +22,6 @@ _MIN_REDUCTION = (25.0, 28.7, 31.8)
 # both are named.
 _PRICE, _AS_GOOD = 10.0, 15.0
 _MAX_FAULTS = 6
-# An unknown depends on those before it if they leave less than this share of its column, squared.
-_DEPENDENT = 1e-7
 
 
 class Fault(NamedTuple):
@@ -192,7 +191,7 @@ def _candidate(
         if used:
             across = np.linalg.solve(square[np.ix_(used, used)], square[used, k])
             remainder -= square[k, used] @ across
-        if remainder > _DEPENDENT * diagonal[k]:
+        if remainder > DEPENDENT * diagonal[k]:
             used.append(k)
     if not used:
         return _Candidate(subject, [], 0.0)

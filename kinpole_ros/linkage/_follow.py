@@ -10,14 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kinpole_ros.linkage.limits import GATE, OUTLIER_SIGMAS
 from kinpole_ros.planar._plane import Complex, Real
 
-# A point may be this many times the usual prediction error away, and this share of a body's size.
-_GATE, _MAX_STEP = 8.0, 0.4
+# A point may be this share of a body's size away.
+_MAX_STEP = 0.4
 # Least gain of a smoothed rate.
 _MIN_GAIN = 0.25
-# Standard deviations that a marker may be off its place on the body.
-_OUTLIER_SIGMAS = 6.0
 # First prediction error, as a share of the size of the body.
 _FIRST_ERROR = 0.05
 _ROUNDS = 3
@@ -119,7 +118,7 @@ def _advance(
     predicted = (state.position + state.speed * gap)[body] + (turn[:, None] * local)[body, column]
     off = np.abs(predicted[:, None] - measured)
     growth = np.abs(gap) ** 1.5
-    gate = _GATE * np.maximum(state.error, noise) * np.maximum(growth, 1)
+    gate = GATE * np.maximum(state.error, noise) * np.maximum(growth, 1)
     gate = np.minimum(gate, _MAX_STEP * shapes.size)
     match = off.argmin(axis=1)
     nearest = off[np.arange(len(match)), match]
@@ -138,7 +137,7 @@ def _advance(
         is_fitted = (count > 1) & (np.abs(cross) > 0)
         fitted_turn = np.where(is_fitted, cross / np.where(is_fitted, np.abs(cross), 1), 1)
         residual = weight * np.abs(at - mean[:, None] - fitted_turn[:, None] * arms)
-        is_bad = is_fitted & (residual.max(axis=1) > _OUTLIER_SIGMAS * noise)
+        is_bad = is_fitted & (residual.max(axis=1) > OUTLIER_SIGMAS * noise)
         if not is_bad.any():
             break
         # The worst marker is left out; of two markers neither is estimated to be right.

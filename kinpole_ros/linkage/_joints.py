@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.linkage._poses import GROUND_NUMBER, Pose
+from kinpole_ros.linkage.limits import JOINT_FRAMES
 from kinpole_ros.planar._plane import Complex, Real
 
 # A residual over what noise explains. Lenses, play and noise that is not white make it more than 1;
@@ -19,7 +20,6 @@ _MAX_RATIO = 3.0
 _PLAY = 0.002
 # Standard deviations of the relative turn, without which it does not determine a point.
 _MIN_TURN = 6.0
-_MIN_FRAMES = 50
 # Share of its distances from the markers by which a joint of bodies under skin may vary.
 SKIN_STRAIN = 0.022
 # A pin in a slot is not determined if its deviation exceeds this share of the sizes of the bodies.
@@ -102,7 +102,7 @@ def fit_pin(
     this `strain` of the distances from the markers.
     """
     common = first.seen & second.seen
-    if common.sum() < _MIN_FRAMES:
+    if common.sum() < JOINT_FRAMES:
         return None, False
     a, b = first.angle[common], second.angle[common]
     turned = float(np.var(a - b))
@@ -168,7 +168,7 @@ def fit_slide(first: Pose, second: Pose, numbers: tuple[int, int]) -> Joint | No
     through d (Cardan's circles).
     """
     w, theta = _relative_motion(first, second)
-    if len(w) < _MIN_FRAMES:
+    if len(w) < JOINT_FRAMES:
         return None
     if not _turns(float(np.var(theta)), first, second):
         return _fit_prismatic(first, second, w, numbers)
@@ -205,7 +205,7 @@ def fit_slide(first: Pose, second: Pose, numbers: tuple[int, int]) -> Joint | No
 
 
 def _fit_prismatic(first: Pose, second: Pose, w: Complex, numbers: tuple[int, int]) -> Joint | None:
-    """Fit a slide of two bodies that do not turn against each second, by positions w (k,)."""
+    """Fit a slide of two bodies that do not turn against each other, by positions w (k,)."""
     middle = complex(w.mean())
     off = np.stack((w.real - middle.real, w.imag - middle.imag), axis=1)
     values, vectors = np.linalg.eigh(off.T @ off / len(w))
@@ -302,7 +302,7 @@ def fit_gear(
     """
     wheel, ring, arm = poses
     common = wheel.seen & ring.seen & arm.seen
-    if common.sum() < _MIN_FRAMES:
+    if common.sum() < JOINT_FRAMES:
         return None
     a, b, c = (pose.angle[common] for pose in poses)
     x, y = b - c, a - c

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.linkage._scene_poses import Anchors, Residuals, ScenePoses, residuals
+from kinpole_ros.linkage.limits import DEPENDENT
 from kinpole_ros.mechanism import Equations
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -22,8 +23,6 @@ _REDUNDANT = 1e-5
 _ROUNDS = 2
 # Newton steps that place a body without markers, until they are below this, m and rad.
 _HIDDEN_STEPS, _HIDDEN_ACCURACY = 8, 1e-9
-# An unknown depends on those before it if they leave less than this share of its column, squared.
-_DEPENDENT = 1e-8
 # Directions from which the pose of the ground is sought, and instants and steps of each search.
 _DIRECTIONS, _GROUND_INSTANTS, _GROUND_STEPS = 8, 40, 8
 # No other direction is tried if the mean square residual is below this.
@@ -298,7 +297,7 @@ def independent(square: Real, unknowns: Sequence[int]) -> tuple[list[int], Real]
         remainder = 1.0
         if used:
             remainder -= float(scaled[-1, :-1] @ np.linalg.solve(scaled[:-1, :-1], scaled[:-1, -1]))
-        if remainder > _DEPENDENT:
+        if remainder > DEPENDENT:
             used.append(k)
     scale = np.outer(size[used], size[used])
     inverse = np.linalg.inv(part[np.ix_(used, used)] / scale) / scale

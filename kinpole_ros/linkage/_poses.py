@@ -4,14 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._rigid import MIN_FRAMES, Groups, quantiles, single_markers
+from kinpole_ros.linkage._rigid import PAIR_FRAMES, Groups, quantiles, single_markers
+from kinpole_ros.linkage.limits import OUTLIER_SIGMAS
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.statistics import medians
 
 GROUND, GROUND_NUMBER = 'ground', -1
-# Residuals beyond this many standard deviations are of another marker.
-_OUTLIER_SIGMAS = 6.0
 _ROUNDS = 3
 # A marker is on a body if it is no farther from a fixed place than this many standard deviations,
 # or than this many times the body's own markers.
@@ -80,7 +79,7 @@ def fit_body(tracks: Complex) -> Pose:
             residuals = residuals[np.isfinite(residuals)]
             # The median of a Rayleigh distribution is 1.1774 standard deviations.
             noise = np.median(residuals) / 1.1774 if len(residuals) else 0.0
-            used = seen & ~(off > _OUTLIER_SIGMAS * noise + 1e-12)
+            used = seen & ~(off > OUTLIER_SIGMAS * noise + 1e-12)
         local = np.where(used & is_fitted[:, None], local, np.nan)
         counts = np.isfinite(local.real).sum(axis=0)
         if not counts.any():
@@ -141,7 +140,7 @@ def off_body(pose: Pose, tracks: Complex, noise: float) -> tuple[Real, Complex]:
     variance = noise**2 + pose.position_variance + np.abs(position) ** 2 * pose.angle_variance / 2
     # The 90% quantile of a Rayleigh distribution is 2.146 standard deviations.
     off = far / 2.146 / np.sqrt(np.maximum(variance, 1e-300))
-    is_rare = counts < MIN_FRAMES
+    is_rare = counts < PAIR_FRAMES
     return np.where(is_rare, np.inf, off), np.where(is_rare, complex(np.nan), position)
 
 

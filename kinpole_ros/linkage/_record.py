@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.linkage.limits import RECORDING_FRAMES
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.thresholds import N_SIGMA
 
-_MIN_FRAMES = 20
 # Some drivers count names anew in every frame: more names than this many times the markers of a
 # frame, plus 3, are no identities.
 _MAX_NAME_RATIO = 3
@@ -98,7 +98,7 @@ def gather(blocks: Sequence[MarkerFrames]) -> tuple[Record, Stamps]:
     """
     blocks = [block for block in blocks if len(block.stamps)]
     count = sum(len(block.stamps) for block in blocks)
-    if count < _MIN_FRAMES:
+    if count < RECORDING_FRAMES:
         raise UndiscoveredError(
             f'{count} frames of markers are too few to find anything; fix: record 10 s or more'
         )
@@ -110,7 +110,7 @@ def gather(blocks: Sequence[MarkerFrames]) -> tuple[Record, Stamps]:
     )
     rows = np.concatenate(([True], ~is_repeated)).nonzero()[0]
     record = Record(stamps[rows], points[rows], names, blocks[0].frame_id)
-    if len(rows) < _MIN_FRAMES or record.interval <= 0:
+    if len(rows) < RECORDING_FRAMES or record.interval <= 0:
         raise UndiscoveredError(
             f'{count} frames have {len(np.unique(stamps))} different stamps; fix: have the driver '
             'stamp each'

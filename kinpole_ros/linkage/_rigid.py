@@ -6,11 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.linkage.limits import PAIR_FRAMES
 from kinpole_ros.planar._plane import Complex, Real
 
 _SAMPLED_FRAMES = 3000
-# Fewer common frames say nothing about a distance.
-MIN_FRAMES = 30
 # The variation of a distance over its noise is that of a rigid pair below the first ratio, and not
 # beyond the second. Between, lens distortion and soft mounts shift the limit: it is put in the
 # widest gap.
@@ -70,7 +69,7 @@ def spreads(rows: Real) -> tuple[Real, Real]:
     The deviation is infinite for a row of too few values.
     """
     (low, median, high), counts = quantiles(rows, (_TAIL, 0.5, 1 - _TAIL))
-    return np.where(counts < MIN_FRAMES, np.inf, (high - low) / _TAIL_WIDTH), median
+    return np.where(counts < PAIR_FRAMES, np.inf, (high - low) / _TAIL_WIDTH), median
 
 
 def distance_spreads(points: np.ndarray, frames: int) -> tuple[Real, Real]:

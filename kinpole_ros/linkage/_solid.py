@@ -11,7 +11,7 @@ import numpy as np
 
 from kinpole_ros.linkage._joints import SKIN_STRAIN
 from kinpole_ros.linkage._poses import GROUND_NUMBER
-from kinpole_ros.linkage._rigid import MIN_FRAMES
+from kinpole_ros.linkage.limits import PAIR_FRAMES
 from kinpole_ros.planar._plane import Real
 
 # Width of a body over its length. Narrower bodies do not show how they turn about their length.
@@ -168,7 +168,7 @@ def relative_turns(first: SolidPose, second: SolidPose) -> Real:
 
 
 def turn_between(first: SolidPose | None, second: SolidPose | None) -> float:
-    """Rms turn of two bodies against each second, rad; infinite where one has no orientation."""
+    """Rms turn of two bodies against each other, rad; infinite where one has no orientation."""
     if first is None or second is None:
         return np.inf
     turns = relative_turns(first, second)
@@ -192,7 +192,7 @@ def fit_space_joint(
     if first is None or second is None:
         return None
     common = np.isfinite(first.rotation[:, 0, 0]) & np.isfinite(second.rotation[:, 0, 0])
-    if common.sum() < MIN_FRAMES or turn_between(first, second) < _MIN_TURN:
+    if common.sum() < PAIR_FRAMES or turn_between(first, second) < _MIN_TURN:
         return None
     r1, r2 = first.rotation[common], second.rotation[common]
     offset = (second.position - first.position)[common]

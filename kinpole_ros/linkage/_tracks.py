@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-# A point continues a track up to the first number of prediction errors away. It is in doubt if a
-# second point or track is within the second number.
-_GATE, _DOUBT = 8.0, 2.5
+from kinpole_ros.linkage.limits import GATE
+
+# A point is in doubt if a second point or track is within so many prediction errors.
+_DOUBT = 2.5
 # Frames over which a track, and a young track, goes on unseen.
 _MAX_GAP, _MAX_YOUNG_GAP = 10, 3
 # Points after which a track may cause doubt, and after which its error is known.
@@ -83,7 +84,7 @@ def link(points: np.ndarray, steps: np.ndarray) -> Tracks:
             total += len(begun)
             new = np.zeros(len(begun), _LIVE)
             new['number'], new['position'], new['step'] = taken[begun], measured[begun], step
-            new['error'] = _spacing(measured)[begun] / (2 * _GATE)
+            new['error'] = _spacing(measured)[begun] / (2 * GATE)
             live = np.concatenate((live, new))
         number[k, columns] = taken
     rows, slots = (number >= 0).nonzero()
@@ -104,7 +105,7 @@ def _continued(live: np.ndarray, measured: np.ndarray, step: int) -> tuple[np.nd
     nearest = off.argmin(axis=1)
     rows = np.arange(len(off))
     best = off[rows, nearest]
-    is_mutual = (off.argmin(axis=0)[nearest] == rows) & (best < _GATE * error)
+    is_mutual = (off.argmin(axis=0)[nearest] == rows) & (best < GATE * error)
     near = (off < _DOUBT * error[:, None]) & (live['age'] >= _MIN_AGE)[:, None]
     ambiguous = near & ((near.sum(axis=1) > 1)[:, None] | (near.sum(axis=0) > 1))
     is_ended = ambiguous.any(axis=1)
