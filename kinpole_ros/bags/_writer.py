@@ -39,7 +39,6 @@ from kinpole_ros.messages import serialize_message, type_name, with_zero_padding
 # A program that is killed loses up to one chunk, and a reader has one in memory; zstd compresses
 # smaller ones less.
 _CHUNK_BYTES = 256 * 1024
-_COPY_BYTES = 1 << 20  # at a time
 _RECORD_HEAD_BYTES = 9  # opcode and length of a record, which the length does not count
 # All of a message record before its data: for many messages by numpy, and for one by struct.
 _HEAD = np.dtype(
