@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,18 @@ def test_waiting_says_what_for_and_ends_with_the_processes(monkeypatch, capsys) 
         living.communicate(b'\n')
         with pytest.raises(BagError, match='ended on the way; see what it printed'):
             demo._await(lambda: 'results', living)
+
+
+def test_the_run_starts_when_all_has_been_there_for_a_while() -> None:
+    """A node that found its subscribers later than the watcher did not send its first results."""
+    looks: list[float] = []
+
+    def missing() -> str:
+        looks.append(time.monotonic())
+        return 'a subscriber' if len(looks) in (1, 3) else ''
+
+    demo._await(missing, lasting=0.2)
+    assert looks[-1] - looks[2] >= 0.2
 
 
 @pytest.mark.parametrize(('in_node', 'in_recorder'), [(2, 1), (2, 7000), (6000, 1)])

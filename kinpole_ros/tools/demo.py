@@ -36,6 +36,8 @@ _PATIENCE, _STOP_TIMEOUT, _NEXT_LINE, _POLL_INTERVAL = 1800.0, 60.0, 5.0, 0.02
 # Seconds without a result after which all have arrived: if the last one that is due is among them,
 # and if not. Fast DDS resends lost messages every 3 s.
 _SILENCE, _LONG_SILENCE = 3.5, 60.0
+# s; the node may find a subscriber so much later than the watcher does.
+_SETTLING = 1.0
 _MANY = 10_000  # messages, more than a demo has
 # s; a node and a recorder on an idle machine need a few milliseconds.
 _LONG = 0.1
@@ -118,7 +120,7 @@ def live_run(
     ]
     try:
         with _process(node_words) as node, _process(record_words) as recorder:
-            _await(lambda: _missing(watcher, tuple(topics)), node, recorder)
+            _await(lambda: _missing(watcher, tuple(topics)), node, recorder, lasting=_SETTLING)
             count = play(bag, [markers], wait=_PATIENCE, subscribers=3)
             sent = {
                 stamp_to_ns(next(headers(decode(types[markers], data))).stamp): time_sent
@@ -164,12 +166,18 @@ def _still_due(
     return '' if silence > _SILENCE else 'results that may come late'
 
 
-def _await(missing: Callable[[], str], *processes: 'subprocess.Popen[bytes]') -> None:
-    """Wait until nothing is missing, while the processes live, and say what for."""
-    start = time.monotonic()
+def _await(
+    missing: Callable[[], str], *processes: 'subprocess.Popen[bytes]', lasting: float = 0.0
+) -> None:
+    """Wait until nothing is missing for `lasting` s, while the processes live; say what for."""
+    start = found = time.monotonic()
     line_due = start + _NEXT_LINE
-    while what := missing():
+    while (what := missing()) or time.monotonic() - found < lasting:
         now = time.monotonic()
+        if what:
+            found = now
+        else:
+            what = 'the others to find each other too'
         if any(process.poll() is not None for process in processes):
             raise BagError('the node or its recorder ended on the way; see what it printed')
         hint = 'see whether ROS_DOMAIN_ID or a firewall blocks traffic between processes'
