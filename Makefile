@@ -104,7 +104,7 @@ bags: .venv/demo-$(READY)  ## simulate the bags in bags/ again
 
 fuzz: .venv/test-$(READY)  ## read 10,000 corrupted bags, corrupted captures, and 100,000 corrupted messages; kill each command 20 times; spoil rigs; other examples of each property
 	@$(RUN) test/fuzz_bags.py
-	@$(RUN) test/fuzz_captures.py
+	@PYTHONPATH=test/bags $(RUN) test/fuzz_captures.py
 	@$(RUN) test/fuzz_messages.py
 	@OPENBLAS_NUM_THREADS=1 $(RUN) test/fuzz_kills.py
 	@PYTHONPATH=. OPENBLAS_NUM_THREADS=1 $(RUN) test/fuzz_rigs.py

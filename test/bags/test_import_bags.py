@@ -39,7 +39,7 @@ from kinpole_ros.messages._types import MarkerArray
 from kinpole_ros.settings import load_settings
 from kinpole_ros.tools.cli import main
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 FIRST = 1_700_000_000_123_456_789  # ns
 STEP = 10_000_000  # ns
 PLACES = np.random.default_rng(3).normal(size=(5, 2, 3)).round(3)

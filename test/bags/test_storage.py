@@ -282,7 +282,7 @@ def bounded(path: Path, megabytes: int = 700) -> str:
     )
     done = subprocess.run(
         [sys.executable, '-c', program, str(path)],
-        cwd=Path(__file__).parents[1],
+        cwd=Path(__file__).parents[2],
         capture_output=True,
         text=True,
         timeout=100,

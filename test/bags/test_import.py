@@ -21,7 +21,7 @@ from kinpole_ros.messages._types import MarkerArray
 from kinpole_ros.settings import settings_from
 from kinpole_ros.tools.cli import main
 
-DATA = Path(__file__).parents[2] / 'shared' / 'data' / 'double_pendulum' / 'run16.csv'
+DATA = Path(__file__).parents[3] / 'shared' / 'data' / 'double_pendulum' / 'run16.csv'
 
 
 def import_text(folder: Path, text: str | bytes, **options) -> list[tuple[int, dict]]:

@@ -20,7 +20,7 @@ from kinpole_ros.messages import deserialize_message
 from kinpole_ros.messages._types import MarkerArray
 from kinpole_ros.tools.cli import main
 
-WALK = Path(__file__).parents[2] / 'shared' / 'data' / 'gait' / 'walk1.trc'
+WALK = Path(__file__).parents[3] / 'shared' / 'data' / 'gait' / 'walk1.trc'
 NAN = float('nan')
 # Two markers in four frames; the second is hidden in one of them.
 SEEN = np.array(

@@ -645,7 +645,7 @@ def test_killed_writer_leaves_what_was_flushed_and_all_finished_chunks(tmp_path)
     for mode, least in (('flush', 10_000), ('no', 6_000)):
         done = subprocess.run(
             [sys.executable, '-c', program, str(path), mode],
-            cwd=Path(__file__).parents[1],
+            cwd=Path(__file__).parents[2],
             timeout=60,
             check=False,
         )
