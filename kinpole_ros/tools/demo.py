@@ -6,6 +6,7 @@ the exact motion in the bag.
 """
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -23,7 +24,7 @@ from rclpy.subscription import Subscription
 from kinpole_ros.bags import BagError, message_class, read_messages
 from kinpole_ros.bags import topics as topics_of
 from kinpole_ros.mechanism import share_folder
-from kinpole_ros.messages import DRAWING, STATE, read_states, stamp_to_ns
+from kinpole_ros.messages import DRAWING, STATE, outputs_of, read_states, stamp_to_ns
 from kinpole_ros.ros.player import headers, own_context, play, with_slash
 from kinpole_ros.ros.private import take
 from kinpole_ros.settings import Settings, load_settings
@@ -76,7 +77,7 @@ def demo(output: str | Path) -> int:
     print(f'recorder: kinpole record --output {recording}')
     print(f'player:   kinpole play {bag}', flush=True)
     settings = load_settings(config)
-    run = live_run(bag, config, recording, _shown_topics(list(settings.bodies)))
+    run = live_run(bag, config, recording, _shown_topics(settings))
     print(f'{run.frames} frames of markers played over DDS; the results are in {recording}\n')
     for line in (*_comparison_lines(bag, recording), '', *_latency_lines(run, recording, settings)):
         print(line)
@@ -86,11 +87,11 @@ def demo(output: str | Path) -> int:
     return 0
 
 
-def _shown_topics(bodies: Sequence[str]) -> list[str]:
+def _shown_topics(settings: Settings) -> list[str]:
     """Return the topics of table and picture: the state has almost all numbers."""
-    names = [STATE, DRAWING, *(f'{body}/{name}' for body in bodies for name in ('odom', 'event'))]
-    names += [f'{j}/wrt/{i}/icr' for n, j in enumerate(bodies) for i in bodies[:n]]
-    return [f'/kinpole/{name}' for name in names]
+    names = re.compile(rf'{STATE}|{DRAWING}|\w+/(odom|event|wrt/\w+/icr)')
+    topics = [output.topic for output in outputs_of(settings, None)]
+    return [f'/kinpole/{topic}' for topic in topics if names.fullmatch(topic)]
 
 
 def live_run(
