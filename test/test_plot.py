@@ -558,3 +558,12 @@ def test_pyplot_is_left_alone(bags, tmp_path) -> None:
     )
     words = [sys.executable, '-c', script, str(bags['cardan']), str(tmp_path / 'out.png')]
     subprocess.run(words, check=True, timeout=60)
+
+
+def test_clouds_of_another_program_are_no_results(tmp_path) -> None:
+    bag = tmp_path / 'robot.mcap'
+    with BagWriter(bag) as writer:
+        writer.write('/robot/base/odom', Odometry(), 0)
+        writer.write('/robot/state', PointCloud2(), 0)
+    with pytest.raises(BagError, match='no pose of /robot/base'):
+        plot(bag, tmp_path / 'out.png')

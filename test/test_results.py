@@ -166,7 +166,7 @@ def test_what_another_package_registers_is_a_topic_with_its_deviation() -> None:
             assert tuple(bodies) == BODIES
             return [RegisteredQuantity('crank/slip', 'vector', 2, 'm/s', slip)]
 
-        def joined_bodies(self) -> list[tuple[str, str]]:
+        def connected_bodies(self) -> list[tuple[str, str]]:
             return [('crank', 'coupler')]
 
     settings = Settings(bodies=dict.fromkeys(BODIES, ('0', '1')))

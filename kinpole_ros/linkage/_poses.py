@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._rigid import PAIR_FRAMES, Groups, quantiles, single_markers
-from kinpole_ros.linkage.limits import OUTLIER_SIGMAS
+from kinpole_ros.linkage._rigid import Groups, quantiles, single_markers
+from kinpole_ros.linkage.limits import OUTLIER_SIGMAS, PAIR_FRAMES
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.statistics import medians

@@ -1,17 +1,17 @@
-"""Limits that several steps of discovery and fitting share, each with its reason."""
+"""Limits that steps of discovery and fitting share, none of them measured at half and double."""
 
 GATE = 8.0
-"""Prediction errors that a point may be away: a track is lost more often at 4, exchanged at 16."""
+"""A point continues a track, or is a marker of a body, up to this many prediction errors away."""
 OUTLIER_SIGMAS = 6.0
-"""Standard deviations that a marker may be off its place: 1 of 5e8 in normal noise is farther."""
+"""Standard deviations that a marker may be off its place: in normal noise 1 of 5e8 is farther."""
 DEPENDENT = 1e-8
-"""Share of the squared column of an unknown that those before it leave, if it depends on them: the
-square root of the rounding of doubles, in which columns of the same unknowns end."""
+"""An unknown depends on those before it if they leave less than this share of its squared column.
+Rounding leaves 2e-16."""
 
 # Frames without which there is no statement.
 RECORDING_FRAMES = 20
-"""Of a recording: its interval, and the pace of its markers."""
+"""Frames of a recording."""
 PAIR_FRAMES = 30
-"""Common ones of two markers: the spread of their distance, to a quarter."""
+"""Common frames of two markers: fewer say nothing about their distance."""
 JOINT_FRAMES = 50
-"""Common ones of two bodies: a joint has up to 7 unknowns, and its residual is compared."""
+"""Common frames of two bodies: fewer say nothing about their joint."""

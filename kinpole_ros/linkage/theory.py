@@ -54,7 +54,7 @@ class Theory(NamedTuple):
         """Whether the scene has loads, and a tracked body that can balance them."""
         return bool(self.loads) and bool(self.driver or self.scene.held_by)
 
-    def joined_bodies(self) -> list[tuple[str, str]]:
+    def connected_bodies(self) -> list[tuple[str, str]]:
         """Return the pairs of bodies that have a joint in the scene."""
         return [(joint.one, joint.other) for joint in self.scene.mechanism.assembly.joints]
 

@@ -127,7 +127,7 @@ class Registered(Protocol):
     def quantities(self, bodies: Sequence[str]) -> Sequence[RegisteredQuantity]:
         """Return quantities with topics of their own."""
 
-    def joined_bodies(self) -> Sequence[tuple[str, str]]:
+    def connected_bodies(self) -> Sequence[tuple[str, str]]:
         """Return the pairs of bodies that have a joint."""
 
 
@@ -295,14 +295,14 @@ def result_outputs(
     for b in numbers:
         for row in OF_BODY:
             outputs += _outputs(row, f'{bodies[b]}/{row.name}', rig, (b,))
-    joined = {*map(frozenset, (joints or {}).values())}
+    connected = {*map(frozenset, (joints or {}).values())}
     if registered is not None:
-        joined |= {*map(frozenset, registered.joined_bodies())}
+        connected |= {*map(frozenset, registered.connected_bodies())}
     for i, j in measured_pairs(len(bodies)):
-        is_joined = frozenset((bodies[i], bodies[j])) in joined
+        is_connected = frozenset((bodies[i], bodies[j])) in connected
         for row in _OF_PAIR:
             topic = f'{bodies[j]}/wrt/{bodies[i]}/{row.name}'
-            outputs += _outputs(row, topic, rig, (i, j), is_joined)
+            outputs += _outputs(row, topic, rig, (i, j), is_connected)
     for quantity in registered.quantities(bodies) if registered is not None else ():
         outputs += _registered_outputs(quantity, given)
     outputs.append(Output(STATE, PointCloud2, highest, state(given, highest)))

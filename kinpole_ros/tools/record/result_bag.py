@@ -8,6 +8,7 @@ which a state has not; relative centers, outlines and events have topics of thei
 import shlex
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -178,7 +179,8 @@ def _read(
     except Truncated as error:
         cut = str(error)
     for node, messages in states.items():
-        found.states[node] = list(read_states(messages))
+        with suppress(ValueError, RuntimeError):  # clouds of another program
+            found.states[node] = list(read_states(messages))
     return found._replace(cut=cut)
 
 
