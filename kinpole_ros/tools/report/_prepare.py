@@ -82,10 +82,10 @@ def _discover(
 ) -> tuple[Path | None, list[str], list[str]]:
     """Write the parameter file of a rig; return it or None, assumptions, and what was found."""
     from kinpole_ros.linkage import input_texts, joint_lines, marker_lines, parameter_file
-    from kinpole_ros.tools.discover import DiscoverOptions, find_linkage
+    from kinpole_ros.tools.discover import find_linkage
 
     try:
-        linkage, marker_topic, _ = find_linkage(bag, DiscoverOptions(topic), progress)
+        linkage, marker_topic, _ = find_linkage(bag, topic, progress=progress)
     except BagError as error:
         return None, [f'bodies: not found: {str(error).removeprefix(f"{bag}: ")}'], []
     rig.write_text(parameter_file(linkage, marker_topic), encoding='utf-8')

@@ -1,10 +1,10 @@
 """`kinpole solve` and `kinpole tolerance`: a scene as text, tables, pictures and a page."""
 
-from collections.abc import Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,47 +32,20 @@ from kinpole_ros.tools.solve._text import (
 )
 from kinpole_ros.tools.solve._tolerance import tolerances
 
-__all__ = ['SolveOptions', 'solve_scene', 'tolerances']
+__all__ = ['solve_scene', 'tolerances']
 
 # Positions over a range, in tables and pictures.
 _SAMPLES = 361
 
 
-class SolveOptions(NamedTuple):
-    """
-    What `solve_scene` computes and writes; the names are those of the options of `kinpole solve`.
-
-    `at` is a value of the one driver, with a unit or in SI units; `sweep` is for its whole range,
-    and `time` for the motion of all drivers up to a time, with a unit or in s. Without these three
-    the position at time 0 is solved. `decompose` is 'BODY:A,B' and a file, `pitch` two bodies and a
-    file. The polygons, the decomposition and `work` are for the position `at`, or the end of
-    `time`.
-    """
-
-    at: str | None = None
-    sweep: bool = False
-    time: str | None = None
-    centers: bool = False
-    statics: bool = False
-    work: bool = False
-    csv: str | Path | None = None
-    plot: str | Path | None = None
-    centrodes: Sequence[str] = ()
-    polygon: str | Path | None = None
-    decompose: Sequence[str | Path] = ()
-    html: str | Path | None = None
-    pitch: Sequence[str | Path] = ()
-
-
-def solve_scene(scene: str | Path, options: SolveOptions | None = None) -> list[str]:
+def solve_scene(options: Namespace) -> list[str]:
     """
     Analyze a scene: return lines to print, and write the files that the options name.
 
-    `scene` is a file, the name of a scene that comes with kinpole, or the text of a scene. Raises
-    SceneError if it, an option or a file cannot be used, BagError for a picture that cannot be
-    written, and LinkageError if the linkage does not reach the position.
+    `options` are those of `kinpole solve`; the scene may be a text too. Raises SceneError if it, an
+    option or a file cannot be used, BagError for a picture that cannot be written, and LinkageError
+    if the linkage does not reach the position.
     """
-    options = options or SolveOptions()
     # Drawings are written as SVG without matplotlib.
     drawings = [path for path in (options.polygon, *options.decompose[1:]) if path]
     for path in (options.plot, *(path for path in drawings if _ending(path) != 'svg')):
@@ -80,7 +53,7 @@ def solve_scene(scene: str | Path, options: SolveOptions | None = None) -> list[
             from kinpole_ros.tools.plot import picture_format  # which needs mcap
 
             picture_format(path)
-    loaded = load_scene(scene)
+    loaded = load_scene(options.scene)
     for body in options.centrodes:
         if body not in loaded.mechanism.bodies:
             names = ', '.join(loaded.mechanism.bodies)
@@ -92,7 +65,7 @@ def solve_scene(scene: str | Path, options: SolveOptions | None = None) -> list[
     elif options.sweep:
         solution = over_range(loaded, _SAMPLES)
     here = single if options.time is None else solution.at(-1)
-    analysis = _Analysis(options, solution, single, here, scene_text(scene))
+    analysis = _Analysis(options, solution, single, here, scene_text(options.scene))
     return [*analysis.text(), *analysis.write_tables(), *analysis.write_pictures()]
 
 
@@ -100,7 +73,7 @@ def solve_scene(scene: str | Path, options: SolveOptions | None = None) -> list[
 class _Analysis:
     """A scene, solved; `single` is the one position asked for, `here` that of the drawings."""
 
-    options: SolveOptions
+    options: Namespace
     solution: SolvedScene
     single: SolvedScene
     here: SolvedScene
@@ -136,7 +109,7 @@ class _Analysis:
         """Write the table, the pitch curves and the page; yield a line for each."""
         options = self.options
         if options.pitch:  # before any file is written, since there may be no such bodies
-            first, second, pitch_file = map(str, options.pitch)
+            first, second, pitch_file = options.pitch
             inputs = self.motion.inputs[0]
             ends = float(inputs.min()), float(inputs.max())
             curves = centrodes(self.solution.scene.mechanism, first, second, *ends)
@@ -182,7 +155,7 @@ class _Analysis:
 
             text, file = options.decompose
             start = self._former_position()
-            body = _decomposition.decompose(str(text), start, self.here, self.motion)
+            body = _decomposition.decompose(text, start, self.here, self.motion)
             yield from _decomposition.decomposition_lines(body)
             with open_output(file) as part:
                 _decomposition.draw_decomposition(part, _ending(file), body)
