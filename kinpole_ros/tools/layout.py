@@ -120,7 +120,7 @@ def _nearest_axis(normal: np.ndarray) -> str:
 
 
 def foxglove(rig: RigTopics) -> str:
-    """Return a layout for Foxglove and Lichtblick: JSON, as they save it."""
+    """Return a layout for Foxglove and Lichtblick: JSON, without what is a default there."""
     phi, theta = _CAMERA_ANGLES[rig.axis]
     panels: dict[str, Json] = {
         '3D!kinpole': {
@@ -129,27 +129,15 @@ def foxglove(rig: RigTopics) -> str:
                 'distance': 1.5,
                 'phi': phi,
                 'thetaOffset': theta,
-                'target': [0, 0, 0],
-                'targetOffset': [0, 0, 0],
-                'targetOrientation': [0, 0, 0, 1],
-                'fovy': 45,
                 'near': 0.01,
                 'far': 1000,
             },
             'followMode': 'follow-none',
             **({'followTf': rig.frame} if rig.frame else {}),
             'scene': {'transforms': {'axisScale': 0.1, 'showLabel': False}},
-            'transforms': {},
             'topics': {f'{rig.node}/{DRAWING}': {'visible': True}},
-            'layers': {},
         },
-        'DiagnosticSummary!kinpole': {
-            'topicToRender': '/diagnostics',
-            'minLevel': 0,
-            'pinnedIds': [],
-            'hardwareIdFilter': '',
-            'sortByLevel': True,
-        },
+        'DiagnosticSummary!kinpole': {'topicToRender': '/diagnostics'},
     }
     plots = {
         f'Plot!kinpole{number}': _foxglove_plot(title, rows, rig.axis)
@@ -182,14 +170,7 @@ def _foxglove_plot(title: str, rows: Sequence[tuple[str, str, str]], axis: str) 
             }
             for label, topic, color in rows
         ],
-        'xAxisVal': 'timestamp',
-        'isSynced': True,
-        'showLegend': True,
-        'legendDisplay': 'floating',
         'showPlotValuesInLegend': True,
-        'showXAxisLabels': True,
-        'showYAxisLabels': True,
-        'sidebarDimension': 240,
         'followingViewWidth': 10,
     }
 
