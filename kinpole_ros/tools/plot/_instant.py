@@ -5,23 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from kinpole_ros.tools.plot import _style
 from kinpole_ros.tools.plot._drawn_body import Body, DrawnCentrodes, centrodes
-from kinpole_ros.tools.plot._style import (
-    BLACK,
-    FIXED,
-    GREEN,
-    LABEL_BOX,
-    LINK,
-    MOVING,
-    OTHER_LINK,
-    PATH,
-    POLES,
-    RELATIVE,
-    draw_ground,
-    hull,
-    line,
-    reversals,
-)
 from kinpole_ros.tools.record.lost import breaks_of
 from kinpole_ros.tools.record.record import Pin, Series, ellipse
 
@@ -114,7 +99,7 @@ def instant_of(scopes: Sequence[Scope], middle: int) -> int:
     """Return the stamp with the most sharp poles in view; of several, the one nearest `middle`."""
     stamps = []
     for body, _, view in scopes:
-        for series in (body.series[pole] for pole in POLES if pole in body.series):
+        for series in (body.series[pole] for pole in _style.POLES if pole in body.series):
             in_view = view.contains(series.value) & ~_is_blurred(series, view.radius)
             stamps.append(series.stamp[in_view])
     if not any(map(len, stamps)):
@@ -135,22 +120,22 @@ def draw_plane(axis: Any, scope: Scope, instant: int, linkage: DrawnRig) -> None
     """Draw the linkage with this body in color, its centrodes, poles and relative centers."""
     body, loci, view = scope
     view = _draw_linkage(axis, body, view, instant, linkage)
-    breaks = np.union1d(breaks_of(body.frames, loci.stamp), reversals(loci.rate))
-    line(axis, body.position, breaks_of(body.frames, body.stamp), PATH)
-    line(axis, loci.fixed, breaks, FIXED)
+    breaks = np.union1d(breaks_of(body.frames, loci.stamp), _style.reversals(loci.rate))
+    _style.line(axis, body.position, breaks_of(body.frames, body.stamp), _style.PATH)
+    _style.line(axis, loci.fixed, breaks, _style.FIXED)
     at = np.flatnonzero(body.stamp == instant)
     if len(at):
         position, angle = body.position[at[0]], body.angle[at[0]]
         moving = position + loci.moving * np.exp(1j * angle)
-        line(axis, moving, breaks, MOVING)
+        _style.line(axis, moving, breaks, _style.MOVING)
         view = view.with_points(moving[np.abs(loci.moving) <= view.radius])
-        axis.plot(position.real, position.imag, '+', color=BLACK, markersize=9)
+        axis.plot(position.real, position.imag, '+', color=_style.BLACK, markersize=9)
         for (j, i), series in linkage.centers.items():
             if j == body.name:
                 centers = series.value[series.stamp == instant]
                 view = view.with_points(centers[np.abs(centers - position) <= view.radius])
                 _draw_relative_center(axis, body, linkage.bodies[i], series, view.radius, instant)
-    for pole in reversed(POLES):
+    for pole in reversed(_style.POLES):
         _draw_pole(axis, body, pole, instant)
     _draw_icr_velocity(axis, body, view, instant)
     middle, half = (view.low + view.high) / 2, 0.55 * view.size
@@ -179,16 +164,16 @@ def _draw_linkage(axis: Any, body: Body, view: View, instant: int, linkage: Draw
             continue
         outline = one.position[at[0]] + one.outline * np.exp(1j * one.angle[at[0]])
         pins = [z for names, z in (on_ground | between).items() if one.name in names]
-        corners = hull(np.append(outline, pins))
+        corners = _style.hull(np.append(outline, pins))
         if len(outline) and len(corners) > 1:
-            style, zorder = (LINK, 0.9) if one is body else (OTHER_LINK, 0.8)
+            style, zorder = (_style.LINK, 0.9) if one is body else (_style.OTHER_LINK, 0.8)
             axis.fill(corners.real, corners.imag, zorder=zorder, **style)
             dots = {'color': style['edgecolor'], 'markersize': 4, 'gid': _LINKAGE}
             axis.plot(outline.real, outline.imag, '.', **dots)
             view = view.with_points(corners)
     for z in on_ground.values():
-        draw_ground(axis, z, 0.02 * view.size)
-    circle = {'color': BLACK, 'markerfacecolor': 'white', 'markersize': 5, 'gid': _LINKAGE}
+        _style.draw_ground(axis, z, 0.02 * view.size)
+    circle = {'color': _style.BLACK, 'markerfacecolor': 'white', 'markersize': 5, 'gid': _LINKAGE}
     for z in (*on_ground.values(), *between.values()):
         axis.plot(z.real, z.imag, 'o', **circle)
     return view
@@ -204,16 +189,16 @@ def _draw_relative_center(
     breaks = breaks_of(body.frames, locus.stamp)
     if len(stamp):
         rate = np.interp(locus.stamp, stamp, rates[0].value[own] - rates[1].value[its])
-        breaks = np.union1d(breaks, reversals(rate))
-    line(axis, locus.value, breaks, RELATIVE)
+        breaks = np.union1d(breaks, _style.reversals(rate))
+    _style.line(axis, locus.value, breaks, _style.RELATIVE)
     for z in series.value[series.stamp == instant]:
-        axis.plot(z.real, z.imag, 'D', color=GREEN, markersize=6, fillstyle='none')
+        axis.plot(z.real, z.imag, 'D', color=_style.GREEN, markersize=6, fillstyle='none')
         axis.annotate(
             f'to {reference.name}',
             (z.real, z.imag),
             (6, -11),
             textcoords='offset points',
-            color=GREEN,
+            color=_style.GREEN,
             fontsize='small',
             annotation_clip=True,
             parse_math=False,
@@ -226,14 +211,14 @@ def _draw_pole(axis: Any, body: Body, pole: str, instant: int) -> None:
 
     if pole not in body.series:
         return
-    series, (marker, size) = body.series[pole], POLES[pole]
+    series, (marker, size) = body.series[pole], _style.POLES[pole]
     for k in np.flatnonzero(series.stamp == instant):
         x, y, covariance = series.value[k].real, series.value[k].imag, series.spread[k]
-        fill = BLACK if pole == 'icr' else 'none'
-        axis.plot(x, y, marker, color=BLACK, markerfacecolor=fill, markersize=size)
+        fill = _style.BLACK if pole == 'icr' else 'none'
+        axis.plot(x, y, marker, color=_style.BLACK, markerfacecolor=fill, markersize=size)
         if np.isfinite(covariance).all():
             major, minor, direction = ellipse(covariance)
-            style = {'facecolor': (0, 0, 0, 0.12), 'edgecolor': BLACK, 'linewidth': 0.7}
+            style = {'facecolor': (0, 0, 0, 0.12), 'edgecolor': _style.BLACK, 'linewidth': 0.7}
             tilt = float(np.degrees(direction))
             axis.add_patch(Ellipse((x, y), 4 * major, 4 * minor, angle=tilt, **style))
 
@@ -257,9 +242,9 @@ def _draw_icr_velocity(axis: Any, body: Body, view: View, instant: int) -> None:
             '',
             (head.real, head.imag),
             (tails[0].real, tails[0].imag),
-            arrowprops={'arrowstyle': '-|>', 'color': BLACK, 'linewidth': 1.5},
+            arrowprops={'arrowstyle': '-|>', 'color': _style.BLACK, 'linewidth': 1.5},
             annotation_clip=False,
             clip_on=True,
         )
     corner: dict[str, Any] = {'transform': axis.transAxes, 'va': 'top', 'fontsize': 'small'}
-    axis.text(0.02, 0.98, text, bbox=LABEL_BOX, **corner)
+    axis.text(0.02, 0.98, text, bbox=_style.LABEL_BOX, **corner)

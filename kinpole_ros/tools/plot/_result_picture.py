@@ -10,24 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from kinpole_ros.tools.plot import _instant, _time
+from kinpole_ros.tools.plot import _instant, _style, _time
 from kinpole_ros.tools.plot._drawn_body import body_of
-from kinpole_ros.tools.plot._style import (
-    BAND,
-    BLACK,
-    ESTIMATE,
-    EVENT,
-    FIXED,
-    GREEN,
-    LINK,
-    LOST,
-    MOVING,
-    PATH,
-    POLES,
-    RELATIVE,
-    THIN,
-    saved_figure,
-)
 from kinpole_ros.tools.record.record import Record, Series, joints_of, pairs_of
 from kinpole_ros.tools.record.result_bag import read_record, read_truth
 
@@ -55,7 +39,7 @@ def plot(
     BagError if there are no results, `output` cannot be written or matplotlib is missing.
     """
     reading = None if progress is None else lambda share: progress(_READING * share)
-    with saved_figure(output, (_WIDTH, 1), _DPI) as figure:
+    with _style.saved_figure(output, (_WIDTH, 1), _DPI) as figure:
         record = read_record(bag, reading)
         exact = {} if truth is None else read_truth(truth, record)
         # A file name need not be text.
@@ -126,37 +110,41 @@ def _add_legend(figure: Any, relative: bool, exact: bool, events: bool, lost: bo
     from matplotlib.patches import Patch
 
     def symbol(
-        marker: str, label: str, fill: str = BLACK, color: str = BLACK, size: float = 7
+        marker: str,
+        label: str,
+        fill: str = _style.BLACK,
+        color: str = _style.BLACK,
+        size: float = 7,
     ) -> Any:
         style: Any = {'marker': marker, 'markersize': size, 'color': color}
         return Line2D([], [], linestyle='', label=label, markerfacecolor=fill, **style)
 
     handles = [
-        Patch(label='the body, through its markers and pins', **LINK),
-        Line2D([], [], label='path of the origin', **PATH),
-        Line2D([], [], label='fixed centrode', **FIXED),
-        Line2D([], [], label='moving centrode', **MOVING),
+        Patch(label='the body, through its markers and pins', **_style.LINK),
+        Line2D([], [], label='path of the origin', **_style.PATH),
+        Line2D([], [], label='fixed centrode', **_style.FIXED),
+        Line2D([], [], label='moving centrode', **_style.MOVING),
         symbol('+', "origin of the body's frame"),
         *(
-            symbol(marker, _POLE_LABELS[pole], BLACK if pole == 'icr' else 'white')
-            for pole, (marker, _) in POLES.items()
+            symbol(marker, _POLE_LABELS[pole], _style.BLACK if pole == 'icr' else 'white')
+            for pole, (marker, _) in _style.POLES.items()
         ),
         symbol('$\u2192$', 'direction of the ICR velocity u', size=13),
-        Patch(facecolor='#dddddd', edgecolor=BLACK, label='2σ of a pole'),
-        Line2D([], [], label='estimate', **ESTIMATE),
-        Patch(label='±2σ; below each curve at its own scale', **BAND),
+        Patch(facecolor='#dddddd', edgecolor=_style.BLACK, label='2σ of a pole'),
+        Line2D([], [], label='estimate', **_style.ESTIMATE),
+        Patch(label='±2σ; below each curve at its own scale', **_style.BAND),
     ]
     if relative:
         handles += [
-            symbol('D', 'relative instant center', 'white', GREEN),
-            Line2D([], [], label='its locus', **RELATIVE),
+            symbol('D', 'relative instant center', 'white', _style.GREEN),
+            Line2D([], [], label='its locus', **_style.RELATIVE),
         ]
     if events:
         label = 'event: velocity, acceleration or jerk steps'
-        handles.append(Line2D([], [], label=label, **EVENT))
+        handles.append(Line2D([], [], label=label, **_style.EVENT))
     if lost:
-        handles.append(Patch(label='lost: frames without any result', **LOST))
+        handles.append(Patch(label='lost: frames without any result', **_style.LOST))
     if exact:
-        handles.append(Line2D([], [], label='exact answer', **THIN))
-        handles.append(Line2D([], [], label='error, in the band', **THIN))
+        handles.append(Line2D([], [], label='exact answer', **_style.THIN))
+        handles.append(Line2D([], [], label='error, in the band', **_style.THIN))
     figure.legend(handles=handles, loc='outside lower center', ncol=4, frameon=False)

@@ -16,13 +16,8 @@ from kinpole_ros.mechanism._dimension_errors import (
     propagate_tolerances,
     tolerances_of,
 )
-from kinpole_ros.tools.solve._solution import (
-    SolvedScene,
-    driver_text,
-    driver_unit,
-    open_output,
-    over_full_motion,
-)
+from kinpole_ros.tools.solve import _solution
+from kinpole_ros.tools.solve._solution import SolvedScene
 from kinpole_ros.tools.solve._spreadsheet import write_columns
 from kinpole_ros.tools.solve._text import Row, head_lines, table_lines
 
@@ -54,12 +49,12 @@ def tolerances(options: Namespace) -> list[str]:
     errors, notes = _errors(loaded, options.tolerances)
     if not errors:
         raise SceneError('no dimension has an error: give --tolerances 0.1mm')
-    solution = over_full_motion(loaded, _POSITIONS)
+    solution = _solution.over_full_motion(loaded, _POSITIONS)
     spread = propagate_tolerances(loaded, errors, solution.values, solution.rates, options.samples)
     lines = [*head_lines(loaded), *notes, '', *_error_lines(errors)]
     lines += ['', *_spread_lines(solution, spread, errors)]
     if options.csv:
-        with open_output(options.csv) as part:
+        with _solution.open_output(options.csv) as part:
             _write_table(part, solution, spread)
         lines.append(f'written to {options.csv}')
     if options.plot:
@@ -69,7 +64,7 @@ def tolerances(options: Namespace) -> list[str]:
     if options.html:
         from kinpole_ros.tools.solve._scene_page import write_page
 
-        with open_output(options.html) as part:
+        with _solution.open_output(options.html) as part:
             write_page(part, solution, solution.at(0), _record_columns(spread))
         lines.append(f'written to {options.html}')
     return lines
@@ -157,7 +152,7 @@ def _spread_lines(
         shares /= shares.sum()
         main = ', '.join(f'{errors[k].name} {shares[k]:.0%}' for k in order if shares[k] > 0.005)
         time = float(solution.times[worst]) if solution.times is not None else 0.0
-        at = driver_text(solution.scene, 0, solution.inputs[0, worst], 4)
+        at = _solution.driver_text(solution.scene, 0, solution.inputs[0, worst], 4)
         row: Row = [f'{name} {kind}', unit, float(np.nanmedian(deviation))]
         row += [float(deviation[worst]), f'{time:.4g} s' if time else at]
         if sampled is not None:
@@ -200,7 +195,7 @@ def _draw(figure: Any, solution: SolvedScene, spread: ToleranceSpread) -> None:
     _draw_paths(figure.add_subplot(grid[:, 0]), spread)
     at, label = solution.times, 'time (s)'
     if at is None:
-        unit, size = driver_unit(solution.scene, 0)
+        unit, size = _solution.driver_unit(solution.scene, 0)
         at, label = (
             solution.inputs[0] / size,
             f'{solution.scene.mechanism.drivers[0].name} ({unit})',
