@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from argparse import Namespace
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -17,6 +18,7 @@ from kinpole_ros.bags import message_class, read_messages, simulate
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import deserialize_message
 from kinpole_ros.settings import Settings
+from kinpole_ros.tools.usage import parse_words
 
 # Nodes of the tests meet nobody else's, nor those of another run on this machine. From domain 102
 # on, the ports are among those that the kernel gives to anybody, and nodes may miss each other.
@@ -50,6 +52,14 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
 def bodies_of(scene: str | Path) -> dict[str, tuple[str, ...]]:
     """The parameter `bodies` that fits a scene."""
     return dict(load_scene(scene).marker_names)
+
+
+def options_of(command: str, *words: object, **values: Any) -> Namespace:
+    """The options of `kinpole COMMAND WORDS`, with some set to values."""
+    options = parse_words([command, *map(str, words)])
+    assert values.keys() <= vars(options).keys()
+    vars(options).update(values)
+    return options
 
 
 def write_config(path: Path, settings: Settings, **more: Any) -> Path:

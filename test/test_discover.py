@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import options_of
 
 from kinpole_ros.bags import BagError, BagWriter
 from kinpole_ros.linkage import (
@@ -28,7 +29,7 @@ from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import to_message
 from kinpole_ros.settings import ParameterError, settings_from
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tools.discover import DiscoverOptions, discover_rig
+from kinpole_ros.tools.discover import discover_rig
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.statistics import medians
 
@@ -396,7 +397,7 @@ def test_command_refuses_in_one_line(tmp_path, capsys):
     assert len(lines) == 3
     assert 'none of 2 markers moves; fix: ' in lines[1]
     with pytest.raises(BagError, match='it holds /points'):
-        discover_rig(str(bag), DiscoverOptions(topic='/other'))
+        discover_rig(options_of('discover', str(bag), topic='/other'))
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import options_of
 from test_discover import START, rotation, shuffled
 
 from kinpole_ros.bags import BagError, import_points, read_frames
 from kinpole_ros.linkage import Checked, Linkage, UndiscoveredError, discover, draft, table
 from kinpole_ros.settings import settings_from
-from kinpole_ros.tools.discover import DiscoverOptions, discover_rig
+from kinpole_ros.tools.discover import discover_rig
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.space import Space
 
@@ -265,7 +266,7 @@ def test_a_line_does_not_show_its_plane_and_one_may_be_given(tmp_path):
 @pytest.mark.parametrize('plane', ['zz', '', '1,2', 'nan,0,1', '0,0,0'])
 def test_a_bad_plane_is_refused(plane):
     with pytest.raises(BagError, match='auto, xy, yz, zx or a normal'):
-        discover_rig('none.mcap', DiscoverOptions(plane=plane))
+        discover_rig(options_of('discover', 'none.mcap', plane=plane))
 
 
 def test_a_plane_to_be_fitted_settles_on_a_motion_that_leaves_any_plane():

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import options_of
 
 from kinpole_ros.mechanism import load_scene, scene_names, scene_text
-from kinpole_ros.tools.solve import SolveOptions, solve_scene
+from kinpole_ros.tools.solve import solve_scene
 
 SOLVER = Path(__file__).parents[1] / 'kinpole_ros' / 'tools' / 'report' / 'page' / 'solver.js'
 NUMBER = r'-?\d+(?:\.\d+)?'
@@ -52,7 +53,7 @@ def page(browser) -> Iterator[Any]:
 def written(folder: Path, source: str, **more: Any) -> tuple[Path, dict[str, Any]]:
     """The page of a scene, and the data in it."""
     file = folder / 'scene.html'
-    solve_scene(source, SolveOptions(html=file, **more))
+    solve_scene(options_of('solve', source, html=file, **more))
     found = re.search(r'octet-stream">([^<]*)<', file.read_text())
     assert found is not None
     return file, json.loads(zlib.decompress(base64.b64decode(found[1])))

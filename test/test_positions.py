@@ -1,7 +1,7 @@
 """A scene held against positions: what agrees says nothing, what is wrong is named and fitted."""
 
+from argparse import Namespace
 from functools import cache
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from kinpole_ros.bags import simulate
 from kinpole_ros.linkage._scene_poses import Anchors, residuals
 from kinpole_ros.linkage.fit import fit_scene, free_dimensions
 from kinpole_ros.linkage.positions import LivePositions, PositionReport, Positions
@@ -258,14 +259,26 @@ def test_the_names_after_free_may_stand_before_or_after_the_files(
 ) -> None:
     (tmp_path / 'BAG').touch()
     monkeypatch.chdir(tmp_path)
-    taken: list[tuple[Any, ...]] = []
-    monkeypatch.setattr(
-        'kinpole_ros.tools.fit_scene.fit_bag', lambda *args: taken.append(args) or []
-    )
+    taken: list[Namespace] = []
+    monkeypatch.setattr('kinpole_ros.tools.fit_scene.fit_bag', lambda o, *_: taken.append(o) or [])
     assert cli.main(['fit', *words.split()]) == 0
-    scene, bag, _, free, output, *_ = taken[0]
-    assert (scene, bag, list(chain(*free))) == ('SCENE', 'BAG', ['rod.B', 'crank'])
-    assert output == ('OUT' if 'OUT' in words else None)
+    (options,) = taken
+    names = [name for listed in options.free for part in listed for name in part.split(',')]
+    assert (options.scene, options.bag, names) == ('SCENE', 'BAG', ['rod.B', 'crank'])
+    assert options.output == ('OUT' if 'OUT' in words else None)
+
+
+def test_fit_uses_a_bag_that_is_cut_off_and_says_what_is_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, cut = tmp_path / 'whole.mcap', tmp_path / 'cut.mcap'
+    simulate(load_scene('four_bar'), whole, rate=100, duration=2.0, noise=NOISE)
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size * 3 // 4])
+    assert cli.main(['fit', 'four_bar', str(cut)]) == 2
+    out, err = capsys.readouterr()
+    assert 'chi^2/n' in out
+    assert err.startswith(f'kinpole fit: {cut} ')
+    assert 'messages up to stamp' in err
 
 
 @pytest.mark.parametrize('words', ['SCENE', '--free rod.B', '--free rod.B BAG', 'A B C', ''])

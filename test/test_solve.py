@@ -6,12 +6,13 @@ import json
 import re
 import xml.etree.ElementTree as ET
 import zlib
+from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import title_of
+from conftest import options_of, title_of
 
 from kinpole_ros.mechanism import (
     SceneError,
@@ -24,7 +25,7 @@ from kinpole_ros.mechanism import (
     scenes_folder,
 )
 from kinpole_ros.tools import cli
-from kinpole_ros.tools.solve import SolveOptions, _scene_picture, _shapes, solve_scene, tolerances
+from kinpole_ros.tools.solve import _scene_picture, _shapes, solve_scene, tolerances
 from kinpole_ros.tools.solve._solution import acting_loads, over_range, over_time
 from kinpole_ros.tools.solve._statics import work_lines
 
@@ -66,18 +67,20 @@ def test_the_trebuchet_of_the_seed_moves_as_printed(capsys: pytest.CaptureFixtur
 def test_the_text_of_a_scene_is_solved_as_its_file_is(tmp_path: Path) -> None:
     text = scene_text('four_bar')
     page = tmp_path / 'page.html'
-    lines = solve_scene(text, SolveOptions(at='60 deg', html=page))
+    lines = solve_scene(options_of('solve', text, at='60 deg', html=page))
     file = tmp_path / 'scene.yaml'
     file.write_text(text)
-    assert lines[:-1] == solve_scene(file, SolveOptions(at='60 deg'))
+    assert lines[:-1] == solve_scene(options_of('solve', file, at='60 deg'))
     assert page.stat().st_size
-    assert tolerances(text, samples=2) == tolerances(str(file), samples=2)
+    assert tolerances(options_of('tolerance', text, samples=2)) == tolerances(
+        options_of('tolerance', str(file), samples=2)
+    )
 
 
 def test_the_web_cutter_has_the_printed_poles(tmp_path: Path) -> None:
     """Seed 000, check 1, in cm: ICR, IAP, IJP, the velocity of the ICR and the curvature."""
     table = tmp_path / 'cutter.csv'
-    lines = solve_scene('web_cutter', SolveOptions(csv=table))
+    lines = solve_scene(options_of('solve', 'web_cutter', csv=table))
     head = next(k for k, line in enumerate(lines) if 'ICR x m' in line)
     found = next(line for line in lines[head:] if line.startswith('coupler ')).split()
     centimeters = [100 * float(cell) for cell in found[1:9]]
@@ -93,7 +96,7 @@ def test_the_web_cutter_has_the_printed_poles(tmp_path: Path) -> None:
 
 def test_the_pool_lift_of_the_seed_is_its_triangle() -> None:
     """Example 5 prints its dimensions only: the angle follows by the law of cosines."""
-    lines = solve_scene('pool_lift', SolveOptions(at='20 in', statics=True))
+    lines = solve_scene(options_of('solve', 'pool_lift', at='20 in', statics=True))
     r1, r2b, r3 = 0.0254 * np.array([16.69, 16, 20])
     between = np.arccos((r1**2 + r2b**2 - r3**2) / (2 * r1 * r2b))
     angle = np.degrees(between) - 90 + 65.58
@@ -108,7 +111,7 @@ def test_the_pool_lift_of_the_seed_is_its_triangle() -> None:
 
 def test_advantages_and_transmission_angles_are_the_closed_forms(tmp_path: Path) -> None:
     table = tmp_path / 'a.csv'
-    solve_scene('slider_crank', SolveOptions(sweep=True, csv=table))
+    solve_scene(options_of('solve', 'slider_crank', sweep=True, csv=table))
     cells = columns(table)
     crank = cells['crank']
     rod = -np.arcsin(np.sin(crank) * 0.1 / 0.3)
@@ -118,7 +121,7 @@ def test_advantages_and_transmission_angles_are_the_closed_forms(tmp_path: Path)
     # Between the rod and the normal to the slide.
     angle = cells['transmission_angle_rod_piston']
     np.testing.assert_allclose(angle, np.pi / 2 - np.abs(rod), atol=1e-7)
-    lines = solve_scene('four_bar', SolveOptions(at='60 deg'))
+    lines = solve_scene(options_of('solve', 'four_bar', at='60 deg'))
     (four_bar,) = [line for line in lines if line.startswith('coupler, rocker ')]
     crank, coupler, rocker, ground = 0.12, 0.36, 0.28, 0.4
     across = crank**2 + ground**2 - 2 * crank * ground * np.cos(np.radians(60))
@@ -259,7 +262,7 @@ def test_teeth_of_gears_bear_what_turns_them(tmp_path: Path) -> None:
     path = tmp_path / 'gear.yaml'
     text = (scenes_folder() / 'planetary_gear.yaml').read_text()
     path.write_text(text.replace(', pressure: 20 deg', ''))
-    lines = solve_scene(path, SolveOptions(statics=True))
+    lines = solve_scene(options_of('solve', path, statics=True))
     assert 'sun balances the loads with 1 N m' in lines
     # 1 N m over 24 mm; the arm bears the sum of both teeth.
     assert 'sun_teeth: of its force the part along 90 deg is unique: 41.6667 N' in lines
@@ -267,7 +270,7 @@ def test_teeth_of_gears_bear_what_turns_them(tmp_path: Path) -> None:
     assert 'P: of its force the part along 270 deg is unique: 83.3333 N' in lines
     assert any(line.startswith('overconstrained: ') for line in lines)
     # With a pressure angle all is: the sun's pin bears its tooth, the planet's what turns the arm.
-    lines = solve_scene('planetary_gear', SolveOptions(statics=True))
+    lines = solve_scene(options_of('solve', 'planetary_gear', statics=True))
     assert not any(line.startswith('overconstrained: ') for line in lines)
     push, apart = 1 / 0.024, np.tan(np.radians(20)) / 0.024
     assert row(lines, 'sun_teeth')[:2] == pytest.approx([apart, push], rel=1e-5)
@@ -312,10 +315,10 @@ def test_the_table_holds_forces_over_the_whole_range(
 
 def test_the_table_holds_centers_where_they_are_and_only_if_asked_for(tmp_path: Path) -> None:
     table = tmp_path / 'c.csv'
-    lines = solve_scene('slider_crank', SolveOptions(sweep=True, csv=table))
+    lines = solve_scene(options_of('solve', 'slider_crank', sweep=True, csv=table))
     assert not [line for line in lines if line.startswith('instant centers')]
     assert not [name for name in columns(table) if name.startswith('center_')]
-    lines = solve_scene('slider_crank', SolveOptions(sweep=True, centers=True, csv=table))
+    lines = solve_scene(options_of('solve', 'slider_crank', sweep=True, centers=True, csv=table))
     assert 'instant centers at the start of the range' in lines
     found = columns(table)
     # Empty is unknown.
@@ -343,7 +346,7 @@ def test_a_lone_arm_is_swept_by_a_full_turn(
     path.write_text(
         f'bodies: {{ground: {{O: [0, 0]}}, arm: {{O: [0, 0], A: [0.1, 0]}}}}\ndrivers: [{driver}]\n'
     )
-    lines = solve_scene(path, SolveOptions(sweep=True, csv=table))
+    lines = solve_scene(options_of('solve', path, sweep=True, csv=table))
     assert not any('limit' in line for line in lines)
     found = columns(table)
     assert found['arm'][[0, -1]] == pytest.approx(ends)
@@ -357,7 +360,7 @@ def test_efforts_are_told_load_by_load_or_as_a_torque_on_a_body(tmp_path: Path) 
 
     def statics(rest: str, at: str | None = None) -> list[str]:
         path.write_text(four_bar + loads + rest)
-        return solve_scene(path, SolveOptions(at=at, sweep=at is None, statics=True))
+        return solve_scene(options_of('solve', path, at=at, sweep=at is None, statics=True))
 
     one, two = statics(''), statics('  - {torque: 2, on: rocker}\n')
     assert 'forces at the start of the range' in one
@@ -377,7 +380,7 @@ def test_efforts_are_told_load_by_load_or_as_a_torque_on_a_body(tmp_path: Path) 
 
 def test_springs_and_inertia_are_in_the_statics(tmp_path: Path) -> None:
     table = tmp_path / 's.csv'
-    lines = solve_scene('slider_crank', SolveOptions(at='50 deg', statics=True, csv=table))
+    lines = solve_scene(options_of('solve', 'slider_crank', at='50 deg', statics=True, csv=table))
     (whole,) = [line for line in lines if line.startswith('crank balances the loads with ')]
     (shares,) = [line for line in lines if line.startswith('  of this, springs: ')]
     spring, inertia = map(float, re.findall(r': (\S+?)[; ]', shares))
@@ -416,7 +419,7 @@ def figure_of(monkeypatch: pytest.MonkeyPatch, **asked: Any) -> Any:
     made = []
     monkeypatch.setattr(figures.Figure, 'savefig', lambda figure, *_, **__: made.append(figure))
     scene = asked.pop('scene')
-    solve_scene(scene, SolveOptions(**asked))
+    solve_scene(options_of('solve', scene, **asked))
     return made[0]
 
 
@@ -436,7 +439,7 @@ def test_only_the_centrodes_asked_for_are_drawn(
     seen = fixed.get_xdata() + 1j * fixed.get_ydata()
     np.testing.assert_allclose(seen[np.isfinite(seen)], icr[np.isfinite(seen)])
     with pytest.raises(SceneError, match='no moving body wheel; give some of crank, coupler'):
-        solve_scene('four_bar', SolveOptions(plot=picture, centrodes=['wheel']))
+        solve_scene(options_of('solve', 'four_bar', plot=picture, centrodes=['wheel']))
 
 
 def test_axes_do_not_show_rounding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -454,7 +457,7 @@ def page_data(page: Path) -> Any:
 
 def test_the_page_has_the_motion_that_is_solved(tmp_path: Path) -> None:
     page = tmp_path / 'a.html'
-    solve_scene('double_pendulum', SolveOptions(time='1', html=page))
+    solve_scene(options_of('solve', 'double_pendulum', time='1', html=page))
     data = page_data(page)
     exact = load_scene('double_pendulum').motion(np.array(data['t']))['lower']
     (lower,) = [body for body in data['bodies'] if body['name'] == 'lower']
@@ -463,7 +466,7 @@ def test_the_page_has_the_motion_that_is_solved(tmp_path: Path) -> None:
     assert set(lower['angular_velocity']['sigma']) == {None}
     assert {tuple(joint['bodies']) for joint in data['joints']} == {('upper',), ('lower', 'upper')}
     # One driver: over its range, at the rate it is driven at; backward too.
-    solve_scene('rolling_wheel', SolveOptions(html=page))
+    solve_scene(options_of('solve', 'rolling_wheel', html=page))
     data = page_data(page)
     assert data['t'][-1] == pytest.approx(1.0)
     assert np.all(np.diff(data['bodies'][0]['angle']) < 0)
@@ -483,7 +486,7 @@ def test_the_page_says_why_a_pole_does_not_exist(tmp_path: Path) -> None:
     joints = [{'geneva': 'wheel.W', 'on': 'crank.O', 'slots': 4}]
     drivers = [{'drive': 'crank', 'rate': 2.0}]
     scene.write_text(json.dumps({'bodies': bodies, 'joints': joints, 'drivers': drivers}))
-    solve_scene(scene, SolveOptions(html=page))
+    solve_scene(options_of('solve', scene, html=page))
     driven, dwelling = page_data(page)['bodies']
     assert {why for _, _, why in driven['withheld']['icr']} == set()
     assert {why for _, _, why in driven['withheld']['centrode_curvature']} == {
@@ -491,7 +494,7 @@ def test_the_page_says_why_a_pole_does_not_exist(tmp_path: Path) -> None:
     }
     assert {why for _, _, why in dwelling['withheld']['icr']} == {'at rest'}
     # The rod of a slider-crank translates for an instant when the crank is at a right angle.
-    solve_scene('slider_crank', SolveOptions(html=page))
+    solve_scene(options_of('solve', 'slider_crank', html=page))
     (rod,) = [body for body in page_data(page)['bodies'] if body['name'] == 'rod']
     assert {why for _, _, why in rod['withheld']['icr']} == {'at infinity'}
 
@@ -504,7 +507,7 @@ def test_the_picture_shows_the_position_asked_for(
     figures = pytest.importorskip('matplotlib.figure')
     made = []
     monkeypatch.setattr(figures.Figure, 'savefig', lambda figure, *_, **__: made.append(figure))
-    solve_scene('slider_crank', SolveOptions(at=at, plot=tmp_path / 'crank.png'))
+    solve_scene(options_of('solve', 'slider_crank', at=at, plot=tmp_path / 'crank.png'))
     linkage, rates, _ = made[0].axes
     crank = next(line for line in linkage.lines if line.get_zorder() == 3)
     angle = np.radians(float(at.split()[0]))
@@ -635,11 +638,11 @@ def test_a_scene_of_any_name_is_drawn(tmp_path: Path) -> None:
 # As printed with twelve digits, and with nine, which is a little beyond.
 @pytest.mark.parametrize('at', ['71.3333959863 deg', '71.333396 deg'])
 def test_at_a_limit_as_it_is_printed_no_rate_is_made_of_its_last_digit(at: str) -> None:
-    lines = solve_scene('loader', SolveOptions(at=at, statics=True))
+    lines = solve_scene(options_of('solve', 'loader', at=at, statics=True))
     assert any('a dead point of the loop O, A, B, C' in line for line in lines)
     assert next(line for line in lines if line.startswith('lift ')).split()[2:] == ['-'] * 4
     assert 'not determined: in a dead point the drivers do not move the loads' in lines
-    near = solve_scene('loader', SolveOptions(at='71.3333 deg'))
+    near = solve_scene(options_of('solve', 'loader', at='71.3333 deg'))
     assert float(next(line for line in near if line.startswith('lift ')).split()[2]) < -100
 
 
@@ -668,13 +671,10 @@ def test_a_position_at_the_very_limit_spoils_none_before_it() -> None:
 def test_the_bodies_after_centrodes_may_stand_before_or_after_the_scene(
     monkeypatch: pytest.MonkeyPatch, words: str
 ) -> None:
-    taken: list[tuple[Any, ...]] = []
-    monkeypatch.setattr(
-        'kinpole_ros.tools.solve.solve_scene', lambda *a, **_: taken.append(a) or []
-    )
+    taken: list[Namespace] = []
+    monkeypatch.setattr('kinpole_ros.tools.solve.solve_scene', lambda o: taken.append(o) or [])
     assert cli.main(['solve', *words.split()]) == 0
-    scene, options = taken[0]
-    assert (scene, options.centrodes) == ('four_bar', ['coupler', 'rocker'])
+    assert (taken[0].scene, taken[0].centrodes) == ('four_bar', ['coupler', 'rocker'])
 
 
 @pytest.mark.parametrize('name', scene_names())
@@ -685,7 +685,7 @@ def test_virtual_work_step_by_step_gives_the_statics(name: str) -> None:
     loads = acting_loads(here).loads
     if not loads:
         with pytest.raises(SceneError, match='has no loads'):
-            solve_scene(name, SolveOptions(work=True))
+            solve_scene(options_of('solve', name, work=True))
         return
     lines = work_lines(here)
     if scene.held_by:
@@ -726,7 +726,7 @@ def test_virtual_work_step_by_step_gives_the_statics(name: str) -> None:
 
 def test_advantages_of_the_work_are_loads_over_their_shares() -> None:
     """Seed 003: the loader lifts 9806.65 N with 21300 N m; the advantage is their ratio."""
-    lines = solve_scene('loader', SolveOptions(at='45 deg', work=True))
+    lines = solve_scene(options_of('solve', 'loader', at='45 deg', work=True))
     row = next(line for line in reversed(lines) if line.startswith('1 load, force at lift.P'))
     share, gain = map(float, row.split()[-2:])
     assert share == pytest.approx(1000 * 9.80665 * 1.08601 / 0.5, rel=1e-5)
@@ -734,7 +734,7 @@ def test_advantages_of_the_work_are_loads_over_their_shares() -> None:
     (row,) = [line for line in lines if line.startswith('the force at lift.P')]
     assert float(row.split()[4]) == pytest.approx(gain, rel=1e-5)
     # A toggle: the load stands still, so no effort holds it.
-    lines = solve_scene('slider_crank', SolveOptions(work=True))
+    lines = solve_scene(options_of('solve', 'slider_crank', work=True))
     (row,) = [
         line for line in lines if line.startswith('2 inertia, force at crank  ') and 'inf' in line
     ]
@@ -744,7 +744,7 @@ def test_advantages_of_the_work_are_loads_over_their_shares() -> None:
 def test_the_page_has_the_virtual_work(tmp_path: Path) -> None:
     for name in ('loader', 'four_bar'):
         page = tmp_path / f'{name}.html'
-        lines = solve_scene(name, SolveOptions(html=page, work=name == 'loader'))
+        lines = solve_scene(options_of('solve', name, html=page, work=name == 'loader'))
         text = re.search(r'octet-stream">([^<]*)<', page.read_text())
         work = json.loads(zlib.decompress(base64.b64decode(text[1])))['work']
         assert set(work) <= set(lines) and bool(work) == (name == 'loader')
@@ -753,11 +753,11 @@ def test_the_page_has_the_virtual_work(tmp_path: Path) -> None:
 def test_the_work_of_several_drivers_and_at_a_limit(tmp_path: Path) -> None:
     scene = tmp_path / 'arm.yaml'
     scene.write_text(scene_text('double_pendulum') + 'loads: [{weight: 2 kg, at: lower.P}]\n')
-    lines = solve_scene(scene, SolveOptions(time='0.3', work=True))
+    lines = solve_scene(options_of('solve', scene, time='0.3', work=True))
     solved = over_time(load_scene(scene), np.array([0.3]))
     truth = Statics(solved.scene.mechanism, solved.values, solved.scene.loads).effort[:, 0]
     found = [float(line.split()[-3]) for line in lines if re.match('the effort of .* = ', line)]
     assert found == pytest.approx(truth, rel=1e-6)
     assert sum('the other drivers held' in line for line in lines) == 2
-    lines = solve_scene('loader_cylinder', SolveOptions(at='0.920227378 m', work=True))
+    lines = solve_scene(options_of('solve', 'loader_cylinder', at='0.920227378 m', work=True))
     assert lines[-1] == 'virtual work: in a dead point the drivers do not move the loads'

@@ -1,5 +1,6 @@
 """`kinpole discover`: the bodies and joints of an unknown rig, from its markers alone."""
 
+from argparse import Namespace
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -19,31 +20,14 @@ from kinpole_ros.linkage import (
     table,
 )
 from kinpole_ros.settings import canonical_name
-from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.plane import NORMALS
 
 # Seconds of data that are used by default.
 _SECONDS_OF_BAG, _SECONDS_LIVE = 60.0, 20.0
-# Fractions of the time until reading, and the search, are done.
-_READING, _SEARCH = 0.2, 0.9
+# Shares of the time that reading and the search take.
+_READING, _SEARCH = 0.2, 0.7
 
 Progress = Callable[[float], None] | None
-
-
-class DiscoverOptions(NamedTuple):
-    """
-    What `discover_rig` reads and writes; the names are those of the options of `kinpole discover`.
-
-    `plane` is xy, yz, zx, a normal as 'nx,ny,nz', or auto for the plane of the motion. `output` is
-    the parameter file, `scene` the draft scene and `plot` the picture to write.
-    """
-
-    topic: str | None = None
-    seconds: float | None = None
-    plane: str = 'auto'
-    output: str | Path | None = None
-    scene: str | Path | None = None
-    plot: str | Path | None = None
 
 
 class Found(NamedTuple):
@@ -56,49 +40,57 @@ class Found(NamedTuple):
 
 def find_linkage(
     source: str,
-    options: DiscoverOptions,
+    topic: str | None = None,
+    seconds: float | None = None,
+    plane: str = 'auto',
     progress: Progress = None,
     on_truncated: Callable[[Truncated], None] | None = None,
 ) -> Found:
     """
     Find the bodies and joints of a bag of markers, or of a topic that is being published.
 
-    `progress` is called with the fraction done, `on_truncated` with what is missing from a
-    truncated bag. Raises BagError if the markers cannot be read, or nothing is found.
+    `topic`, `seconds` and `plane` are those of `kinpole discover`. `progress` is called with the
+    fraction done, `on_truncated` with what is missing from a truncated bag. Raises BagError if the
+    markers cannot be read, or nothing is found.
     """
-    if options.seconds is not None and not 0 < options.seconds < float('inf'):
-        raise BagError(f'--seconds is {options.seconds}; it must be more than 0')
-    normal = _normal(options.plane)
+    if seconds is not None and not 0 < seconds < float('inf'):
+        raise BagError(f'--seconds is {seconds}; it must be more than 0')
+    normal = _normal(plane)
+    reading = progress and (lambda share: progress(_READING * share))
+    search = progress and (lambda share: progress(_READING + _SEARCH * share))
+    is_live = not (Path(source).exists() or source.endswith('.mcap') or topic is not None)
+    if is_live:
+        from kinpole_ros.ros.listener import listen
 
-    def stage(first: float, last: float) -> Progress:
-        if progress is None:
-            return None
-        return lambda fraction: progress(first + (last - first) * fraction)
-
-    frames, name, is_live = _read(source, options, stage(0.0, _READING), on_truncated)
+        frames, name = listen(source, seconds or _SECONDS_LIVE, reading)
+    else:
+        duration = seconds or _SECONDS_OF_BAG
+        frames, name = read_frames(source, topic, duration, reading, on_truncated)
     try:
-        return Found(discover(frames, stage(_READING, _SEARCH), normal), name, is_live)
+        return Found(discover(frames, search, normal), name, is_live)
     except UndiscoveredError as error:
         raise BagError(f'{source}: {error}') from None
 
 
 def discover_rig(
-    source: str,
-    options: DiscoverOptions | None = None,
+    options: Namespace,
     progress: Progress = None,
     on_truncated: Callable[[Truncated], None] | None = None,
 ) -> list[str]:
     """
     Find the bodies and joints of a rig; return lines to print, and write the files of the options.
 
-    Parameters and errors are those of `find_linkage`; a file that cannot be written is a BagError.
+    `options` are those of `kinpole discover`. Calls and errors are those of `find_linkage`; a file
+    that cannot be written is a BagError.
     """
-    options = options or DiscoverOptions()
+    source = options.source
     if options.plot is not None:
         from kinpole_ros.tools.plot import picture_format
 
         picture_format(options.plot)
-    linkage, name, is_live = find_linkage(source, options, progress, on_truncated)
+    linkage, name, is_live = find_linkage(
+        source, options.topic, options.seconds, options.plane, progress, on_truncated
+    )
     about = f'Found by kinpole discover {printable(source)}'
     drawn = draft(linkage, f'{about}: a draft, to be checked and named.')
     if progress is not None:
@@ -153,23 +145,6 @@ def _why_no_scene(linkage: Linkage, drawn: tuple[str, Checked] | None) -> str:
         f'the draft does not explain the markers: {why}; fix: see the column "left over" in the '
         'table, and record more of the motion'
     )
-
-
-def _read(
-    source: str,
-    options: DiscoverOptions,
-    progress: Progress,
-    on_truncated: Callable[[Truncated], None] | None,
-) -> tuple[list[MarkerFrames], str, bool]:
-    """Return the frames, the topic, and whether it is live."""
-    if Path(source).exists() or source.endswith('.mcap') or options.topic is not None:
-        seconds = options.seconds or _SECONDS_OF_BAG
-        frames, name = read_frames(source, options.topic, seconds, progress, on_truncated)
-        return frames, name, False
-    from kinpole_ros.ros.listener import listen
-
-    frames, name = listen(source, options.seconds or _SECONDS_LIVE, progress)
-    return frames, name, True
 
 
 def _write(path: str | Path, text: str) -> None:

@@ -1,8 +1,7 @@
 """`kinpole fit`: the dimensions of a scene from a bag of markers."""
 
-from collections.abc import Callable, Iterator, Sequence
-from itertools import chain
-from pathlib import Path
+from argparse import Namespace
+from collections.abc import Callable, Iterator
 
 from kinpole_ros.bags import Truncated, bag_files, in_place_of, read_frames
 from kinpole_ros.linkage.fit import fit_scene, fitted_lines, free_dimensions
@@ -16,45 +15,37 @@ from kinpole_ros.tracking.tracker import Tracker
 
 # Frames between two reports of the progress.
 _BLOCK = 1000
-# Fractions of the time until reading, and tracking, are done.
-_READING, _TRACKING = 0.2, 0.9
+# Shares of the time that reading and tracking take.
+_READING, _TRACKING = 0.2, 0.7
 
 
 def fit_bag(
-    scene: str,
-    bag: str | Path,
-    config: str | None = None,
-    free: Sequence[Sequence[str]] = (),
-    output: str | Path | None = None,
-    topic: str | None = None,
+    options: Namespace,
     progress: Callable[[float], None] | None = None,
-    report: Callable[[Truncated], None] | None = None,
+    on_truncated: Callable[[Truncated], None] | None = None,
 ) -> list[str]:
     """
-    Fit the scene to the markers of a bag; return lines to print, and write it to `output`.
+    Fit a scene to the markers of a bag; return lines to print, and write it to the output.
 
-    Without `config`, the bodies and markers of the scene are tracked. `free` are names of the
-    dimensions to fit; without any, those that the scene lists as free, or all. `progress` is called
-    with the fraction done, `report` with what is missing from a truncated bag. Raises SceneError,
-    ParameterError or BagError for what cannot be used.
+    `options` are those of `kinpole fit`. `progress` is called with the fraction done,
+    `on_truncated` with what is missing from a truncated bag. Raises SceneError, ParameterError or
+    BagError for what cannot be used.
     """
+    scene, bag, config, output = options.scene, options.bag, options.config, options.output
     bag_files(bag)  # a table is refused before its scene is read
     loaded = load_scene(scene)
-    numbers = free_dimensions(loaded, list(chain(*free)) or loaded.free)
+    free = [name for names in options.free or [] for part in names for name in part.split(',')]
+    numbers = free_dimensions(loaded, free or loaded.free)
     if not numbers:
         raise SceneError(f'{scene}: its joints have no dimensions to fit; add joints')
     settings = _settings(loaded, scene, config)
     theory = load_theory(settings)
-
-    def stage(first: float, last: float) -> Callable[[float], None] | None:
-        if progress is None:
-            return None
-        return lambda fraction: progress(first + (last - first) * fraction)
-
-    topic = topic or (settings.marker_topic if config else None)
+    reading = progress and (lambda share: progress(_READING * share))
+    tracking = progress and (lambda share: progress(_READING + _TRACKING * share))
+    topic = options.topic or (settings.marker_topic if config else None)
     identity = settings.marker_identity
-    frames, _ = read_frames(bag, topic, None, stage(0.0, _READING), identity=identity)
-    fit = fit_scene(theory, _estimates(settings, frames, stage(_READING, _TRACKING)), numbers)
+    frames, _ = read_frames(bag, topic, None, reading, on_truncated, identity)
+    fit = fit_scene(theory, _estimates(settings, frames, tracking), numbers)
     if progress is not None:
         progress(1.0)
     lines = fitted_lines(fit)

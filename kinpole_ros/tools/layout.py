@@ -16,13 +16,7 @@ from kinpole_ros.bags import NODE_NAME, BagError, in_place_of, read_messages, to
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.messages import COLORS, DRAWING, outputs_of, type_name
 from kinpole_ros.settings import Settings, load_settings
-from kinpole_ros.tools.record.result_bag import (
-    bodies_by_node,
-    decode,
-    is_bag,
-    odometry_row,
-    plane_of_motion,
-)
+from kinpole_ros.tools.record import result_bag
 from kinpole_ros.tracking.plane import XY, plane_of
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, measured_pairs
 
@@ -83,7 +77,7 @@ def topics_of(config: str | None) -> RigTopics:
 
     Raises ParameterError or BagError if the file cannot be used.
     """
-    if config and Path(config).exists() and is_bag(config):
+    if config and Path(config).exists() and result_bag.is_bag(config):
         return _topics_of_bag(config)
     settings = load_settings(config) if config else Settings()
     node = f'/{NODE_NAME}'
@@ -98,19 +92,21 @@ def topics_of(config: str | None) -> RigTopics:
 
 def _topics_of_bag(bag: str) -> RigTopics:
     kinds = topics(bag)
-    nodes = bodies_by_node(kinds)
+    nodes = result_bag.bodies_by_node(kinds)
     if not nodes:
         raise BagError(f'{bag} holds no results; make them first: kinpole replay {bag} --output R')
     node = min(nodes)
     bodies = nodes[node]
     axis, frame, joints = 'z', '', []
     for message in read_messages(bag, [f'{node}/{body}/odom' for body in bodies]):
-        odometry = decode(message.type_name, message.data)
+        odometry = result_bag.decode(message.type_name, message.data)
         frame = odometry.header.frame_id
-        axis = _nearest_axis(plane_of_motion(np.array([odometry_row(odometry)])).normal)
+        axis = _nearest_axis(
+            result_bag.plane_of_motion(np.array([result_bag.odometry_row(odometry)])).normal
+        )
         break
     for message in read_messages(bag, [node + _JOINTS]):
-        joints = list(decode(message.type_name, message.data).name)
+        joints = list(result_bag.decode(message.type_name, message.data).name)
         break
     return RigTopics(node, kinds, bodies, joints, axis, frame)
 
@@ -120,7 +116,7 @@ def _nearest_axis(normal: np.ndarray) -> str:
 
 
 def foxglove(rig: RigTopics) -> str:
-    """Return a layout for Foxglove and Lichtblick: JSON, as they save it."""
+    """Return a layout for Foxglove and Lichtblick: JSON, without what is a default there."""
     phi, theta = _CAMERA_ANGLES[rig.axis]
     panels: dict[str, Json] = {
         '3D!kinpole': {
@@ -129,27 +125,15 @@ def foxglove(rig: RigTopics) -> str:
                 'distance': 1.5,
                 'phi': phi,
                 'thetaOffset': theta,
-                'target': [0, 0, 0],
-                'targetOffset': [0, 0, 0],
-                'targetOrientation': [0, 0, 0, 1],
-                'fovy': 45,
                 'near': 0.01,
                 'far': 1000,
             },
             'followMode': 'follow-none',
             **({'followTf': rig.frame} if rig.frame else {}),
             'scene': {'transforms': {'axisScale': 0.1, 'showLabel': False}},
-            'transforms': {},
             'topics': {f'{rig.node}/{DRAWING}': {'visible': True}},
-            'layers': {},
         },
-        'DiagnosticSummary!kinpole': {
-            'topicToRender': '/diagnostics',
-            'minLevel': 0,
-            'pinnedIds': [],
-            'hardwareIdFilter': '',
-            'sortByLevel': True,
-        },
+        'DiagnosticSummary!kinpole': {'topicToRender': '/diagnostics'},
     }
     plots = {
         f'Plot!kinpole{number}': _foxglove_plot(title, rows, rig.axis)
@@ -182,14 +166,7 @@ def _foxglove_plot(title: str, rows: Sequence[tuple[str, str, str]], axis: str) 
             }
             for label, topic, color in rows
         ],
-        'xAxisVal': 'timestamp',
-        'isSynced': True,
-        'showLegend': True,
-        'legendDisplay': 'floating',
         'showPlotValuesInLegend': True,
-        'showXAxisLabels': True,
-        'showYAxisLabels': True,
-        'sidebarDimension': 240,
         'followingViewWidth': 10,
     }
 

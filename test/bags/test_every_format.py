@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import options_of
 from exports import DOUBTFUL, LOST, RATE, Kind, Variant, kinds, tracker_project, truth, vicon
 
 from kinpole_ros.bags import BagError, import_points, read_messages
@@ -14,7 +15,6 @@ from kinpole_ros.messages import deserialize_message
 from kinpole_ros.messages._types import MarkerArray
 from kinpole_ros.settings import settings_from
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tools.report import PointOptions as Given
 from kinpole_ros.tools.report import prepared
 
 KINDS = kinds(Path())
@@ -174,11 +174,12 @@ def test_an_option_of_report_acts_or_is_refused(tmp_path, kind_name, option, val
     path, kind = written(tmp_path, kind_name), KINDS[kind_name]
     settings = settings_from({'bodies': ['rod'], 'rod.markers': list('ABC')})
     given = {'rate': None, 'scale': None, 'y_down': None, **kind.needed(), option: value}
+    options = options_of('report', path, **given)
     if kind_name == 'bag':
         with pytest.raises(BagError, match=r'are for files of points; fix: leave them out'):
-            prepared(str(path), settings, {}, None, Given(**given)).__enter__()
+            prepared(options, settings).__enter__()
         return
-    with prepared(str(path), settings, {}, None, Given(**given)) as ready:
+    with prepared(options, settings) as ready:
         stamps, points = read_bag(Path(ready.bag), ('A', 'B', 'C'))
     up = 1.0 if given['y_down'] in (None, kind.y_down) else -1.0
     scale = (given['scale'] or kind.length(Variant())) / kind.length(Variant())

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import options_of
 
 from kinpole_ros import planar
 from kinpole_ros.mechanism import (
@@ -17,7 +18,7 @@ from kinpole_ros.mechanism import (
     scene_text,
 )
 from kinpole_ros.tools import cli
-from kinpole_ros.tools.solve import SolveOptions, solve_scene
+from kinpole_ros.tools.solve import solve_scene
 from kinpole_ros.tools.solve._decomposition import decompose, decomposition_panels
 from kinpole_ros.tools.solve._panels import Panel, width_of
 from kinpole_ros.tools.solve._polygons import polygon_panels
@@ -68,7 +69,7 @@ def same(found: complex, truth: complex, size: float) -> None:
 def test_lengths_are_those_of_poissons_equations(tmp_path: Path, at: str) -> None:
     """Seed 001, eq. 2 to 4, with the functions of `planar` that say so."""
     file = tmp_path / 'a.svg'
-    solve_scene('four_bar', SolveOptions(at=at, polygon=file))
+    solve_scene(options_of('solve', 'four_bar', at=at, polygon=file))
     _, v, a = drawn(file)
     solved = at_value(load_scene('four_bar'), at)
     points = {name: z[:, 0] for name, z in point_motions(solved).items()}
@@ -98,18 +99,18 @@ def test_lengths_are_those_of_poissons_equations(tmp_path: Path, at: str) -> Non
 def test_the_polygons_of_the_seeds_examples_have_the_printed_lengths(tmp_path: Path) -> None:
     file = tmp_path / 'a.svg'
     # Seed 003, example 1: 70.5 cm/s of the arm, 0.4154 · 120 and 0.4985 · 100 cm/s.
-    solve_scene('loader', SolveOptions(at='45 deg', polygon=file))
+    solve_scene(options_of('solve', 'loader', at='45 deg', polygon=file))
     _, v, _ = drawn(file)
     found = [abs(v[name]) for name in ('v_A', 'v_BA', 'v_B', 'v_PA')]
     assert found == pytest.approx([0.705, 0.4985, 0.4985, 0.8308], rel=1e-3)
     assert v['v_P'] == pytest.approx(0.08896 + 1.086j, rel=1e-3)
     # The closed polygon of its loop equation: r2 + r3 + r4.
-    solve_scene('loader_loop', SolveOptions(at='45 deg', polygon=file))
+    solve_scene(options_of('solve', 'loader_loop', at='45 deg', polygon=file))
     _, v, a = drawn(file)
     for sides in ([v['v_r2'], v['v_r3'], v['v_r4']], [a['a_r2'], a['a_r3'], a['a_r4']]):
         assert abs(sum(sides)) < 1e-6 * abs(sides[0])
     # Example 2: 250 and 144.3 cm/s along the guides, 200 and 500 cm times 1.443 rad/s.
-    solve_scene('trebuchet', SolveOptions(polygon=file))
+    solve_scene(options_of('solve', 'trebuchet', polygon=file))
     _, v, _ = drawn(file)
     assert v['v_A'] == pytest.approx(-2.5j, rel=1e-6)
     assert abs(v['v_BA']) == pytest.approx(2 * 1.443, rel=1e-3)
@@ -132,7 +133,7 @@ def test_a_slide_that_turns_has_coriolis_part(tmp_path: Path) -> None:
         'start: {arm: 20 deg}\n'
     )
     file = tmp_path / 'a.svg'
-    lines = solve_scene(scene, SolveOptions(at='75 deg', polygon=file))
+    lines = solve_scene(options_of('solve', scene, at='75 deg', polygon=file))
     _, v, a = drawn(file)
     z = 0.2 + 0.3 * np.exp(1j * np.radians(75))
     e, r, velocity = z / abs(z), abs(z), 0.9j * np.exp(1j * np.radians(75))
@@ -200,7 +201,9 @@ def test_polygons_are_drawn_by_the_command(tmp_path: Path, capsys) -> None:
 
 def test_in_a_dead_point_there_is_no_polygon(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match='no polygon in a dead point'):
-        solve_scene('loader_cylinder', SolveOptions(at='0.920227378 m', polygon=tmp_path / 'a.svg'))
+        solve_scene(
+            options_of('solve', 'loader_cylinder', at='0.920227378 m', polygon=tmp_path / 'a.svg')
+        )
 
 
 @pytest.mark.parametrize(
@@ -211,7 +214,7 @@ def test_both_reference_points_give_the_same_motion(
 ) -> None:
     """Seed 001, Figs. 1 to 3."""
     file = tmp_path / 'a.svg'
-    lines = solve_scene(name, SolveOptions(at=at, decompose=(f'{body}:A,B', file)))
+    lines = solve_scene(options_of('solve', name, at=at, decompose=(f'{body}:A,B', file)))
     scene = load_scene(name)
     former, here = over_time(scene, np.zeros(1)), at_value(scene, at)
     b = scene.mechanism.bodies.index(body)
@@ -282,12 +285,12 @@ def test_decompositions_of_other_bodies_are_legible(name: str, words: str) -> No
 )
 def test_what_cannot_be_decomposed_is_said(tmp_path: Path, words: str, fix: str) -> None:
     with pytest.raises(SceneError, match=re.escape(fix)):
-        solve_scene('four_bar', SolveOptions(decompose=(words, tmp_path / 'a.svg')))
+        solve_scene(options_of('solve', 'four_bar', decompose=(words, tmp_path / 'a.svg')))
 
 
 def test_a_wheel_has_no_velocity_where_it_touches_but_an_acceleration(tmp_path: Path) -> None:
     file = tmp_path / 'a.svg'
-    solve_scene('rolling_wheel', SolveOptions(polygon=file))
+    solve_scene(options_of('solve', 'rolling_wheel', polygon=file))
     _, v, a = drawn(file)
     assert v['v_H'] == pytest.approx(0.2 * np.pi, rel=1e-6)
     assert a['a_contact of wheel'] == pytest.approx(0.1j * (2 * np.pi) ** 2, rel=1e-6)
@@ -300,9 +303,9 @@ def test_at_rest_there_are_no_arrows(tmp_path: Path) -> None:
     to = '{drive: crank, from: 0 deg, to: 90 deg, duration: 2, begin: 1}'
     scene.write_text(text.replace('{drive: crank, rate: 1 rev/s, start: 0 deg}', to))
     file = tmp_path / 'a.svg'
-    solve_scene(scene, SolveOptions(polygon=file))
+    solve_scene(options_of('solve', scene, polygon=file))
     assert [len(panel) for panel in drawn(file)] == [1, 0, 0]
     assert 'velocities: none, it is at rest' in file.read_text()
-    lines = solve_scene(scene, SolveOptions(decompose=('coupler:A,B', file)))
+    lines = solve_scene(options_of('solve', scene, decompose=('coupler:A,B', file)))
     assert 'it does not turn: the pole is at infinity' in lines
     assert not arrows(file, 2).keys() & {'v_A', 'v_B'}

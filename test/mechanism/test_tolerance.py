@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import options_of
 
 from kinpole_ros.mechanism import (
     LinkageError,
@@ -188,7 +189,7 @@ def test_what_fit_prints_is_taken(tmp_path: Path) -> None:
         'coupler.B y  1e-06 m, deviation 3e-06; the scene has 0, +1e-06\n'
         'chi^2/n 1.02 (n = 2466, 410 instants), with the scene as it is 1.05\n'
     )
-    lines = tolerances('four_bar', [str(file)], samples=0)
+    lines = tolerances(options_of('tolerance', 'four_bar', tolerances=[str(file)], samples=0))
     for axis, size in (('x', '0.0092'), ('y', '0.003')):
         assert any(line.split()[:3] == ['coupler.B', axis, size] for line in lines)
     assert not any('sampled' in line for line in lines)
@@ -210,19 +211,30 @@ def test_what_fit_prints_is_taken(tmp_path: Path) -> None:
 )
 def test_what_is_no_tolerance_is_said(said: str, words: str) -> None:
     with pytest.raises(SceneError, match=re.escape(words)):
-        tolerances('four_bar', [said], samples=0)
+        tolerances(options_of('tolerance', 'four_bar', tolerances=[said], samples=0))
 
 
 def test_gears_are_refused_with_the_reason() -> None:
     with pytest.raises(
         LinkageError, match=r'arm\.O x cannot be off by itself: the loop .* never closes'
     ):
-        tolerances('planetary_gear', ['length=0.1mm'], samples=0)
+        tolerances(
+            options_of('tolerance', 'planetary_gear', tolerances=['length=0.1mm'], samples=0)
+        )
 
 
 def test_a_value_without_a_name_is_of_all_lengths_or_angles() -> None:
-    named = tolerances('slider_crank', ['length=0.1mm', 'angle=0.2deg'], samples=0)
-    assert tolerances('slider_crank', ['0.1mm', '0.2 deg'], samples=0) == named
+    named = tolerances(
+        options_of(
+            'tolerance', 'slider_crank', tolerances=['length=0.1mm', 'angle=0.2deg'], samples=0
+        )
+    )
+    assert (
+        tolerances(
+            options_of('tolerance', 'slider_crank', tolerances=['0.1mm', '0.2 deg'], samples=0)
+        )
+        == named
+    )
 
 
 RACK = """
@@ -260,13 +272,13 @@ def test_a_guided_rack_stays_in_mesh_with_its_wheel(tmp_path: Path) -> None:
         assert np.isfinite(found.samples[:, quantity(found, 'rack.Q', axis)]).all()
     path = tmp_path / 'rack.yaml'
     path.write_text(RACK)
-    assert 'rack.Q y' in '\n'.join(tolerances(str(path), samples=0))
+    assert 'rack.Q y' in '\n'.join(tolerances(options_of('tolerance', str(path), samples=0)))
 
 
 def test_an_error_with_which_no_loop_closes_is_refused(tmp_path: Path) -> None:
     scene = tmp_path / 'cranks.yaml'
     scene.write_text(THREE_CRANKS)
     with pytest.raises(LinkageError, match=r'bar\.E x cannot be off by itself: .* parallel cranks'):
-        tolerances(str(scene), ['bar.E=0.1mm'], samples=0)
+        tolerances(options_of('tolerance', str(scene), tolerances=['bar.E=0.1mm'], samples=0))
     with pytest.raises(LinkageError, match=r'coupler\.B x is off by 1 m or rad, and the loops'):
-        tolerances('four_bar', ['coupler.B=1m'], samples=0)
+        tolerances(options_of('tolerance', 'four_bar', tolerances=['coupler.B=1m'], samples=0))

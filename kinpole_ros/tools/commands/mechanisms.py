@@ -69,7 +69,7 @@ def solve(options: argparse.Namespace) -> int:
       kinpole solve four_bar --at "60 deg" --polygon polygons.svg
       kinpole solve antiparallelogram --pitch crank follower gears.svg
     """
-    from kinpole_ros.tools.solve import SolveOptions, solve_scene
+    from kinpole_ros.tools.solve import solve_scene
 
     outputs = [
         ('--csv', options.csv, 'a CSV table'),
@@ -80,8 +80,7 @@ def solve(options: argparse.Namespace) -> int:
         ('--decompose', options.decompose[1] if options.decompose else None, ''),
     ]
     check_outputs([options.scene], outputs)
-    fields = {name: getattr(options, name) for name in SolveOptions._fields}
-    print_lines(solve_scene(options.scene, SolveOptions(**fields)))
+    print_lines(solve_scene(options))
     return 0
 
 
@@ -126,16 +125,7 @@ def tolerance(options: argparse.Namespace) -> int:
         ('--plot', options.plot, 'a picture'),
     ]
     check_outputs([options.scene], outputs)
-    print_lines(
-        tolerances(
-            options.scene,
-            options.tolerances,
-            options.samples,
-            options.csv,
-            options.plot,
-            options.html,
-        )
-    )
+    print_lines(tolerances(options))
     return 0
 
 
@@ -185,7 +175,7 @@ def discover(options: argparse.Namespace) -> int:
     not move cannot be found. "left over" is the residual of a joint over the noise: 1 is perfect;
     more is play, a distorting lens, or a body that bends.
     """
-    from kinpole_ros.tools.discover import DiscoverOptions, discover_rig
+    from kinpole_ros.tools.discover import discover_rig
 
     outputs = [
         ('--output', options.output, 'a YAML file'),
@@ -195,9 +185,7 @@ def discover(options: argparse.Namespace) -> int:
     check_outputs([options.source], outputs)
     troubles: list[object] = []
     with progress_bar('discover') as progress:
-        fields = {name: getattr(options, name) for name in DiscoverOptions._fields}
-        request = DiscoverOptions(**fields)
-        lines = discover_rig(options.source, request, progress, troubles.append)
+        lines = discover_rig(options, progress, troubles.append)
     print_lines(lines)
     return _print_troubles('discover', troubles)
 
@@ -238,16 +226,7 @@ def fit(options: argparse.Namespace) -> int:
     check_outputs(inputs, [('--output', options.output, 'a YAML file')])
     troubles: list[object] = []
     with progress_bar('fit') as progress:
-        lines = fit_bag(
-            options.scene,
-            options.bag,
-            options.config,
-            [name.split(',') for names in options.free or [] for name in names],
-            options.output,
-            options.topic,
-            progress,
-            troubles.append,
-        )
+        lines = fit_bag(options, progress, troubles.append)
     print_lines(lines)
     return _print_troubles('fit', troubles)
 

@@ -8,18 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from kinpole_ros.files import printable
 from kinpole_ros.packages import install_command
+from kinpole_ros.tools.commands import _terminal
 from kinpole_ros.tools.commands._command import CONFIG, SET, TOPIC, command, flag, option
 from kinpole_ros.tools.commands._output_files import check_outputs
-from kinpole_ros.tools.commands._terminal import (
-    UsageError,
-    erased_bar,
-    on_terminal,
-    one_line,
-    print_error,
-    progress_bar,
-)
+from kinpole_ros.tools.commands._terminal import UsageError, print_error, progress_bar
 
 if TYPE_CHECKING:
+    from kinpole_ros.bags.batch import TlsFiles
     from kinpole_ros.linkage.positions import PositionReport
     from kinpole_ros.settings import Settings
 
@@ -201,18 +196,10 @@ def batch(options: argparse.Namespace) -> int:
         --tls-ca ca.pem --tls-cert me.pem --tls-key me.key
     """
     from kinpole_ros.bags import BagError
-    from kinpole_ros.bags.batch import KINDS, TlsFiles, is_open_to_all, listed_bags
+    from kinpole_ros.bags.batch import KINDS, is_open_to_all, listed_bags
     from kinpole_ros.bags.batch import batch as replay_bags
 
-    if options.workers is not None and options.workers < 1:
-        raise BagError(f'--workers is {options.workers}; it must be 1 or more')
-    if options.workers is not None and options.scheduler is not None:
-        raise BagError('--workers is for this machine alone; leave it out with --scheduler')
-    tls = TlsFiles(options.tls_ca, options.tls_cert, options.tls_key)
-    if options.scheduler is None and tls != TlsFiles():
-        raise BagError('--tls-ca, --tls-cert and --tls-key are for a cluster; give --scheduler too')
-    if options.parquet and options.scheduler is None and find_spec('pyarrow') is None:
-        raise BagError(f'--parquet needs pyarrow; fix: {install_command("parquet")}, or use --csv')
+    tls = _checked_tls(options)
     bags = [*options.bags, *(listed_bags(options.list) if options.list else [])]
     if not bags:
         raise BagError('no bags are named; give some, or a file that names them by --list')
@@ -220,10 +207,10 @@ def batch(options: argparse.Namespace) -> int:
     summary = f'{options.output}/summary.csv'
     check_outputs([options.list, options.config, settings.scene], [('--output', summary, '')])
     if options.scheduler is not None and is_open_to_all(options.scheduler):
-        print(
-            f'kinpole batch: anyone who reaches {one_line(options.scheduler)} can run code on its '
-            'workers; fix: start it with TLS and give its tls:// address (see docs/security.md)',
-            file=sys.stderr,
+        print_error(
+            'batch',
+            f'anyone who reaches {options.scheduler} can run code on its workers; fix: start it '
+            'with TLS and give its tls:// address (see docs/security.md)',
         )
     kinds = [kind for kind in KINDS if getattr(options, kind)] or ['mcap']
     with progress_bar('batch') as progress:
@@ -239,30 +226,51 @@ def batch(options: argparse.Namespace) -> int:
             _print_errors_of,
             tls,
         )
-    failed = sum(bool(row['error']) for row in rows)
-    truncated = sum(bool(row.get('truncated')) for row in rows)
-    unknown = sum(bool(row.get('unknown')) for row in rows)
-    frames = sum(row.get('frames', 0) for row in rows)
-    never = f', {unknown} never estimated a body' if unknown else ''
-    print(f'{len(rows)} bags, {failed} failed, {truncated} cut off{never}; {frames} frames in')
-    _print_assumptions(rows, settings)
+    _print_totals(rows, settings)
     print(f'written to {options.output}, with a table over all in {summary}')
-    return 2 if failed or truncated or unknown else 0
+    return 2 if any(map(_is_faulty, rows)) else 0
+
+
+def _checked_tls(options: argparse.Namespace) -> 'TlsFiles':
+    """Return the certificates of a cluster; raise BagError for options that exclude each other."""
+    from kinpole_ros.bags import BagError
+    from kinpole_ros.bags.batch import TlsFiles
+
+    if options.workers is not None and options.workers < 1:
+        raise BagError(f'--workers is {options.workers}; it must be 1 or more')
+    if options.workers is not None and options.scheduler is not None:
+        raise BagError('--workers is for this machine alone; leave it out with --scheduler')
+    tls = TlsFiles(options.tls_ca, options.tls_cert, options.tls_key)
+    if options.scheduler is None and tls != TlsFiles():
+        raise BagError('--tls-ca, --tls-cert and --tls-key are for a cluster; give --scheduler too')
+    if options.parquet and options.scheduler is None and find_spec('pyarrow') is None:
+        raise BagError(f'--parquet needs pyarrow; fix: {install_command("parquet")}, or use --csv')
+    return tls
 
 
 def _print_errors_of(row: dict[str, Any]) -> None:
     """Print what went wrong with one bag, in place of the progress bar."""
     for trouble in filter(None, (row['error'], row.get('truncated'), row.get('warnings'))):
         name = '' if row['bag'] in trouble else f'{row["bag"]}: '
-        if on_terminal():
-            print(erased_bar(), end='', file=sys.stderr)
+        if _terminal.on_terminal():
+            print(_terminal.erased_bar(), end='', file=sys.stderr)
         print_error('batch', f'{name}{trouble}')
 
 
-def _print_assumptions(rows: list[dict[str, Any]], settings: 'Settings') -> None:
-    """Print the first assumption about the bodies of a bag, and how many bags have one too."""
+def _is_faulty(row: dict[str, Any]) -> bool:
+    return any(row.get(name) for name in ('error', 'truncated', 'unknown'))
+
+
+def _print_totals(rows: list[dict[str, Any]], settings: 'Settings') -> None:
+    """Print counts, the first assumption about bodies, and how many bags have one too."""
     from kinpole_ros.bags import assumed_body
 
+    failed, truncated, unknown = (
+        sum(bool(row.get(name)) for row in rows) for name in ('error', 'truncated', 'unknown')
+    )
+    frames = sum(row.get('frames', 0) for row in rows)
+    never = f', {unknown} never estimated a body' if unknown else ''
+    print(f'{len(rows)} bags, {failed} failed, {truncated} cut off{never}; {frames} frames in')
     assumptions = [assumed_body(row.get('markers', 0), settings, row['bag']) for row in rows]
     if first := next(filter(None, assumptions), ''):
         count = sum(map(bool, assumptions)) - 1

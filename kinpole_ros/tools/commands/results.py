@@ -59,8 +59,7 @@ def report(options: argparse.Namespace) -> int:
       kinpole report walk.trc
       kinpole report result.mcap --output report.html
     """
-    from kinpole_ros.settings import assignments
-    from kinpole_ros.tools.report import PointOptions, prepared, settings_for
+    from kinpole_ros.tools.report import prepared, settings_for
     from kinpole_ros.tools.report import report as write_report
 
     settings = settings_for(settings_of(options), options.scene)
@@ -68,11 +67,9 @@ def report(options: argparse.Namespace) -> int:
     check_outputs(
         [options.config, settings.scene, options.bag], [('--output', output, 'an HTML page')]
     )
-    points = PointOptions(options.rate, options.scale, options.y_down)
-    changes = assignments(options.set)
     with (
         progress_bar('report') as progress,
-        prepared(options.bag, settings, changes, options.topic, points, progress) as ready,
+        prepared(options, settings, progress) as ready,
     ):
         assumptions = list(ready.assumed)
         record = write_report(

@@ -9,7 +9,7 @@ import numpy as np
 
 from kinpole_ros.bags import BagError, in_place_of
 from kinpole_ros.packages import install_command
-from kinpole_ros.tools.record.lost import broken
+from kinpole_ros.tools.record.lost import breaks_of, broken
 
 BLACK, BLUE, GREEN, GRAY = '#000000', '#0060a8', '#00785a', '#777777'
 # Markers and sizes; each surrounds the one before, so that poles at one point are all visible.
@@ -61,14 +61,23 @@ def saved_figure(output: str | Path, size: tuple[float, float], dpi: int) -> Ite
         figure.savefig(part, format=kind, dpi=dpi)
 
 
-def reversals(rate: np.ndarray) -> np.ndarray:
-    """Return the indices after which a rate changes sign: there the ICR goes through infinity."""
-    return np.flatnonzero(np.diff(np.sign(rate)) != 0)
+def line(
+    axis: Any,
+    stamp: np.ndarray,
+    points: np.ndarray,
+    style: dict[str, Any],
+    rate: np.ndarray | None = None,
+) -> None:
+    """
+    Draw a line through the finite ones of complex points (T,); it stops where frames are lost.
 
-
-def line(axis: Any, points: np.ndarray, breaks: np.ndarray, style: dict[str, Any]) -> None:
-    """Draw a line through complex points that stops at breaks."""
-    points, isolated = broken(points, breaks)
+    It also stops where a rate (T,) changes its sign, since an ICR goes through infinity there.
+    """
+    known = np.isfinite(points)
+    breaks = breaks_of(stamp, stamp[known])
+    if rate is not None:
+        breaks = np.union1d(breaks, np.flatnonzero(np.diff(np.sign(rate[known])) != 0))
+    points, isolated = broken(points[known], breaks)
     axis.plot(points.real, points.imag, marker='.', markersize=3, markevery=isolated, **style)
 
 

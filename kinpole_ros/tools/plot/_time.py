@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.tools.plot._drawn_body import Body
-from kinpole_ros.tools.plot._style import BAND, BLUE, ESTIMATE, EVENT, GRAY, LOST, THIN
+from kinpole_ros.tools.plot import _style
 from kinpole_ros.tools.record.lost import breaks_of, broken, lost_spans
-from kinpole_ros.tools.record.record import Series, sigma_along
+from kinpole_ros.tools.record.record import Record, Series, sigma_along
 from kinpole_ros.tracking.values import RATE_NAMES
 
 # Positive values that spread over more than this factor have a logarithmic axis.
@@ -37,21 +36,21 @@ class TimePanel(NamedTuple):
     truth: Series | None
 
 
-def rate_panels(body: Body, truth: Mapping[str, Series]) -> list[TimePanel]:
+def rate_panels(record: Record, body: str, truth: Mapping[str, Series]) -> list[TimePanel]:
     """Return the panels of angular velocity, acceleration and jerk."""
-    rate = float(np.median(np.abs(body.series['angular_velocity'].value)))
+    rate = float(np.nanmedian(np.abs(record.columns[body, 'angular_velocity'])))
     panels = []
     for order, label in enumerate(('ω (rad/s)', 'α (rad/s²)', 'jerk (rad/s³)'), 1):
         name, cut = RATE_NAMES[order - 1], 0 if order == 1 else 2
         # In powers of the rate: the acceleration of a steady wheel is flat, however noisy.
         height = 0.05 * rate**order
-        panels.append(TimePanel(label, body.series.get(name), height, cut, truth.get(name)))
+        panels.append(TimePanel(label, record.series(body, name), height, cut, truth.get(name)))
     return panels
 
 
-def centrode_panels(body: Body, truth: Mapping[str, Series]) -> list[TimePanel]:
+def centrode_panels(record: Record, body: str, truth: Mapping[str, Series]) -> list[TimePanel]:
     """Return the panels of the curvature of the fixed centrode and the speed of the ICR."""
-    velocity, exact_velocity = body.series.get('icr_velocity'), truth.get('icr_velocity')
+    velocity, exact_velocity = record.series(body, 'icr_velocity'), truth.get('icr_velocity')
     speed = exact = None
     if velocity is not None:
         along = sigma_along(velocity.value, velocity.spread)
@@ -60,59 +59,64 @@ def centrode_panels(body: Body, truth: Mapping[str, Series]) -> list[TimePanel]:
         exact = exact_velocity._replace(value=np.abs(exact_velocity.value))
     slow = 0.05 * float(np.median(speed.value)) if speed is not None and len(speed.value) else 0.0
     # A centrode with a radius above two body sizes counts as straight.
-    straight = 0.5 / body.size if np.isfinite(body.size) and body.size else 0.0
+    size = record.sizes[body]
+    straight = 0.5 / size if np.isfinite(size) and size else 0.0
     name = 'centrode_curvature'
     label = 'κ of the fixed\ncentrode (1/m)'
     return [
-        TimePanel(label, body.series.get(name), straight, 4, truth.get(name)),
+        TimePanel(label, record.series(body, name), straight, 4, truth.get(name)),
         TimePanel('speed |u| of\nthe ICR (m/s)', speed, slow, 4, exact),
     ]
 
 
-def _is_pinned(body: Body) -> bool:
+def _is_pinned(record: Record, body: str) -> bool:
     """Return whether the ICR is at rest in most instants."""
-    velocity = body.series.get('icr_velocity')
+    velocity = record.series(body, 'icr_velocity')
     return velocity is not None and 2 * np.count_nonzero(velocity.value == 0) > len(velocity.value)
 
 
 def draw_panel(
-    axis: Any, strip: Any, body: Body, panel: TimePanel, start: int, instant: int
+    axes: tuple[Any, Any], record: Record, body: str, panel: TimePanel, start: int, instant: int
 ) -> None:
-    """Draw a panel on `axis`, and its band of two standard deviations on `strip`."""
-    spans = (lost_spans(body.frames) - [start, 0]) * 1e-9
-    for one in (axis, strip):
+    """Draw a panel on the first of two axes, and its band of two standard deviations below."""
+    axis, strip = axes
+    spans = (lost_spans(record.stamp) - [start, 0]) * 1e-9
+    for one in axes:
         one.grid(True, linewidth=0.3)
         if len(spans):
-            one.broken_barh(spans.tolist(), (0, 1), transform=one.get_xaxis_transform(), **LOST)
-        one.axvline((instant - start) * 1e-9, color=GRAY, linestyle='--', linewidth=0.8)
+            one.broken_barh(
+                spans.tolist(), (0, 1), transform=one.get_xaxis_transform(), **_style.LOST
+            )
+        one.axvline((instant - start) * 1e-9, color=_style.GRAY, linestyle='--', linewidth=0.8)
         one.tick_params(labelsize=8)
     axis.ticklabel_format(useOffset=False)
     axis.set_ylabel(panel.label)
-    for event in ((body.events - start) * 1e-9).tolist():
-        axis.axvline(event, 0.9, 1.0, **EVENT)
-    share = len(panel.series.stamp) / len(body.frames) if panel.series is not None else 0.0
+    for stamp, _ in record.events.get(body, []):
+        axis.axvline((stamp - start) * 1e-9, 0.9, 1.0, **_style.EVENT)
+    share = len(panel.series.stamp) / len(record.stamp) if panel.series is not None else 0.0
     if share < 0.9:
         percent = f'{share:.0%}' if share >= 0.01 else 'less than 1%'
         text = f'determined at {percent} of the instants' if share else 'undetermined'
-        if not share and _is_pinned(body):
+        if not share and _is_pinned(record, body):
             text = 'none: the ICR is a pin, and stands still'
         axis.text(0.02, 0.94, text, transform=axis.transAxes, va='top', fontsize='small', zorder=5)
     if panel.series is None or not share:
         axis.set_yticks([])
         strip.set_yticks([])
         return
-    breaks = breaks_of(body.frames, panel.series.stamp)
+    breaks = breaks_of(record.stamp, panel.series.stamp)
     time, _ = broken((panel.series.stamp - start) * 1e-9, breaks)
     value, isolated = broken(panel.series.value, breaks)
     marker = {'marker': '.', 'markevery': isolated, 'markersize': 4, 'zorder': 3}
-    axis.plot(time, value, '-', **marker, **ESTIMATE)
+    axis.plot(time, value, '-', **marker, **_style.ESTIMATE)
     if panel.truth is not None and len(panel.truth.stamp):
-        within = (panel.truth.stamp >= body.stamp[0]) & (panel.truth.stamp <= body.stamp[-1])
+        known = record.stamp[np.isfinite(record.columns[body, 'position'])]
+        within = (panel.truth.stamp >= known[0]) & (panel.truth.stamp <= known[-1])
         exact = panel.truth.value[within]
-        axis.plot((panel.truth.stamp[within] - start) * 1e-9, exact, zorder=4, **THIN)
+        axis.plot((panel.truth.stamp[within] - start) * 1e-9, exact, zorder=4, **_style.THIN)
     height = panel.resolution
     band, _ = broken(2 * panel.series.spread, breaks)
-    axis.fill_between(time, value - band, value + band, **BAND)
+    axis.fill_between(time, value - band, value + band, **_style.BAND)
     _draw_strip(strip, panel, panel.series, time, band)
     if len(finite := band[np.isfinite(band)]):
         height = max(height, 3 * float(np.median(finite)))
@@ -128,14 +132,14 @@ def _draw_strip(
     strip: Any, panel: TimePanel, series: Series, time: np.ndarray, band: np.ndarray
 ) -> None:
     """Draw the band about zero, with the error in it."""
-    strip.fill_between(time, -band, band, **BAND)
+    strip.fill_between(time, -band, band, **_style.BAND)
     if panel.truth is not None:
         error = np.full(len(series.stamp), np.nan)
         _, own, its = np.intersect1d(series.stamp, panel.truth.stamp, return_indices=True)
         error[own] = series.value[own] - panel.truth.value[its]
         full_error = np.full(len(time), np.nan)
         full_error[np.isfinite(time)] = error
-        strip.plot(time, full_error, **THIN)
+        strip.plot(time, full_error, **_style.THIN)
     finite = band[np.isfinite(band)]
     top = float(np.percentile(finite, _STRIP_PERCENTILE)) if len(finite) else 0.0
     if top > 0:
@@ -143,4 +147,4 @@ def _draw_strip(
         step = 10.0 ** np.floor(np.log10(top))
         height = float(np.ceil(1.05 * top / step) * step)
         strip.set_ylim(-height, height)
-        strip.set_yticks([0], [f'±{height:g}'], color=BLUE)
+        strip.set_yticks([0], [f'±{height:g}'], color=_style.BLUE)

@@ -25,7 +25,7 @@ from kinpole_ros.messages import (
 )
 from kinpole_ros.tools.record.diagnostics_log import DiagnosticsLog
 from kinpole_ros.tools.record.lost import lost_count
-from kinpole_ros.tools.record.record import Columns, Record, Series
+from kinpole_ros.tools.record.record import Columns, Record, Series, quantity_columns
 from kinpole_ros.tracking.plane import AXES, Plane, as_parameter, plane_along, plane_of, upward
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors
 
@@ -262,23 +262,11 @@ def _fill(
     instants: int,
 ) -> None:
     """Write the quantities of a body of states at the indices `at` (T,) of the record."""
-
-    def write(name: str, values: np.ndarray) -> None:
+    for name, values in quantity_columns(quantities, number):
         if (body, name) not in columns:
             columns[body, name] = np.full((instants, *values.shape[1:]), np.nan, values.dtype)
         columns[body, name][at] = values
-
-    for name, quantity in quantities.items():
-        value, variance, determined = (part[:, number] for part in quantity)
-        none = np.nan if isinstance(quantity, Numbers) else complex(np.nan, np.nan)
-        write(name, np.where(determined, value, none))
-        if isinstance(quantity, Numbers):
-            write(f'{name}_sigma', np.where(determined, np.sqrt(variance), np.nan))
-            continue
-        covariance = np.where(determined[:, None, None], variance, np.nan)
-        write(f'{name}_covariance', covariance)
-        if name == 'position':
-            write('position_sigma', np.sqrt(covariance[:, 0, 0]))
+    columns[body, 'position_sigma'] = np.sqrt(columns[body, 'position_covariance'][:, 0, 0])
 
 
 def _add_reasons(

@@ -16,18 +16,11 @@ from kinpole_ros.settings import Settings
 from kinpole_ros.tools.record.record import Record, with_lost_frames
 from kinpole_ros.tools.record.result_bag import has_results, read_record
 from kinpole_ros.tools.report._collector import Collector
-from kinpole_ros.tools.report._prepare import PointOptions, prepared
+from kinpole_ros.tools.report._prepare import prepared
 from kinpole_ros.tools.report._record_page import intervals, pack, page
 from kinpole_ros.tracking.plane import XY, plane_of
 
-__all__ = [
-    'PointOptions',
-    'pack',
-    'page',
-    'prepared',
-    'report',
-    'settings_for',
-]
+__all__ = ['pack', 'page', 'prepared', 'report', 'settings_for']
 
 # More instants are no clearer on a screen. With more than three bodies there are fewer, which keeps
 # the page below about 4 MB.

@@ -6,10 +6,11 @@ import numpy as np
 
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import LinkageError
+from kinpole_ros.messages._state import quantities_of
 from kinpole_ros.tools.record.lost import lost_count
-from kinpole_ros.tools.record.record import Columns, Record, Subject
+from kinpole_ros.tools.record.record import Columns, Record, quantity_columns
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Vectors, measured_pairs
+from kinpole_ros.tracking.values import RATE_NAMES, measured_pairs
 
 
 class Collector:
@@ -70,12 +71,7 @@ def _estimate_columns(estimate: Estimate) -> Columns:
         ('', 'run'): np.full(len(estimate), estimate.run),
     }
     reasons = estimate.withheld()
-    numbers = {name: estimate.rate(k + 1) for k, name in enumerate(RATE_NAMES[: estimate.order])}
-    if estimate.order >= 3:
-        numbers['centrode_curvature'] = estimate.centrode_curvature
-    vectors = {name: estimate.pole(k + 1) for k, name in enumerate(POLE_NAMES[: estimate.order])}
-    if estimate.order >= 2:
-        vectors['icr_velocity'] = estimate.icr_velocity
+    quantities = quantities_of(estimate, estimate.order)
     with np.errstate(invalid='ignore'):
         for b, body in enumerate(estimate.bodies):
             columns[body, 'missing'] = estimate.missing[:, b].astype(object)
@@ -86,28 +82,16 @@ def _estimate_columns(estimate: Estimate) -> Columns:
             columns[body, 'angle_sigma'] = np.sqrt(estimate.angle_covariance[0, 0, :, b])
             columns[body, 'shape'] = estimate.shape[:, b]
             columns[body, 'size'] = estimate.size[:, b]
-            for name, number in numbers.items():
-                determined = number.determined[:, b]
-                columns[body, name] = np.where(determined, number.value[:, b], np.nan)
-                sigma = np.sqrt(number.variance[:, b])
-                columns[body, f'{name}_sigma'] = np.where(determined, sigma, np.nan)
-            for name, vector in vectors.items():
-                _add_point(columns, body, name, vector, b)
+            for name, values in quantity_columns(quantities, b):
+                columns[body, name] = values
             for name, reason in reasons.items():
                 withheld = np.where(estimate.missing[:, b] == '', reason[:, b], '')
                 columns[body, f'{name}_withheld'] = withheld.astype(object)
-        centers = estimate.relative_icr
+        centers = {'icr': estimate.relative_icr}
         for k, (i, j) in enumerate(measured_pairs(len(estimate.bodies))):
-            _add_point(columns, (estimate.bodies[j], estimate.bodies[i]), 'icr', centers, k)
+            for name, values in quantity_columns(centers, k):
+                columns[(estimate.bodies[j], estimate.bodies[i]), name] = values
     return columns
-
-
-def _add_point(columns: Columns, subject: Subject, name: str, vector: Vectors, k: int) -> None:
-    """Add column `k` of points or vectors (T, ...) with their covariances."""
-    determined = vector.determined[:, k]
-    columns[subject, name] = np.where(determined, vector.value[:, k], complex(np.nan, np.nan))
-    covariance = np.where(determined[:, None, None], vector.covariance[:, k], np.nan)
-    columns[subject, f'{name}_covariance'] = covariance
 
 
 def _outlines(run: np.ndarray, shape: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:

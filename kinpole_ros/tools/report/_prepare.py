@@ -2,24 +2,18 @@
 
 import shlex
 import tempfile
+from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 from kinpole_ros.bags import BagError, Imported, import_points
-from kinpole_ros.settings import Settings, load_settings
+from kinpole_ros.settings import Settings, assignments, load_settings
 from kinpole_ros.tools.record.result_bag import has_results, is_bag
 
+_OF_POINTS = 'rate', 'scale', 'y_down'  # options for data that a file of points may lack
 _MOST_NAMES = 4  # bodies that are named in a line
-
-
-class PointOptions(NamedTuple):
-    """Data that a file of points may lack: frames per second, m per unit, whether y is down."""
-
-    rate: float | None
-    scale: float | None
-    y_down: bool | None
 
 
 class Prepared(NamedTuple):
@@ -32,30 +26,26 @@ class Prepared(NamedTuple):
 
 @contextmanager
 def prepared(
-    file: str,
-    settings: Settings,
-    changes: dict[str, object],
-    topic: str | None,
-    points: PointOptions,
-    progress: Callable[[float], None] | None = None,
+    options: Namespace, settings: Settings, progress: Callable[[float], None] | None = None
 ) -> Iterator[Prepared]:
     """
-    Import `file` if it is no bag, and find its bodies if `settings` name none.
+    Import the file of `kinpole report` if it is no bag; find its bodies if `settings` name none.
 
-    `changes` are parameters that override those found. Temporary files are removed at the end.
-    Raises BagError for a file that cannot be read; if no bodies are found, an assumption says so.
+    Temporary files are removed at the end. Raises BagError for a file that cannot be read; if no
+    bodies are found, an assumption says so.
     """
+    file, topic = options.bag, options.topic
     assumed: list[str] = []
     with tempfile.TemporaryDirectory(prefix='kinpole_') as folder:
         bag = file
         if not is_bag(file):
             bag = str(Path(folder) / f'{Path(file).stem}.mcap')
-            imported = import_points(file, bag, points.rate, points.scale, points.y_down)
+            imported = import_points(file, bag, options.rate, options.scale, options.y_down)
             assumed.append(_import_text(imported))
-        elif given := [name for name, value in points._asdict().items() if value is not None]:
-            options = ', '.join(f'--{name.replace("_", "-")}' for name in given)
+        elif given := [one for one in _OF_POINTS if getattr(options, one) is not None]:
+            names = ', '.join(f'--{name.replace("_", "-")}' for name in given)
             raise BagError(
-                f'{file} is a bag, which has its stamps and is in m; {options} are for files of '
+                f'{file} is a bag, which has its stamps and is in m; {names} are for files of '
                 'points; fix: leave them out, or set the parameter scale'
             )
         has_bodies = settings.bodies != Settings().bodies
@@ -63,7 +53,7 @@ def prepared(
             rig, lines, found = _discover(file, bag, topic, Path(folder) / 'rig.yaml', progress)
             assumed += lines
             if rig is not None:
-                settings = load_settings(rig, changes=changes)
+                settings = load_settings(rig, changes=assignments(options.set))
                 assumed.append(
                     f'window {settings.window:g} s, lag {settings.lag:g} s, noise estimated from '
                     'the markers; to change: --set window:=0.2 --set lag:=0.1'
@@ -82,10 +72,10 @@ def _discover(
 ) -> tuple[Path | None, list[str], list[str]]:
     """Write the parameter file of a rig; return it or None, assumptions, and what was found."""
     from kinpole_ros.linkage import input_texts, joint_lines, marker_lines, parameter_file
-    from kinpole_ros.tools.discover import DiscoverOptions, find_linkage
+    from kinpole_ros.tools.discover import find_linkage
 
     try:
-        linkage, marker_topic, _ = find_linkage(bag, DiscoverOptions(topic), progress)
+        linkage, marker_topic, _ = find_linkage(bag, topic, progress=progress)
     except BagError as error:
         return None, [f'bodies: not found: {str(error).removeprefix(f"{bag}: ")}'], []
     rig.write_text(parameter_file(linkage, marker_topic), encoding='utf-8')

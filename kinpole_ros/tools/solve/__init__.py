@@ -1,78 +1,35 @@
 """`kinpole solve` and `kinpole tolerance`: a scene as text, tables, pictures and a page."""
 
-from collections.abc import Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.mechanism import SceneError, centrodes, load_scene, scene_text
+from kinpole_ros.tools.solve import _solution, _text
 from kinpole_ros.tools.solve._pitch import write_pitch_curves
-from kinpole_ros.tools.solve._solution import (
-    SolvedScene,
-    at_rate,
-    at_value,
-    open_output,
-    over_duration,
-    over_full_motion,
-    over_range,
-    over_time,
-    unit_note,
-)
+from kinpole_ros.tools.solve._solution import SolvedScene
 from kinpole_ros.tools.solve._spreadsheet import write_table
 from kinpole_ros.tools.solve._statics import static_lines, work_lines
-from kinpole_ros.tools.solve._text import (
-    center_lines,
-    head_lines,
-    motion_lines,
-    range_lines,
-    time_lines,
-)
 from kinpole_ros.tools.solve._tolerance import tolerances
 
-__all__ = ['SolveOptions', 'solve_scene', 'tolerances']
+__all__ = ['solve_scene', 'tolerances']
 
 # Positions over a range, in tables and pictures.
 _SAMPLES = 361
 
 
-class SolveOptions(NamedTuple):
-    """
-    What `solve_scene` computes and writes; the names are those of the options of `kinpole solve`.
-
-    `at` is a value of the one driver, with a unit or in SI units; `sweep` is for its whole range,
-    and `time` for the motion of all drivers up to a time, with a unit or in s. Without these three
-    the position at time 0 is solved. `decompose` is 'BODY:A,B' and a file, `pitch` two bodies and a
-    file. The polygons, the decomposition and `work` are for the position `at`, or the end of
-    `time`.
-    """
-
-    at: str | None = None
-    sweep: bool = False
-    time: str | None = None
-    centers: bool = False
-    statics: bool = False
-    work: bool = False
-    csv: str | Path | None = None
-    plot: str | Path | None = None
-    centrodes: Sequence[str] = ()
-    polygon: str | Path | None = None
-    decompose: Sequence[str | Path] = ()
-    html: str | Path | None = None
-    pitch: Sequence[str | Path] = ()
-
-
-def solve_scene(scene: str | Path, options: SolveOptions | None = None) -> list[str]:
+def solve_scene(options: Namespace) -> list[str]:
     """
     Analyze a scene: return lines to print, and write the files that the options name.
 
-    `scene` is a file, the name of a scene that comes with kinpole, or the text of a scene. Raises
-    SceneError if it, an option or a file cannot be used, BagError for a picture that cannot be
-    written, and LinkageError if the linkage does not reach the position.
+    `options` are those of `kinpole solve`; the scene may be a text too. Raises SceneError if it, an
+    option or a file cannot be used, BagError for a picture that cannot be written, and LinkageError
+    if the linkage does not reach the position.
     """
-    options = options or SolveOptions()
     # Drawings are written as SVG without matplotlib.
     drawings = [path for path in (options.polygon, *options.decompose[1:]) if path]
     for path in (options.plot, *(path for path in drawings if _ending(path) != 'svg')):
@@ -80,19 +37,23 @@ def solve_scene(scene: str | Path, options: SolveOptions | None = None) -> list[
             from kinpole_ros.tools.plot import picture_format  # which needs mcap
 
             picture_format(path)
-    loaded = load_scene(scene)
+    loaded = load_scene(options.scene)
     for body in options.centrodes:
         if body not in loaded.mechanism.bodies:
             names = ', '.join(loaded.mechanism.bodies)
             raise SceneError(f'--centrodes: there is no moving body {body}; give some of {names}')
-    single = over_time(loaded, np.zeros(1)) if options.at is None else at_value(loaded, options.at)
+    single = (
+        _solution.over_time(loaded, np.zeros(1))
+        if options.at is None
+        else _solution.at_value(loaded, options.at)
+    )
     solution = single
     if options.time is not None:
-        solution = over_duration(loaded, options.time, _SAMPLES)
+        solution = _solution.over_duration(loaded, options.time, _SAMPLES)
     elif options.sweep:
-        solution = over_range(loaded, _SAMPLES)
+        solution = _solution.over_range(loaded, _SAMPLES)
     here = single if options.time is None else solution.at(-1)
-    analysis = _Analysis(options, solution, single, here, scene_text(scene))
+    analysis = _Analysis(options, solution, single, here, scene_text(options.scene))
     return [*analysis.text(), *analysis.write_tables(), *analysis.write_pictures()]
 
 
@@ -100,7 +61,7 @@ def solve_scene(scene: str | Path, options: SolveOptions | None = None) -> list[
 class _Analysis:
     """A scene, solved; `single` is the one position asked for, `here` that of the drawings."""
 
-    options: SolveOptions
+    options: Namespace
     solution: SolvedScene
     single: SolvedScene
     here: SolvedScene
@@ -111,22 +72,22 @@ class _Analysis:
         """The positions that were asked for; for a single one, the whole motion."""
         if self.solution.inputs.shape[1] > 1:
             return self.solution
-        return over_full_motion(self.solution.scene, _SAMPLES)
+        return _solution.over_full_motion(self.solution.scene, _SAMPLES)
 
     def text(self) -> Iterator[str]:
         """Yield the analysis as lines to print."""
         options, solution = self.options, self.solution
-        yield from head_lines(solution.scene)
-        if options.at is not None and (note := unit_note(solution.scene, options.at)):
+        yield from _text.head_lines(solution.scene)
+        if options.at is not None and (note := _solution.unit_note(solution.scene, options.at)):
             yield note
         if options.time is not None:
-            yield from time_lines(solution)
+            yield from _text.time_lines(solution)
         elif options.sweep:
-            yield from range_lines(solution)
+            yield from _text.range_lines(solution)
         else:
-            yield from motion_lines(self.single)
+            yield from _text.motion_lines(self.single)
         if options.centers:
-            yield from center_lines(solution)
+            yield from _text.center_lines(solution)
         if options.statics:
             yield from static_lines(solution)
         if options.work:
@@ -136,12 +97,12 @@ class _Analysis:
         """Write the table, the pitch curves and the page; yield a line for each."""
         options = self.options
         if options.pitch:  # before any file is written, since there may be no such bodies
-            first, second, pitch_file = map(str, options.pitch)
+            first, second, pitch_file = options.pitch
             inputs = self.motion.inputs[0]
             ends = float(inputs.min()), float(inputs.max())
             curves = centrodes(self.solution.scene.mechanism, first, second, *ends)
         if options.csv:
-            with open_output(options.csv) as part:
+            with _solution.open_output(options.csv) as part:
                 write_table(part, self.solution, options.centers, options.statics)
             yield f'written to {options.csv}'
         if options.pitch:
@@ -153,7 +114,7 @@ class _Analysis:
         if options.html:
             from kinpole_ros.tools.solve._scene_page import write_page
 
-            with open_output(options.html) as part:
+            with _solution.open_output(options.html) as part:
                 write_page(part, self.motion, self.here, text=self.scene_text)
             yield f'written to {options.html}'
 
@@ -166,7 +127,7 @@ class _Analysis:
             position = self.single
             if self.motion.times is None:
                 rate = float(self.motion.rates[0, 0])
-                position = at_rate(position.scene, position.inputs[0], rate)
+                position = _solution.at_rate(position.scene, position.inputs[0], rate)
             extras = options.centers, options.centrodes
             draw_solution(options.plot, self.motion, position, *extras)
             yield f'written to {options.plot}'
@@ -174,7 +135,7 @@ class _Analysis:
             from kinpole_ros.tools.solve._polygons import draw_polygons, polygon_lines
 
             yield from polygon_lines(self.here)
-            with open_output(options.polygon) as part:
+            with _solution.open_output(options.polygon) as part:
                 draw_polygons(part, _ending(options.polygon), self.here)
             yield f'written to {options.polygon}'
         if options.decompose:
@@ -182,15 +143,15 @@ class _Analysis:
 
             text, file = options.decompose
             start = self._former_position()
-            body = _decomposition.decompose(str(text), start, self.here, self.motion)
+            body = _decomposition.decompose(text, start, self.here, self.motion)
             yield from _decomposition.decomposition_lines(body)
-            with open_output(file) as part:
+            with _solution.open_output(file) as part:
                 _decomposition.draw_decomposition(part, _ending(file), body)
             yield f'written to {file}'
 
     def _former_position(self) -> SolvedScene:
         """Return the position at time 0; if that is `here`, one an eighth of the range away."""
-        start = over_time(self.here.scene, np.zeros(1))
+        start = _solution.over_time(self.here.scene, np.zeros(1))
         if np.abs(start.values - self.here.values).max() > 1e-9:
             return start
         inputs = self.motion.inputs[0]

@@ -1,6 +1,5 @@
 """Pitch curves: a pair of centrodes as a table, or drawn true to scale for a saw or a mill."""
 
-import csv
 import re
 from collections.abc import Iterator
 from html import escape
@@ -12,6 +11,7 @@ import numpy as np
 from kinpole_ros.files import whole_file
 from kinpole_ros.mechanism import Centrodes, LinkageError
 from kinpole_ros.planar._plane import Complex
+from kinpole_ros.tools.solve._spreadsheet import write_columns
 
 # In sizes of the linkage: a drawing ends here; ends of a curve nearer than this meet.
 _MOST_DISTANT, _MEETING = 3.0, 1e-6
@@ -93,10 +93,7 @@ def _table(path: Path, curves: Centrodes) -> None:
         'piece': curves.piece,
     }
     exists = curves.piece >= 0
-    with open(path, 'w', newline='', encoding='utf-8') as file:
-        rows = csv.writer(file)
-        rows.writerow(columns)
-        rows.writerows(zip(*(column[exists].tolist() for column in columns.values()), strict=True))
+    write_columns(path, {name: column[exists] for name, column in columns.items()})
 
 
 def _sheets(curves: Centrodes) -> tuple[list[_Sheet], complex, complex]:

@@ -15,14 +15,9 @@ import numpy as np
 from kinpole_ros.mechanism import poles, polygon
 from kinpole_ros.mechanism._kennedy import center_name
 from kinpole_ros.tools.plot._style import saved_figure
+from kinpole_ros.tools.solve import _solution
 from kinpole_ros.tools.solve._shapes import wheel_lines
-from kinpole_ros.tools.solve._solution import (
-    SolvedScene,
-    angle_rates,
-    centers_of,
-    driver_unit,
-    point_motions,
-)
+from kinpole_ros.tools.solve._solution import SolvedScene
 
 _SIZE, _DPI = (12.5, 6.2), 150  # inches
 _DASHES: tuple[Any, ...] = ('-', '--', '-.', ':', (0, (5, 1, 1, 1, 1, 1)))
@@ -77,7 +72,7 @@ def _draw_figure(
     grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1))
     draw_linkage(figure.add_subplot(grid[:, 0]), solution, here, centers, centrodes)
     at, mark, label, title = _abscissa(solution, here)
-    rates = angle_rates(solution.motion)
+    rates = _solution.angle_rates(solution.motion)
     names = 'angular velocity (rad/s)', 'angular acceleration (rad/s²)'
     for row, name in enumerate(names):
         axis = figure.add_subplot(grid[row, 1])
@@ -103,7 +98,7 @@ def _abscissa(solution: SolvedScene, here: SolvedScene) -> tuple[np.ndarray, flo
     """Return the abscissa of the rates (T,), where `here` is on it, its name, and a title."""
     if solution.times is not None:
         return solution.times, 0.0, 'time (s)', 'at 0 s'
-    unit, size = driver_unit(solution.scene, 0)
+    unit, size = _solution.driver_unit(solution.scene, 0)
     at = solution.inputs[0] / size
     value = float(here.inputs[0, 0]) / size
     is_full_turn = unit == 'deg' and at[-1] - at[0] > 359
@@ -131,7 +126,7 @@ def _body_points(solution: SolvedScene) -> dict[str, list[np.ndarray]]:
     """Return the points of each body as `point_motions` does, or its origin."""
     scene, bodies = solution.scene, solution.scene.mechanism.bodies
     points: dict[str, list[np.ndarray]] = {body: [] for body in bodies}
-    for name, motion in point_motions(solution).items():
+    for name, motion in _solution.point_motions(solution).items():
         points[scene.points[name][0]].append(motion)
     for b, body in enumerate(bodies):
         if not points[body]:
@@ -243,7 +238,7 @@ def _draw_centrodes(
 
 def _draw_centers(axis: Any, here: SolvedScene, box: _Box, size: float) -> None:
     """Draw the instant centers near the linkage, and the lines that determine them."""
-    centers, middle = centers_of(here), box.middle
+    centers, middle = _solution.centers_of(here), box.middle
     names: dict[complex, list[str]] = {}
     drawn: dict[tuple[int, ...], complex] = {}
     for pair, z in zip(centers.pairs, centers.points[:, 0].tolist(), strict=True):

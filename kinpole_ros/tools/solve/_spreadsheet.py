@@ -1,6 +1,7 @@
 """The analysis of a scene as a CSV table with one row per position."""
 
 import csv
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,14 +10,8 @@ import numpy as np
 from kinpole_ros.files import as_cell
 from kinpole_ros.mechanism import SceneError, Statics, holding, poles, transmission_angles
 from kinpole_ros.mechanism._equilibrium import why_no_reactions
-from kinpole_ros.tools.solve._solution import (
-    SolvedScene,
-    acting_loads,
-    advantages,
-    centers_of,
-    point_motions,
-    variable_lengths,
-)
+from kinpole_ros.tools.solve import _solution
+from kinpole_ros.tools.solve._solution import SolvedScene
 
 _ORDERS = ('', '_velocity', '_acceleration', '_jerk', '_snap')
 
@@ -52,10 +47,10 @@ def write_table(path: Path, solution: SolvedScene, centers: bool, statics: bool)
         for k, order in enumerate(_ORDERS):
             columns.set_point(body, motion.position[k, b], order)
             columns[f'{body}_angle{order}'] = motion.angle[k, b]
-    for name, n in variable_lengths(scene).items():
+    for name, n in _solution.variable_lengths(scene).items():
         for k, order in enumerate(_ORDERS):
             columns[f'{name}{order}'] = motion.values[k, n]
-    for name, points in point_motions(solution).items():
+    for name, points in _solution.point_motions(solution).items():
         for z, order in zip(points, _ORDERS, strict=False):
             columns.set_point(name.replace('.', '_'), z, order)
     body_poles = poles(mechanism, motion)
@@ -64,12 +59,12 @@ def write_table(path: Path, solution: SolvedScene, centers: bool, statics: bool)
             columns.set_point(f'{body}_{name}', getattr(body_poles, name)[b])
         columns.set_point(f'{body}_icr_velocity', body_poles.velocity[b])
         columns[f'{body}_centrode_curvature'] = body_poles.curvature[b]
-    for (name, _), gains in advantages(solution).items():
+    for (name, _), gains in _solution.advantages(solution).items():
         columns[f'advantage_{name.replace("the force at ", "force_").replace(".", "_")}'] = gains
     for names, angles in transmission_angles(mechanism, solution.values).items():
         columns[f'transmission_angle_{"_".join(names)}'] = angles
     if centers:
-        all_centers = centers_of(solution)
+        all_centers = _solution.centers_of(solution)
         for (i, j), points in zip(all_centers.pairs, all_centers.points, strict=True):
             columns.set_point(f'center_{all_centers.bodies[i]}_{all_centers.bodies[j]}', points)
     if statics:
@@ -79,7 +74,7 @@ def write_table(path: Path, solution: SolvedScene, centers: bool, statics: bool)
 
 def _add_statics(columns: _Columns, solution: SolvedScene) -> None:
     scene, mechanism = solution.scene, solution.scene.mechanism
-    loads = acting_loads(solution).loads
+    loads = _solution.acting_loads(solution).loads
     if scene.held_by:
         columns['held_by'], load = holding(mechanism, solution.values, loads, scene.held_by)
         loads = [*loads, load]
@@ -97,5 +92,5 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     with path.open('w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file)
         writer.writerow(map(as_cell, columns))
-        for row in zip(*columns.values(), strict=True):
-            writer.writerow([repr(float(cell)) if np.isfinite(cell) else '' for cell in row])
+        for row in zip(*(column.tolist() for column in columns.values()), strict=True):
+            writer.writerow([cell if math.isfinite(cell) else '' for cell in row])

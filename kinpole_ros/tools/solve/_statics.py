@@ -18,14 +18,8 @@ from kinpole_ros.mechanism import (
     undetermined,
 )
 from kinpole_ros.mechanism._equilibrium import why_no_reactions
-from kinpole_ros.tools.solve._solution import (
-    ActingLoads,
-    SolvedScene,
-    advantage_of,
-    driver_text,
-    point_name,
-    require_loads,
-)
+from kinpole_ros.tools.solve import _solution
+from kinpole_ros.tools.solve._solution import ActingLoads, SolvedScene
 from kinpole_ros.tools.solve._text import Row, table_lines
 
 # Units of an effort and a rate, by whether they are those of a torque.
@@ -34,7 +28,7 @@ _UNITS = {True: ('N m', 'rad/s'), False: ('N', 'm/s')}
 
 def static_lines(solution: SolvedScene) -> list[str]:
     """Return the efforts of the drivers and the forces in the joints, at the first position."""
-    scene, acting = solution.scene, require_loads(solution)
+    scene, acting = solution.scene, _solution.require_loads(solution)
     values = solution.values[:, :1]
     several = solution.inputs.shape[1] > 1
     lines = ['', 'forces at the start of the range' if several else 'forces']
@@ -107,14 +101,14 @@ def _holder_line(scene: Scene, size: float, load: Load) -> str:
     if isinstance(load, Torque):
         return f'{size:.9g} N m on {load.body} balance the loads, with {driver} free'
     angle = f'{np.rad2deg(np.angle(_effort(load) / size)):.6g} deg'
-    name = point_name(scene, load)
+    name = _solution.point_name(scene, load)
     return f'{size:.9g} N at {name}, along {angle}, balance the loads, with {driver} free'
 
 
 def work_lines(solution: SolvedScene) -> list[str]:
     """Return virtual work, the share of each load and each bearing force, at the first position."""
     here = solution.at(0)
-    scene, acting = here.scene, require_loads(here)
+    scene, acting = here.scene, _solution.require_loads(here)
     kinds = ['load'] * len(acting.external) + ['spring'] * len(acting.springs)
     kinds += ['inertia'] * len(acting.inertia)
     named = {
@@ -163,7 +157,7 @@ def _balance_lines(
     title, rate = f'the effort of {driver}', driver_rate
     effort_unit, unit = _UNITS[mechanism.kind(k) == 'angle']
     note = ', the other drivers held' if len(mechanism.drivers) > 1 else ''
-    value = driver_text(here.scene, k, here.inputs[k, 0])
+    value = _solution.driver_text(here.scene, k, here.inputs[k, 0])
     lines = ['', f'virtual work: {driver} = {value} moves at {driver_rate:.6g} {unit}{note}']
     rows: list[Row] = [
         [name, *_components(load, _effort(load)), *_components(load, v), power]
@@ -191,7 +185,7 @@ def _balance_lines(
         gain = np.nan
         if _effort(load):
             port = driver if holder is None else holder
-            gain = float(np.ravel(advantage_of(mechanism, here.values, port, load))[0])
+            gain = float(np.ravel(_solution.advantage_of(mechanism, here.values, port, load))[0])
         rows.append([name, -power / rate, 'infinite' if np.isinf(gain) else gain])
     head = ['load', effort_unit, 'mechanical advantage']
     return [*lines, *table_lines(head, [*rows, ['sum', -sum(powers) / rate, '']])]

@@ -6,15 +6,8 @@ import numpy as np
 
 from kinpole_ros.mechanism import Scene, explain, poles, transmission_angles
 from kinpole_ros.mechanism._kennedy import center_name
-from kinpole_ros.tools.solve._solution import (
-    SolvedScene,
-    advantages,
-    centers_of,
-    driver_text,
-    driver_unit,
-    point_motions,
-    variable_lengths,
-)
+from kinpole_ros.tools.solve import _solution
+from kinpole_ros.tools.solve._solution import SolvedScene
 
 # Positions in the table of a range.
 _ROWS = 13
@@ -75,8 +68,8 @@ def motion_lines(solution: SolvedScene) -> list[str]:
     """Return bodies, lengths, points, poles and transmission at one position."""
     scene, motion = solution.scene, solution.motion
     values = ', '.join(
-        f'{driver.name} = {driver_text(scene, k, solution.inputs[k, 0])} at '
-        f'{driver_text(scene, k, solution.rates[k, 0])}/s'
+        f'{driver.name} = {_solution.driver_text(scene, k, solution.inputs[k, 0])} at '
+        f'{_solution.driver_text(scene, k, solution.rates[k, 0])}/s'
         for k, driver in enumerate(scene.mechanism.drivers)
     )
     lines = [f'at {values}']
@@ -91,10 +84,12 @@ def motion_lines(solution: SolvedScene) -> list[str]:
     ]
     head = ['body', 'angle deg', 'ω rad/s', 'α rad/s²', 'jerk rad/s³', 'snap rad/s⁴']
     lines += table_lines(head, rows)
-    rows = [[name, *motion.values[:, n, 0]] for name, n in variable_lengths(scene).items()]
+    rows = [
+        [name, *motion.values[:, n, 0]] for name, n in _solution.variable_lengths(scene).items()
+    ]
     if rows:
         lines += ['', *table_lines(['length', 'm', 'm/s', 'm/s²', 'm/s³', 'm/s⁴'], rows)]
-    rows = [[name, *_coordinates(z[:, 0])] for name, z in point_motions(solution).items()]
+    rows = [[name, *_coordinates(z[:, 0])] for name, z in _solution.point_motions(solution).items()]
     if rows:
         units = {'': 'm', 'v': 'm/s', 'a': 'm/s²', 'j': 'm/s³'}
         head = [f'{letter}{axis} {unit}' for letter, unit in units.items() for axis in 'xy']
@@ -124,7 +119,7 @@ def _transmission_lines(solution: SolvedScene) -> list[str]:
     mechanism, lines = solution.scene.mechanism, list[str]()
     rows: list[Row] = [
         [name, '∞' if np.isinf(gain[0]) else _number(gain[0]), unit]
-        for (name, unit), gain in advantages(solution).items()
+        for (name, unit), gain in _solution.advantages(solution).items()
     ]
     if rows:
         lines += ['', *table_lines(['at', f'advantage over {mechanism.drivers[0].name}', ''], rows)]
@@ -141,7 +136,9 @@ def range_lines(solution: SolvedScene) -> list[str]:
     name = scene.mechanism.drivers[0].name
     low, high = solution.inputs[0, [0, -1]]
     ends = [
-        driver_text(scene, 0, end) if limit is None else f'{driver_text(scene, 0, limit)} (limit)'
+        _solution.driver_text(scene, 0, end)
+        if limit is None
+        else f'{_solution.driver_text(scene, 0, limit)} (limit)'
         for end, limit in zip((low, high), solution.limits, strict=True)
     ]
     lines = [f'{name} from {ends[0]} to {ends[1]}']
@@ -149,9 +146,9 @@ def range_lines(solution: SolvedScene) -> list[str]:
         for dead in scene.mechanism.path(float(low), float(high)).dead_points:
             kind = 'limit: it turns back' if dead.turns_back else 'change point: two branches'
             moving, loop = ', '.join(dead.moving), ', '.join(dead.loop)
+            at = _solution.driver_text(scene, 0, dead.at, 12)
             lines.append(
-                f'dead point at {name} = {driver_text(scene, 0, dead.at, 12)} ({kind}; {moving} '
-                f'can move, in the loop {loop})'
+                f'dead point at {name} = {at} ({kind}; {moving} can move, in the loop {loop})'
             )
     return [*lines, *_motion_table(solution)]
 
@@ -170,12 +167,12 @@ def _motion_table(solution: SolvedScene) -> list[str]:
     if solution.times is not None:
         columns['t (s)'] = solution.times
     for d, driver in enumerate(drivers):
-        unit, size = driver_unit(scene, d)
+        unit, size = _solution.driver_unit(scene, d)
         columns[f'{driver.name} ({unit})'] = solution.inputs[d] / size
     for b, body in enumerate(scene.mechanism.bodies):
         columns[f'{body} deg'] = np.rad2deg(motion.angle[0, b])
         columns[f'{body} rad/s'] = motion.angle[1, b]
-    for name, n in variable_lengths(scene).items():
+    for name, n in _solution.variable_lengths(scene).items():
         if name not in {driver.name for driver in drivers}:
             columns[f'{name} m'], columns[f'{name} m/s'] = motion.values[0, n], motion.values[1, n]
     positions = np.linspace(0, solution.inputs.shape[1] - 1, _ROWS).astype(int)
@@ -185,7 +182,7 @@ def _motion_table(solution: SolvedScene) -> list[str]:
 
 def center_lines(solution: SolvedScene) -> list[str]:
     """Return the instant centers at the first position, and how they are deduced."""
-    centers = centers_of(solution)
+    centers = _solution.centers_of(solution)
     rows: list[Row] = []
     for (i, j), point, direction in zip(
         centers.pairs, centers.points[:, 0], centers.directions[:, 0], strict=True

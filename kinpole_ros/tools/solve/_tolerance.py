@@ -1,6 +1,7 @@
 """`kinpole tolerance`: how errors of a scene's dimensions spread over its motion."""
 
 import re
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -15,13 +16,8 @@ from kinpole_ros.mechanism._dimension_errors import (
     propagate_tolerances,
     tolerances_of,
 )
-from kinpole_ros.tools.solve._solution import (
-    SolvedScene,
-    driver_text,
-    driver_unit,
-    open_output,
-    over_full_motion,
-)
+from kinpole_ros.tools.solve import _solution
+from kinpole_ros.tools.solve._solution import SolvedScene
 from kinpole_ros.tools.solve._spreadsheet import write_columns
 from kinpole_ros.tools.solve._text import Row, head_lines, table_lines
 
@@ -38,48 +34,39 @@ _CONTRIBUTIONS = 3
 _CONSTANT = 1e-9
 
 
-def tolerances(
-    scene: str,
-    texts: Sequence[str] = (),
-    samples: int = 1000,
-    table: str | None = None,
-    picture: str | None = None,
-    page: str | None = None,
-) -> list[str]:
+def tolerances(options: Namespace) -> list[str]:
     """
     Return the errors of a scene's points, angles and centers as lines to print.
 
-    `texts` are NAME=DEVIATION, DEVIATION of all lengths or angles, play:PIN=RADIUS, and files with
-    the output of `kinpole fit`; `samples` is the number of linkages with random errors, 0 for the
-    first order alone. Writes the CSV `table`, the `picture` and the HTML `page`. Raises SceneError,
+    `options` are those of `kinpole tolerance`, which name the files to write. Raises SceneError,
     LinkageError, and BagError for a picture that cannot be written.
     """
-    if picture:
+    if options.plot:
         from kinpole_ros.tools.plot._style import picture_format, saved_figure  # which needs mcap
 
-        picture_format(picture)
-    loaded = load_scene(scene)
-    errors, notes = _errors(loaded, texts)
+        picture_format(options.plot)
+    loaded = load_scene(options.scene)
+    errors, notes = _errors(loaded, options.tolerances)
     if not errors:
         raise SceneError('no dimension has an error: give --tolerances 0.1mm')
-    solution = over_full_motion(loaded, _POSITIONS)
-    spread = propagate_tolerances(loaded, errors, solution.values, solution.rates, samples)
+    solution = _solution.over_full_motion(loaded, _POSITIONS)
+    spread = propagate_tolerances(loaded, errors, solution.values, solution.rates, options.samples)
     lines = [*head_lines(loaded), *notes, '', *_error_lines(errors)]
     lines += ['', *_spread_lines(solution, spread, errors)]
-    if table:
-        with open_output(table) as part:
+    if options.csv:
+        with _solution.open_output(options.csv) as part:
             _write_table(part, solution, spread)
-        lines.append(f'written to {table}')
-    if picture:
-        with saved_figure(picture, (13, 8), 150) as figure:
+        lines.append(f'written to {options.csv}')
+    if options.plot:
+        with saved_figure(options.plot, (13, 8), 150) as figure:
             _draw(figure, solution, spread)
-        lines.append(f'written to {picture}')
-    if page:
+        lines.append(f'written to {options.plot}')
+    if options.html:
         from kinpole_ros.tools.solve._scene_page import write_page
 
-        with open_output(page) as part:
+        with _solution.open_output(options.html) as part:
             write_page(part, solution, solution.at(0), _record_columns(spread))
-        lines.append(f'written to {page}')
+        lines.append(f'written to {options.html}')
     return lines
 
 
@@ -165,7 +152,7 @@ def _spread_lines(
         shares /= shares.sum()
         main = ', '.join(f'{errors[k].name} {shares[k]:.0%}' for k in order if shares[k] > 0.005)
         time = float(solution.times[worst]) if solution.times is not None else 0.0
-        at = driver_text(solution.scene, 0, solution.inputs[0, worst], 4)
+        at = _solution.driver_text(solution.scene, 0, solution.inputs[0, worst], 4)
         row: Row = [f'{name} {kind}', unit, float(np.nanmedian(deviation))]
         row += [float(deviation[worst]), f'{time:.4g} s' if time else at]
         if sampled is not None:
@@ -208,7 +195,7 @@ def _draw(figure: Any, solution: SolvedScene, spread: ToleranceSpread) -> None:
     _draw_paths(figure.add_subplot(grid[:, 0]), spread)
     at, label = solution.times, 'time (s)'
     if at is None:
-        unit, size = driver_unit(solution.scene, 0)
+        unit, size = _solution.driver_unit(solution.scene, 0)
         at, label = (
             solution.inputs[0] / size,
             f'{solution.scene.mechanism.drivers[0].name} ({unit})',
