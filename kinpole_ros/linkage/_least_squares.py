@@ -93,7 +93,7 @@ class Normal(NamedTuple):
         return self.chi_square + float(change @ (product + 2 * self.gradient[rows]))
 
 
-class Solution(NamedTuple):
+class Adjustment(NamedTuple):
     """
     Fitted dimensions `values` and `ground` pose (3,), with their residuals.
 
@@ -242,7 +242,9 @@ def always_free(equations: Equations) -> list[int]:
     return [count, count + 1, count + 2, *starts]
 
 
-def solve(problem: Problem, ground: Real, free: Sequence[int], steps: int = _MAX_STEPS) -> Solution:
+def solve(
+    problem: Problem, ground: Real, free: Sequence[int], steps: int = _MAX_STEPS
+) -> Adjustment:
     """Fit the dimensions `free`, the ground and what no scene states, by least squares."""
     unknowns = np.concatenate((problem.values, ground))
     requested = [*always_free(problem.equations), *free]
@@ -275,7 +277,7 @@ def solve(problem: Problem, ground: Real, free: Sequence[int], steps: int = _MAX
             break
     values, ground = np.split(unknowns, [-3])
     excess = variance_excess(adjusted.value)
-    return Solution(
+    return Adjustment(
         values, ground, adjusted, normal_of(adjusted), tuple(used), inverse * excess, excess
     )
 

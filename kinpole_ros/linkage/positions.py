@@ -11,11 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._faults import Fault, find_faults
 from kinpole_ros.linkage._least_squares import (
+    Adjustment,
     Normal,
     Problem,
-    Solution,
     adjust,
     always_free,
     find_ground,
@@ -25,6 +24,7 @@ from kinpole_ros.linkage._least_squares import (
     variance_excess,
 )
 from kinpole_ros.linkage._matches import BodyMatch
+from kinpole_ros.linkage._scene_faults import Fault, find_faults
 from kinpole_ros.linkage._scene_poses import Anchors, ScenePoses, concatenated, scene_poses
 from kinpole_ros.mechanism import LinkageError, Scene
 from kinpole_ros.planar._plane import Complex, Real
@@ -102,7 +102,7 @@ class Positions:
         poses = poses.at_instants(poses.seen.all(axis=1))
         return poses if poses.instants >= 2 and len(often) else None
 
-    def solve(self, free: tuple[int, ...] = ()) -> tuple[Solution, ScenePoses] | None:
+    def solve(self, free: tuple[int, ...] = ()) -> tuple[Adjustment, ScenePoses] | None:
         """Fit the dimensions `free` by least squares; None where nothing can be compared."""
         poses = self.poses()
         if poses is None:
