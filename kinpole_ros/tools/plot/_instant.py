@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.tools.plot import _style
-from kinpole_ros.tools.record.record import Pin, Record, ellipse, pairs_of
+from kinpole_ros.tools.record.record import Pin, Record, pairs_of
+from kinpole_ros.tracking.values import ellipse_axes
 
 # An ICR with a standard deviation above this fraction of the view is left out of the centrodes.
 _BLURRED = 0.05
@@ -230,7 +231,7 @@ def _draw_pole(axis: Any, scope: Scope, pole: str, k: int) -> None:
     axis.plot(x, y, marker, color=_style.BLACK, markerfacecolor=fill, markersize=size)
     covariance = scope.record.columns[scope.body, f'{pole}_covariance'][k]
     if np.isfinite(covariance).all():
-        major, minor, direction = ellipse(covariance)
+        major, minor, direction = ellipse_axes(covariance)
         style = {'facecolor': (0, 0, 0, 0.12), 'edgecolor': _style.BLACK, 'linewidth': 0.7}
         tilt = float(np.degrees(direction))
         axis.add_patch(Ellipse((x, y), 4 * major, 4 * minor, angle=tilt, **style))

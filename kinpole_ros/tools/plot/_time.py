@@ -12,8 +12,8 @@ import numpy as np
 
 from kinpole_ros.tools.plot import _style
 from kinpole_ros.tools.record.lost import breaks_of, broken, lost_spans
-from kinpole_ros.tools.record.record import Record, Series, sigma_along
-from kinpole_ros.tracking.values import RATE_NAMES
+from kinpole_ros.tools.record.record import Record, Series
+from kinpole_ros.tracking.values import RATE_NAMES, sigma_along
 
 # Positive values that spread over more than this factor have a logarithmic axis.
 _LOG_FACTOR = 30

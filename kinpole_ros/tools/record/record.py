@@ -111,25 +111,6 @@ def pairs_of(record: Record) -> list[tuple[str, str]]:
     return list(dict.fromkeys(s for s, _ in record.columns if isinstance(s, tuple)))
 
 
-def ellipse(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """
-    Return half axes and direction (...) of the ellipse of one standard deviation.
-
-    `covariance` (..., 2, 2); the major half axis comes first, and the direction, rad, is its own.
-    """
-    xx, yy, xy = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
-    mean, radius = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
-    major, minor = (np.sqrt(np.maximum(part, 0)) for part in (mean + radius, mean - radius))
-    return major, minor, np.arctan2(2 * xy, xx - yy) / 2
-
-
-def sigma_along(vectors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return the standard deviations (T,) of the lengths of complex vectors (T,)."""
-    with np.errstate(invalid='ignore', divide='ignore'):
-        unit = np.stack((vectors.real, vectors.imag), axis=-1) / np.abs(vectors)[:, None]
-    return np.sqrt(np.maximum(np.einsum('ti,tij,tj->t', unit, covariance, unit), 0))
-
-
 def with_lost_frames(record: Record) -> tuple[Record, np.ndarray]:
     """
     Return a record with rows of NaN where frames are lost, and which rows these are.

@@ -20,12 +20,10 @@ from kinpole_ros.tools.record.record import (
     Columns,
     Record,
     Subject,
-    ellipse,
     joints_of,
     pairs_of,
-    sigma_along,
 )
-from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, ellipse_axes, sigma_along
 
 Json: TypeAlias = dict[str, Any]
 # Values are rounded to these fractions of their standard deviation or, without one, of the 90th
@@ -151,7 +149,7 @@ def _body(record: Record, body: str) -> Json:
 def _point(columns: Columns, subject: Subject, name: str) -> Json:
     """Return coordinates, and half axes and direction of the ellipse of one sigma."""
     value, covariance = columns[subject, name], columns[subject, f'{name}_covariance']
-    major, minor, direction = ellipse(covariance)
+    major, minor, direction = ellipse_axes(covariance)
     return {
         'x': rounded(value.real, np.sqrt(covariance[:, 0, 0])),
         'y': rounded(value.imag, np.sqrt(covariance[:, 1, 1])),
