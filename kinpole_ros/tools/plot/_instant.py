@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.tools.plot import _style
-from kinpole_ros.tools.record.record import Pin, Record, pairs_of
+from kinpole_ros.tools.record.record import MotionRecord, Pin, pairs_of
 from kinpole_ros.tracking.values import ellipse_axes
 
 # An ICR with a standard deviation above this fraction of the view is left out of the centrodes.
@@ -49,7 +49,7 @@ class Scope(NamedTuple):
     instants at which noise would draw a star over the picture.
     """
 
-    record: Record
+    record: MotionRecord
     body: str
     fixed: np.ndarray
     moving: np.ndarray
@@ -60,7 +60,7 @@ class Scope(NamedTuple):
         return self.record.columns.get((self.body, name))
 
 
-def scope_of(record: Record, body: str) -> Scope:
+def scope_of(record: MotionRecord, body: str) -> Scope:
     """Return what is to be drawn of a body."""
     fixed, moving = centrodes(record, body)
     radius = view_radius(record, body, moving)
@@ -72,18 +72,18 @@ def scope_of(record: Record, body: str) -> Scope:
     return Scope(record, body, fixed, moving, view_of(record, body, (fixed, moving), radius))
 
 
-def centrodes(record: Record, body: str) -> tuple[np.ndarray, np.ndarray]:
+def centrodes(record: MotionRecord, body: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the ICR (T,), complex, m, in the plane and in the frame of a body."""
     position, angle = (record.columns[body, name] for name in ('position', 'angle'))
     fixed = record.columns.get((body, 'icr'), np.full(len(position), complex(np.nan, np.nan)))
     return fixed, (fixed - position) * np.exp(-1j * angle)
 
 
-def _size(record: Record, body: str) -> float:
+def _size(record: MotionRecord, body: str) -> float:
     return record.sizes[body] if np.isfinite(record.sizes[body]) else 0.0
 
 
-def view_radius(record: Record, body: str, moving: np.ndarray) -> float:
+def view_radius(record: MotionRecord, body: str, moving: np.ndarray) -> float:
     """Return how far from the body's origin poles are shown, m; many go to infinity."""
     position, size = record.columns[body, 'position'], _size(record, body)
     position, moving = position[np.isfinite(position)], moving[np.isfinite(moving)]
@@ -94,7 +94,7 @@ def view_radius(record: Record, body: str, moving: np.ndarray) -> float:
 
 
 def view_of(
-    record: Record, body: str, curves: tuple[np.ndarray, np.ndarray], radius: float
+    record: MotionRecord, body: str, curves: tuple[np.ndarray, np.ndarray], radius: float
 ) -> View:
     """Return the view of the path of a body and of the ICRs within a radius of it."""
     position, (fixed, moving) = record.columns[body, 'position'], curves
@@ -197,7 +197,7 @@ def _draw_linkage(axis: Any, scope: Scope, joints: Sequence[Pin], k: int) -> Vie
 
 
 def _draw_relative_center(
-    axis: Any, record: Record, pair: tuple[str, str], radius: float, k: int
+    axis: Any, record: MotionRecord, pair: tuple[str, str], radius: float, k: int
 ) -> None:
     centers = record.columns[pair, 'icr']
     is_blurred = _is_blurred(record.columns[pair, 'icr_covariance'], radius)

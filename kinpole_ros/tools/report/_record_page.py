@@ -18,7 +18,7 @@ import numpy as np
 from kinpole_ros.files import printable
 from kinpole_ros.tools.record.record import (
     Columns,
-    Record,
+    MotionRecord,
     Subject,
     joints_of,
     pairs_of,
@@ -81,7 +81,7 @@ def _embedded(data: Json) -> str:
     return base64.b64encode(zlib.compress(text.encode())).decode()
 
 
-def pack(record: Record) -> Json:
+def pack(record: MotionRecord) -> Json:
     """Return a record as JSON: columns have T values, null where undetermined."""
     first = int(record.stamp[0])
     seconds = (record.stamp - first) * 1e-9
@@ -102,7 +102,7 @@ def pack(record: Record) -> Json:
     }
 
 
-def _body(record: Record, body: str) -> Json:
+def _body(record: MotionRecord, body: str) -> Json:
     columns = record.columns
     size = record.sizes[body]
     position, sigma = columns[body, 'position'], columns[body, 'position_sigma']
