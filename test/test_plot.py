@@ -460,7 +460,7 @@ def test_the_legend_tells_of_what_is_drawn(bags, tmp_path, monkeypatch, scene, r
 
 
 def test_what_is_in_view_and_known_well_enough_is_kept() -> None:
-    box = _instant.View(-1 - 1j, 1 + 1j, 1.0)
+    box = _style.Box(-1 - 1j, 1 + 1j)
     points = np.array([0.5 - 0.5j, 2, -2, 2j, -2j])
     assert box.contains(points).tolist() == [True, False, False, False, False]
     covariance = np.array([0.04, 0.06, np.nan])[:, None, None] ** 2 * np.diag([1.0, 0.0])
