@@ -29,7 +29,7 @@ from kinpole_ros.messages import stamp_to_ns
 from kinpole_ros.settings import Settings
 from kinpole_ros.tools.plot import _instant, _result_picture, _style, plot
 from kinpole_ros.tools.record import lost
-from kinpole_ros.tools.record.record import Record, pairs_of
+from kinpole_ros.tools.record.record import MotionRecord, pairs_of
 from kinpole_ros.tools.record.result_bag import plane_of_motion, read_record
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
 
@@ -51,7 +51,7 @@ def bags(tmp_path_factory) -> dict[str, Path]:
     return {**found, 'markers': markers, 'cardan_markers': markers, 'four_bar_markers': four_bar}
 
 
-def known(record: Record, body: str) -> tuple[np.ndarray, np.ndarray]:
+def known(record: MotionRecord, body: str) -> tuple[np.ndarray, np.ndarray]:
     """Where a body has a pose, and the stamps there."""
     is_known = np.isfinite(record.columns[body, 'position'])
     return is_known, record.stamp[is_known]
@@ -460,7 +460,7 @@ def test_the_legend_tells_of_what_is_drawn(bags, tmp_path, monkeypatch, scene, r
 
 
 def test_what_is_in_view_and_known_well_enough_is_kept() -> None:
-    box = _instant.View(-1 - 1j, 1 + 1j, 1.0)
+    box = _style.Box(-1 - 1j, 1 + 1j)
     points = np.array([0.5 - 0.5j, 2, -2, 2j, -2j])
     assert box.contains(points).tolist() == [True, False, False, False, False]
     covariance = np.array([0.04, 0.06, np.nan])[:, None, None] ** 2 * np.diag([1.0, 0.0])

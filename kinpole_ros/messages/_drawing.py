@@ -8,7 +8,7 @@ markers are the same in every message, and one that is not drawn is deleted by n
 import math
 import struct
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from kinpole_ros.messages._rows import Build, Built
 from kinpole_ros.messages._types import Marker
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
-from kinpole_ros.tracking.values import POLE_NAMES, Vectors, measured_pairs
+from kinpole_ros.tracking.values import POLE_NAMES, Vectors, ellipse_axes, measured_pairs
 
 COLORS = ((0.12, 0.47, 0.71), (1.0, 0.5, 0.05), (0.17, 0.63, 0.17), (0.84, 0.15, 0.16))
 _GRAY = (0.4, 0.4, 0.4)
@@ -337,21 +337,13 @@ def _ellipse(
     color: _Color,
 ) -> _Drawn:
     """Draw the ellipse of two standard deviations about a pole in a plane, as a flat sphere."""
-    major, minor, direction = ellipse_axes(covariance.tolist())
+    major, minor, direction = (float(part) for part in ellipse_axes(covariance))
     # The plane turned about its normal, by a product of quaternions.
     (x, y, z, w), s, c = turn, math.sin(direction / 2), math.cos(direction / 2)
     quaternion = (x * c + y * s, y * c - x * s, z * c + w * s, w * c - z * s)
     first, second = (2 * _ELLIPSE_SIGMAS * sigma + 1e-12 for sigma in (major, minor))
     tint = (*color[:3], color[3] / 3)
     return _Drawn(Marker.SPHERE, point, (first, second, thickness), tint, quaternion)
-
-
-def ellipse_axes(covariance: Any) -> tuple[float, float, float]:
-    """Semi-axes of the ellipse of one standard deviation, and the direction of the major, rad."""
-    (xx, xy), (_, yy) = covariance
-    mean, radius = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
-    major, minor = (math.sqrt(max(variance, 0.0)) for variance in (mean + radius, mean - radius))
-    return major, minor, math.atan2(2 * xy, xx - yy) / 2
 
 
 def _quaternion(plane: Plane) -> tuple[float, ...]:

@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.messages._cdr import serialize_message
-from kinpole_ros.messages._drawing import ellipse_axes
 from kinpole_ros.messages._rows import Build, Built
 from kinpole_ros.messages._state import STATE, quantities_of
 from kinpole_ros.messages._types import PointCloud2, String, type_name
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane, as_parameter
-from kinpole_ros.tracking.values import POLE_NAMES, Numbers, Vectors
+from kinpole_ros.tracking.values import POLE_NAMES, Numbers, Vectors, ellipse_axes, sigma_along
 
 VIEW = 'view'
 """The topic."""
@@ -149,33 +148,24 @@ def _numbers(numbers: Numbers) -> list[list[float] | None]:
 
 
 def _vectors(vectors: Vectors) -> list[list[float] | None]:
-    rows = []
-    for value, covariance in _python_numbers(vectors):
-        if value:
-            unit, ((xx, xy), (_, yy)) = value / abs(value), covariance
-            variance = unit.real**2 * xx + 2 * unit.real * unit.imag * xy + unit.imag**2 * yy
-            sigma = math.sqrt(max(variance, 0.0))
-        else:
-            sigma, _, _ = ellipse_axes(covariance)  # of no direction: the largest of all directions
-        rows.append((value.real, value.imag, sigma))
-    return _none_if_undetermined(vectors, rows)
+    # Of a vector without a direction, the largest of all directions.
+    largest, _, _ = ellipse_axes(vectors.covariance)
+    sigma = np.where(vectors.value, sigma_along(vectors.value, vectors.covariance), largest)
+    return _with_columns(vectors, sigma)
 
 
 def _points(points: Vectors) -> list[list[float] | None]:
-    rows = [
-        (value.real, value.imag, *ellipse_axes(covariance))
-        for value, covariance in _python_numbers(points)
-    ]
-    return _none_if_undetermined(points, rows)
+    return _with_columns(points, *ellipse_axes(points.covariance))
 
 
-def _python_numbers(vectors: Vectors) -> Iterable[tuple[complex, Any]]:
-    """Values and covariances as Python numbers, which are faster than those of numpy one by one."""
-    return zip(vectors.value.tolist(), vectors.covariance.tolist(), strict=True)
+def _with_columns(vectors: Vectors, *columns: np.ndarray) -> list[list[float] | None]:
+    """Coordinates, followed by other columns (B,)."""
+    rows = np.stack((vectors.value.real, vectors.value.imag, *columns), axis=-1)
+    return _none_if_undetermined(vectors, rows.tolist())
 
 
 def _none_if_undetermined(
-    quantity: Numbers | Vectors, rows: Sequence[tuple[float, ...]]
+    quantity: Numbers | Vectors, rows: Iterable[Sequence[float]]
 ) -> list[list[float] | None]:
     return [
         _rounded(*row) if determined and math.isfinite(sum(row)) else None

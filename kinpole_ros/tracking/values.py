@@ -31,6 +31,25 @@ class Numbers(NamedTuple):
     determined: np.ndarray
 
 
+def ellipse_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Return half axes and direction (...) of the ellipse of one standard deviation.
+
+    `covariance` (..., 2, 2); the major half axis comes first, and the direction, rad, is its own.
+    """
+    xx, yy, xy = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
+    mean, radius = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    major, minor = (np.sqrt(np.maximum(part, 0)) for part in (mean + radius, mean - radius))
+    return major, minor, np.arctan2(2 * xy, xx - yy) / 2
+
+
+def sigma_along(vectors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the standard deviations (T,) of the lengths of complex vectors (T,)."""
+    with np.errstate(invalid='ignore', divide='ignore'):
+        unit = np.stack((vectors.real, vectors.imag), axis=-1) / np.abs(vectors)[:, None]
+    return np.sqrt(np.maximum(np.einsum('ti,tij,tj->t', unit, covariance, unit), 0))
+
+
 class RegisteredQuantity(NamedTuple):
     """
     A quantity that another package computes from estimates, for the table of topics.

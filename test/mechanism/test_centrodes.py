@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from test_centers import FOUR_BAR, four_bar, linkage, pin
 
+from kinpole_ros.mechanism import SceneError
 from kinpole_ros.mechanism._centers import instant_centers
 from kinpole_ros.mechanism._centrodes import centrodes
 from kinpole_ros.mechanism._joint_kinds import Rolling, Slot
@@ -342,6 +343,6 @@ def test_files_that_cannot_be_written_are_named_in_one_line(tmp_path: Path) -> N
         write_pitch_curves(tmp_path / 'curves.dwg', curves)
     (tmp_path / 'taken').write_text('')
     for suffix in ('csv', 'dxf', 'svg'):
-        with pytest.raises(LinkageError, match='cannot be written') as caught:
+        with pytest.raises(SceneError, match='cannot be written') as caught:
             write_pitch_curves(tmp_path / 'taken' / f'curves.{suffix}', curves)
         assert '\n' not in str(caught.value)

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.tools.plot import _style
-from kinpole_ros.tools.record.record import Pin, Record, ellipse, pairs_of
+from kinpole_ros.tools.record.record import MotionRecord, Pin, pairs_of
+from kinpole_ros.tracking.values import ellipse_axes
 
 # An ICR with a standard deviation above this fraction of the view is left out of the centrodes.
 _BLURRED = 0.05
@@ -16,50 +17,28 @@ _ASPECT = 1.12
 _LINKAGE = 'linkage'
 
 
-class View(NamedTuple):
-    """A box of the plane; poles farther than `radius` (m) from their body do not enlarge it."""
-
-    low: complex
-    high: complex
-    radius: float
-
-    def contains(self, points: np.ndarray) -> np.ndarray:
-        """Return which complex points are in the box."""
-        in_x = (points.real >= self.low.real) & (points.real <= self.high.real)
-        return in_x & (points.imag >= self.low.imag) & (points.imag <= self.high.imag)
-
-    def with_points(self, points: np.ndarray) -> 'View':
-        """Return the view with a box that contains the finite points too."""
-        points = np.append(points[np.isfinite(points)], [self.low, self.high])
-        low, high = (complex(f(points.real), f(points.imag)) for f in (np.min, np.max))
-        return View(low, high, self.radius)
-
-    @property
-    def size(self) -> float:
-        """The longer side of the box."""
-        return max((self.high - self.low).real, (self.high - self.low).imag)
-
-
 class Scope(NamedTuple):
     """
     A body of a record to draw, and the view of it.
 
     `fixed` and `moving` (T,) are its centrodes in the plane and in its frame, complex, m, without
-    instants at which noise would draw a star over the picture.
+    instants at which noise would draw a star over the picture. Poles farther than `radius` (m) from
+    the body do not enlarge the view.
     """
 
-    record: Record
+    record: MotionRecord
     body: str
     fixed: np.ndarray
     moving: np.ndarray
-    view: View
+    view: _style.Box
+    radius: float
 
     def column(self, name: str) -> np.ndarray | None:
         """Return a quantity (T,) of the body; None if there is none."""
         return self.record.columns.get((self.body, name))
 
 
-def scope_of(record: Record, body: str) -> Scope:
+def scope_of(record: MotionRecord, body: str) -> Scope:
     """Return what is to be drawn of a body."""
     fixed, moving = centrodes(record, body)
     radius = view_radius(record, body, moving)
@@ -68,21 +47,25 @@ def scope_of(record: Record, body: str) -> Scope:
         fixed, moving = (
             np.where(is_blurred, complex(np.nan, np.nan), curve) for curve in (fixed, moving)
         )
-    return Scope(record, body, fixed, moving, view_of(record, body, (fixed, moving), radius))
+    points = [*record.columns[body, 'position'], *fixed[np.abs(moving) <= radius]]
+    view = _style.box_of(points)
+    margin = 0.6 * max(_size(record, body), 1e-6) * (1 + 1j)
+    view = view.with_points([view.middle - margin, view.middle + margin])
+    return Scope(record, body, fixed, moving, view, radius)
 
 
-def centrodes(record: Record, body: str) -> tuple[np.ndarray, np.ndarray]:
+def centrodes(record: MotionRecord, body: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the ICR (T,), complex, m, in the plane and in the frame of a body."""
     position, angle = (record.columns[body, name] for name in ('position', 'angle'))
     fixed = record.columns.get((body, 'icr'), np.full(len(position), complex(np.nan, np.nan)))
     return fixed, (fixed - position) * np.exp(-1j * angle)
 
 
-def _size(record: Record, body: str) -> float:
+def _size(record: MotionRecord, body: str) -> float:
     return record.sizes[body] if np.isfinite(record.sizes[body]) else 0.0
 
 
-def view_radius(record: Record, body: str, moving: np.ndarray) -> float:
+def view_radius(record: MotionRecord, body: str, moving: np.ndarray) -> float:
     """Return how far from the body's origin poles are shown, m; many go to infinity."""
     position, size = record.columns[body, 'position'], _size(record, body)
     position, moving = position[np.isfinite(position)], moving[np.isfinite(moving)]
@@ -90,19 +73,6 @@ def view_radius(record: Record, body: str, moving: np.ndarray) -> float:
     usual = float(np.median(np.abs(moving))) if len(moving) else 0.0
     farthest = max(8 * size, 2 * extent) or np.inf
     return min(max(1.5 * usual, size), farthest)
-
-
-def view_of(
-    record: Record, body: str, curves: tuple[np.ndarray, np.ndarray], radius: float
-) -> View:
-    """Return the view of the path of a body and of the ICRs within a radius of it."""
-    position, (fixed, moving) = record.columns[body, 'position'], curves
-    start = complex(position[np.isfinite(position)][0])
-    view = View(start, start, radius).with_points(position)
-    view = view.with_points(fixed[np.abs(moving) <= radius])
-    middle = (view.low + view.high) / 2
-    margin = 0.6 * max(_size(record, body), 1e-6) * (1 + 1j)
-    return view.with_points(np.array([middle - margin, middle + margin]))
 
 
 def instant_of(scopes: Sequence[Scope], middle: int) -> int:
@@ -113,7 +83,7 @@ def instant_of(scopes: Sequence[Scope], middle: int) -> int:
         for pole in _style.POLES:
             if (points := scope.column(pole)) is not None:
                 covariance = record.columns[scope.body, f'{pole}_covariance']
-                is_blurred = _is_blurred(covariance, scope.view.radius)
+                is_blurred = _is_blurred(covariance, scope.radius)
                 counts += scope.view.contains(points) & ~is_blurred
     if not counts.any():
         counts = sum(np.isfinite(record.columns[scope.body, 'position']) + 0 for scope in scopes)
@@ -138,18 +108,18 @@ def draw_plane(axis: Any, scope: Scope, joints: Sequence[Pin], k: int) -> None:
         here = position[k]
         moving = here + scope.moving * np.exp(1j * record.columns[body, 'angle'][k])
         _style.line(axis, record.stamp, moving, _style.MOVING, rate)
-        view = view.with_points(moving[np.abs(scope.moving) <= view.radius])
+        view = view.with_points(moving[np.abs(scope.moving) <= scope.radius])
         axis.plot(here.real, here.imag, '+', color=_style.BLACK, markersize=9)
         for pair in pairs_of(record):
             if pair[0] == body:
                 center = record.columns[pair, 'icr'][k]
-                if np.abs(center - here) <= view.radius:
-                    view = view.with_points(np.array([center]))
-                _draw_relative_center(axis, record, pair, view.radius, k)
+                if np.abs(center - here) <= scope.radius:
+                    view = view.with_points([center])
+                _draw_relative_center(axis, record, pair, scope.radius, k)
     for pole in reversed(_style.POLES):
         _draw_pole(axis, scope, pole, k)
     _draw_icr_velocity(axis, scope, view, k)
-    middle, half = (view.low + view.high) / 2, 0.55 * view.size
+    middle, half = view.middle, 0.55 * view.size
     axis.set_xlim(middle.real - _ASPECT * half, middle.real + _ASPECT * half)
     axis.set_ylim(middle.imag - half, middle.imag + half)
     axis.set_aspect('equal')
@@ -159,7 +129,7 @@ def draw_plane(axis: Any, scope: Scope, joints: Sequence[Pin], k: int) -> None:
     axis.set_title(body, fontweight='bold', parse_math=False)
 
 
-def _draw_linkage(axis: Any, scope: Scope, joints: Sequence[Pin], k: int) -> View:
+def _draw_linkage(axis: Any, scope: Scope, joints: Sequence[Pin], k: int) -> _style.Box:
     """Draw outlines of all bodies through their markers and pins; return the view of them."""
     record, view = scope.record, scope.view
     columns = record.columns
@@ -196,7 +166,7 @@ def _draw_linkage(axis: Any, scope: Scope, joints: Sequence[Pin], k: int) -> Vie
 
 
 def _draw_relative_center(
-    axis: Any, record: Record, pair: tuple[str, str], radius: float, k: int
+    axis: Any, record: MotionRecord, pair: tuple[str, str], radius: float, k: int
 ) -> None:
     centers = record.columns[pair, 'icr']
     is_blurred = _is_blurred(record.columns[pair, 'icr_covariance'], radius)
@@ -230,13 +200,13 @@ def _draw_pole(axis: Any, scope: Scope, pole: str, k: int) -> None:
     axis.plot(x, y, marker, color=_style.BLACK, markerfacecolor=fill, markersize=size)
     covariance = scope.record.columns[scope.body, f'{pole}_covariance'][k]
     if np.isfinite(covariance).all():
-        major, minor, direction = ellipse(covariance)
+        major, minor, direction = ellipse_axes(covariance)
         style = {'facecolor': (0, 0, 0, 0.12), 'edgecolor': _style.BLACK, 'linewidth': 0.7}
         tilt = float(np.degrees(direction))
         axis.add_patch(Ellipse((x, y), 4 * major, 4 * minor, angle=tilt, **style))
 
 
-def _draw_icr_velocity(axis: Any, scope: Scope, view: View, k: int) -> None:
+def _draw_icr_velocity(axis: Any, scope: Scope, view: _style.Box, k: int) -> None:
     """Draw an arrow of constant length along the ICR velocity, with the speed as text."""
     icr, velocities = scope.column('icr'), scope.column('icr_velocity')
     if icr is None or velocities is None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.tools.plot import _instant, _style, _time
-from kinpole_ros.tools.record.record import Record, Series, joints_of, pairs_of
+from kinpole_ros.tools.record.record import MotionRecord, Series, joints_of, pairs_of
 from kinpole_ros.tools.record.result_bag import read_record, read_truth
 
 _MOST_BODIES = 4
@@ -51,7 +51,7 @@ def plot(
     return record.cut
 
 
-def _draw(figure: Any, bag: str, record: Record, exact: dict[str, dict[str, Series]]) -> None:
+def _draw(figure: Any, bag: str, record: MotionRecord, exact: dict[str, dict[str, Series]]) -> None:
     bodies, joints = record.bodies[:_MOST_BODIES], joints_of(record)
     figure.set_size_inches(_WIDTH, 1.5 + _ROW_HEIGHT * len(bodies))
     known = [np.isfinite(record.columns[body, 'position']) for body in bodies]

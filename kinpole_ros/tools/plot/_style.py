@@ -1,9 +1,9 @@
 """Colors, line styles and shapes that the pictures share."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,40 @@ ESTIMATE: dict[str, Any] = {'color': '#4c9be0', 'linewidth': 2.6}
 LINK: dict[str, Any] = {'facecolor': '#f2d9a0', 'edgecolor': '#8a6d00', 'linewidth': 1.2}
 OTHER_LINK: dict[str, Any] = {'facecolor': '#eeeeee', 'edgecolor': '#b0b0b0', 'linewidth': 0.8}
 LABEL_BOX: dict[str, Any] = {'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.75, 'pad': 1.0}
+
+
+class Box(NamedTuple):
+    """A rectangle of the plane, from its lower left to its upper right corner."""
+
+    low: complex
+    high: complex
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Return which complex points are in the box."""
+        in_x = (points.real >= self.low.real) & (points.real <= self.high.real)
+        return in_x & (points.imag >= self.low.imag) & (points.imag <= self.high.imag)
+
+    def with_points(self, points: np.ndarray | Sequence[complex]) -> 'Box':
+        """Return the box that contains the finite ones of these points too."""
+        return box_of([*np.ravel(points), self.low, self.high])
+
+    @property
+    def size(self) -> float:
+        """The longer side."""
+        return max((self.high - self.low).real, (self.high - self.low).imag)
+
+    @property
+    def middle(self) -> complex:
+        """The middle."""
+        return (self.low + self.high) / 2
+
+
+def box_of(points: np.ndarray | Sequence[complex]) -> Box:
+    """Return the smallest box around the finite ones of complex points."""
+    known = np.asarray(points, complex)
+    known = known[np.isfinite(known)]
+    low, high = (complex(f(known.real), f(known.imag)) for f in (np.min, np.max))
+    return Box(low, high)
 
 
 def picture_format(output: str | Path) -> str:

@@ -12,8 +12,8 @@ import numpy as np
 
 from kinpole_ros.tools.plot import _style
 from kinpole_ros.tools.record.lost import breaks_of, broken, lost_spans
-from kinpole_ros.tools.record.record import Record, Series, sigma_along
-from kinpole_ros.tracking.values import RATE_NAMES
+from kinpole_ros.tools.record.record import MotionRecord, Series
+from kinpole_ros.tracking.values import RATE_NAMES, sigma_along
 
 # Positive values that spread over more than this factor have a logarithmic axis.
 _LOG_FACTOR = 30
@@ -36,7 +36,7 @@ class TimePanel(NamedTuple):
     truth: Series | None
 
 
-def rate_panels(record: Record, body: str, truth: Mapping[str, Series]) -> list[TimePanel]:
+def rate_panels(record: MotionRecord, body: str, truth: Mapping[str, Series]) -> list[TimePanel]:
     """Return the panels of angular velocity, acceleration and jerk."""
     rate = float(np.nanmedian(np.abs(record.columns[body, 'angular_velocity'])))
     panels = []
@@ -48,7 +48,9 @@ def rate_panels(record: Record, body: str, truth: Mapping[str, Series]) -> list[
     return panels
 
 
-def centrode_panels(record: Record, body: str, truth: Mapping[str, Series]) -> list[TimePanel]:
+def centrode_panels(
+    record: MotionRecord, body: str, truth: Mapping[str, Series]
+) -> list[TimePanel]:
     """Return the panels of the curvature of the fixed centrode and the speed of the ICR."""
     velocity, exact_velocity = record.series(body, 'icr_velocity'), truth.get('icr_velocity')
     speed = exact = None
@@ -69,14 +71,19 @@ def centrode_panels(record: Record, body: str, truth: Mapping[str, Series]) -> l
     ]
 
 
-def _is_pinned(record: Record, body: str) -> bool:
+def _is_pinned(record: MotionRecord, body: str) -> bool:
     """Return whether the ICR is at rest in most instants."""
     velocity = record.series(body, 'icr_velocity')
     return velocity is not None and 2 * np.count_nonzero(velocity.value == 0) > len(velocity.value)
 
 
 def draw_panel(
-    axes: tuple[Any, Any], record: Record, body: str, panel: TimePanel, start: int, instant: int
+    axes: tuple[Any, Any],
+    record: MotionRecord,
+    body: str,
+    panel: TimePanel,
+    start: int,
+    instant: int,
 ) -> None:
     """Draw a panel on the first of two axes, and its band of two standard deviations below."""
     axis, strip = axes

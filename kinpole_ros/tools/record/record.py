@@ -41,7 +41,7 @@ class Series(NamedTuple):
     spread: np.ndarray
 
 
-class Record(NamedTuple):
+class MotionRecord(NamedTuple):
     """
     T instants, `stamp` (T,) ns, of a recording of `total` instants, in which `lost` frames are not.
 
@@ -79,7 +79,7 @@ class Record(NamedTuple):
             spread = self.columns[subject, f'{name}_sigma']
         return Series(self.stamp[known], value[known], spread[known])
 
-    def at_most(self, instants: int) -> 'Record':
+    def at_most(self, instants: int) -> 'MotionRecord':
         """Return every second instant, or fourth, and so on, so that there are no more."""
         step = 1
         while len(self.stamp[::step]) > instants:
@@ -106,31 +106,12 @@ def quantity_columns(
             yield f'{name}_covariance', np.where(is_known[:, None, None], variance[:, k], np.nan)
 
 
-def pairs_of(record: Record) -> list[tuple[str, str]]:
+def pairs_of(record: MotionRecord) -> list[tuple[str, str]]:
     """Return the pairs (j, i) of bodies that have a relative center."""
     return list(dict.fromkeys(s for s, _ in record.columns if isinstance(s, tuple)))
 
 
-def ellipse(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """
-    Return half axes and direction (...) of the ellipse of one standard deviation.
-
-    `covariance` (..., 2, 2); the major half axis comes first, and the direction, rad, is its own.
-    """
-    xx, yy, xy = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
-    mean, radius = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
-    major, minor = (np.sqrt(np.maximum(part, 0)) for part in (mean + radius, mean - radius))
-    return major, minor, np.arctan2(2 * xy, xx - yy) / 2
-
-
-def sigma_along(vectors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return the standard deviations (T,) of the lengths of complex vectors (T,)."""
-    with np.errstate(invalid='ignore', divide='ignore'):
-        unit = np.stack((vectors.real, vectors.imag), axis=-1) / np.abs(vectors)[:, None]
-    return np.sqrt(np.maximum(np.einsum('ti,tij,tj->t', unit, covariance, unit), 0))
-
-
-def with_lost_frames(record: Record) -> tuple[Record, np.ndarray]:
+def with_lost_frames(record: MotionRecord) -> tuple[MotionRecord, np.ndarray]:
     """
     Return a record with rows of NaN where frames are lost, and which rows these are.
 
@@ -157,7 +138,7 @@ def with_lost_frames(record: Record) -> tuple[Record, np.ndarray]:
     return record._replace(stamp=stamp, columns=columns, outlines=outlines), is_lost
 
 
-def joints_of(record: Record) -> list[Pin]:
+def joints_of(record: MotionRecord) -> list[Pin]:
     """Return pins: poles at rest on the ground, and relative centers at rest in both bodies."""
     joints = []
     for body in record.bodies:
@@ -176,7 +157,7 @@ def joints_of(record: Record) -> list[Pin]:
     return joints
 
 
-def _point_at_rest(record: Record, pair: tuple[str, str], body: str) -> complex | None:
+def _point_at_rest(record: MotionRecord, pair: tuple[str, str], body: str) -> complex | None:
     """Return the mean relative center in the frame of a body; None if it moves there."""
     center = record.columns.get((pair, 'icr'))
     covariance = record.columns.get((pair, 'icr_covariance'))

@@ -25,7 +25,7 @@ from kinpole_ros.messages import (
 )
 from kinpole_ros.tools.record.diagnostics_log import DiagnosticsLog
 from kinpole_ros.tools.record.lost import lost_count
-from kinpole_ros.tools.record.record import Columns, Record, Series, quantity_columns
+from kinpole_ros.tools.record.record import Columns, MotionRecord, Series, quantity_columns
 from kinpole_ros.tracking.plane import AXES, Plane, as_parameter, plane_along, plane_of, upward
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors
 
@@ -90,7 +90,7 @@ def bodies_by_node(kinds: Mapping[str, str]) -> dict[str, list[str]]:
     return nodes
 
 
-def read_record(bag: str | Path, progress: Callable[[float], None] | None = None) -> Record:
+def read_record(bag: str | Path, progress: Callable[[float], None] | None = None) -> MotionRecord:
     """
     Read the results of a bag, without the exact motion of `kinpole simulate`.
 
@@ -134,7 +134,7 @@ def read_record(bag: str | Path, progress: Callable[[float], None] | None = None
         body: [(at, int(order)) for at, (order,) in found.rows.get(f'{prefix}/event', {}).items()]
         for body, prefix in bodies.items()
     }
-    record = Record(stamp, len(stamp), tuple(bodies), columns, {}, {}, along, events)
+    record = MotionRecord(stamp, len(stamp), tuple(bodies), columns, {}, {}, along, events)
     return record._replace(
         sizes={body: _size(columns, body) for body in bodies},
         outlines=_outlines(record, bodies, found, plane),
@@ -313,7 +313,7 @@ def _size(columns: Columns, body: str) -> float:
 
 
 def _outlines(
-    record: Record, bodies: Mapping[str, str], found: _Messages, plane: Plane
+    record: MotionRecord, bodies: Mapping[str, str], found: _Messages, plane: Plane
 ) -> dict[str, list[tuple[int, np.ndarray]]]:
     """Return the markers (n,) in the frames of the bodies as they were drawn last."""
     outlines: dict[str, list[tuple[int, np.ndarray]]] = {body: [] for body in bodies}
@@ -337,7 +337,7 @@ def _outlines(
     return outlines
 
 
-def read_truth(bag: str | Path, record: Record) -> dict[str, dict[str, Series]]:
+def read_truth(bag: str | Path, record: MotionRecord) -> dict[str, dict[str, Series]]:
     """
     Read the exact rates, poles and curvature of `kinpole simulate`, by body and quantity.
 

@@ -13,7 +13,7 @@ from kinpole_ros.linkage.positions import JointSummary
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.settings import Settings
-from kinpole_ros.tools.record.record import Record, with_lost_frames
+from kinpole_ros.tools.record.record import MotionRecord, with_lost_frames
 from kinpole_ros.tools.record.result_bag import has_results, read_record
 from kinpole_ros.tools.report._collector import Collector
 from kinpole_ros.tools.report._prepare import prepared
@@ -50,7 +50,7 @@ def report(
     progress: Callable[[float], None] | None = None,
     on_assumption: Callable[[str], None] | None = None,
     source: str | Path | None = None,
-) -> Record:
+) -> MotionRecord:
     """
     Write the report of a bag to `output`, an .html file; return what the page shows.
 
@@ -95,7 +95,7 @@ def _replayed(
     progress: Callable[[float], None] | None,
     on_assumption: Callable[[str], None] | None,
     source: str | Path,
-) -> tuple[Record, list[JointSummary]]:
+) -> tuple[MotionRecord, list[JointSummary]]:
     """Return the record of a bag of markers, and how far the joints of the scene are off."""
     theory = load_theory(settings) if settings.scene else None
     collector = Collector(_most_instants(len(settings.bodies)), theory)
@@ -129,7 +129,7 @@ def _most_instants(bodies: int) -> int:
     return min(_MOST_INSTANTS, _MOST_POSES // bodies)
 
 
-def _about(record: Record) -> str:
+def _about(record: MotionRecord) -> str:
     seconds = (record.stamp[-1] - record.stamp[0]) * 1e-9
     count = len(record.stamp)
     thinned = '' if count == record.total else f' of {record.total}'

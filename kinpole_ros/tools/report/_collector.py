@@ -8,7 +8,7 @@ from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import LinkageError
 from kinpole_ros.messages._state import quantities_of
 from kinpole_ros.tools.record.lost import lost_count
-from kinpole_ros.tools.record.record import Columns, Record, quantity_columns
+from kinpole_ros.tools.record.record import Columns, MotionRecord, quantity_columns
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.values import RATE_NAMES, measured_pairs
 
@@ -47,7 +47,7 @@ class Collector:
             self._count = len(self._blocks[0]['', 'stamp'])
             self._step *= 2
 
-    def record(self, along: tuple[str, str]) -> Record:
+    def record(self, along: tuple[str, str]) -> MotionRecord:
         """Return the record; there must be an instant."""
         columns = _concatenate(self._blocks)
         stamp, run = columns.pop(('', 'stamp')), columns.pop(('', 'run'))
@@ -57,7 +57,7 @@ class Collector:
             sizes[body] = float(np.nanmedian(size)) if np.isfinite(size).any() else float('nan')
             outlines[body] = list(_outlines(run, columns.pop((body, 'shape'))))
         about = self._bodies, columns, sizes, outlines, along, self._events
-        return Record(stamp, self.total, *about, lost_count(np.concatenate(self._stamps)))
+        return MotionRecord(stamp, self.total, *about, lost_count(np.concatenate(self._stamps)))
 
 
 def _concatenate(blocks: list[Columns]) -> Columns:

@@ -18,14 +18,12 @@ import numpy as np
 from kinpole_ros.files import printable
 from kinpole_ros.tools.record.record import (
     Columns,
-    Record,
+    MotionRecord,
     Subject,
-    ellipse,
     joints_of,
     pairs_of,
-    sigma_along,
 )
-from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, ellipse_axes, sigma_along
 
 Json: TypeAlias = dict[str, Any]
 # Values are rounded to these fractions of their standard deviation or, without one, of the 90th
@@ -83,7 +81,7 @@ def _embedded(data: Json) -> str:
     return base64.b64encode(zlib.compress(text.encode())).decode()
 
 
-def pack(record: Record) -> Json:
+def pack(record: MotionRecord) -> Json:
     """Return a record as JSON: columns have T values, null where undetermined."""
     first = int(record.stamp[0])
     seconds = (record.stamp - first) * 1e-9
@@ -104,7 +102,7 @@ def pack(record: Record) -> Json:
     }
 
 
-def _body(record: Record, body: str) -> Json:
+def _body(record: MotionRecord, body: str) -> Json:
     columns = record.columns
     size = record.sizes[body]
     position, sigma = columns[body, 'position'], columns[body, 'position_sigma']
@@ -151,7 +149,7 @@ def _body(record: Record, body: str) -> Json:
 def _point(columns: Columns, subject: Subject, name: str) -> Json:
     """Return coordinates, and half axes and direction of the ellipse of one sigma."""
     value, covariance = columns[subject, name], columns[subject, f'{name}_covariance']
-    major, minor, direction = ellipse(covariance)
+    major, minor, direction = ellipse_axes(covariance)
     return {
         'x': rounded(value.real, np.sqrt(covariance[:, 0, 0])),
         'y': rounded(value.imag, np.sqrt(covariance[:, 1, 1])),

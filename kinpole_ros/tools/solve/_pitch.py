@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.files import whole_file
 from kinpole_ros.mechanism import Centrodes, LinkageError
 from kinpole_ros.planar._plane import Complex
+from kinpole_ros.tools.solve._solution import open_output
 from kinpole_ros.tools.solve._spreadsheet import write_columns
 
 # In sizes of the linkage: a drawing ends here; ends of a curve nearer than this meet.
@@ -51,35 +51,18 @@ def write_pitch_curves(path: str | Path, curves: Centrodes) -> None:
     """
     Write both centrodes to a file, by its suffix a table or a drawing.
 
-    Parameters
-    ----------
-    path
-        CSV, in SI units: input, fixed_x, fixed_y, moving_x, moving_y, arc_length, piece; a row per
-        sample that has a center. SVG and DXF (R12, in mm), true to scale: the curve in the frame of
-        `one` and to its right that of `other`, with the axes x and y of the frames and the pins of
-        the bodies; it ends where the center is more than 3 sizes of the linkage away, and is closed
-        where its ends meet.
-    curves
-        The result of `centrodes`.
-
-    Raises
-    ------
-    LinkageError
-        For another suffix and for a file that cannot be written.
-
+    A CSV, in SI units, has a row for each sample with a center. SVG and DXF (R12, in mm) are true
+    to scale: the curve in the frame of `one` and to its right that of `other`, with the axes of the
+    frames and the pins of the bodies. A curve ends where the center is more than 3 sizes of the
+    linkage away, and is closed where its ends meet. Raises LinkageError for another suffix, and
+    SceneError for a file that cannot be written.
     """
     path = Path(path)
     write = {'.csv': _table, '.dxf': _dxf, '.svg': _svg}.get(path.suffix.lower())
     if write is None:
         raise LinkageError(f'{path} is no pitch curves; end its name in one of csv, dxf, svg')
-    try:
-        with whole_file(path) as part:
-            write(part, curves)
-    except OSError as error:
-        raise LinkageError(
-            f'{path} cannot be written: {error.strerror}; '
-            'fix: check the path, its rights and the space on the disk'
-        ) from error
+    with open_output(path) as part:
+        write(part, curves)
 
 
 def _table(path: Path, curves: Centrodes) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from kinpole_ros import __version__
 from kinpole_ros.files import printable
 from kinpole_ros.mechanism import GROUND, Motion, Poles, Scene, poles
-from kinpole_ros.tools.record.record import Columns, Record
+from kinpole_ros.tools.record.record import Columns, MotionRecord
 from kinpole_ros.tools.report import pack, page
 from kinpole_ros.tools.solve._editor import editor_data
 from kinpole_ros.tools.solve._shapes import belts_of, outline_of, rims_of
@@ -34,20 +34,10 @@ def write_page(
     text: str = '',
 ) -> None:
     """
-    Write a motion as one HTML file.
+    Write a motion as one HTML file, with the virtual work at the position `here`, if it has loads.
 
-    Parameters
-    ----------
-    path : Path
-        The file; `open_output` gives one that replaces an older page when it is complete.
-    solution : SolvedScene
-        The motion over time, or over the range of the one driver at a constant rate.
-    here : SolvedScene
-        The position of which the page shows the virtual work, if there are loads.
-    deviations : mapping, optional
-        Columns (T, ...) of a `Record` with standard deviations and covariances, by body and name.
-    text : str
-        The scene file; with it the points of the scene can be dragged.
+    `deviations` are columns (T, ...) of the record with standard deviations and covariances. With
+    the `text` of the scene file, the points of the scene can be dragged.
     """
     scene = solution.scene
     record = _record(solution, deviations or {})
@@ -90,7 +80,9 @@ def _times(solution: SolvedScene) -> np.ndarray:
     return solution.inputs[0] / solution.rates[0] if solution.times is None else solution.times
 
 
-def _record(solution: SolvedScene, deviations: Mapping[tuple[str, str], np.ndarray]) -> Record:
+def _record(
+    solution: SolvedScene, deviations: Mapping[tuple[str, str], np.ndarray]
+) -> MotionRecord:
     """Return the motion as a report has it, in the order of time."""
     scene, bodies = solution.scene, solution.scene.mechanism.bodies
     times = _times(solution)
@@ -106,7 +98,7 @@ def _record(solution: SolvedScene, deviations: Mapping[tuple[str, str], np.ndarr
             for part in (values.real, values.imag):
                 part[np.abs(part) < rounding] = 0.0
     from_first_instant = {body: [(0, outline)] for body, outline in outlines.items()}
-    return Record(stamp, len(stamp), bodies, columns, sizes, from_first_instant, ('x', 'y'))
+    return MotionRecord(stamp, len(stamp), bodies, columns, sizes, from_first_instant, ('x', 'y'))
 
 
 def _diameter(scene: Scene, body: str, outline: np.ndarray) -> float:

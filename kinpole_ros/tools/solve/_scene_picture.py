@@ -14,7 +14,7 @@ import numpy as np
 
 from kinpole_ros.mechanism import poles, polygon
 from kinpole_ros.mechanism._kennedy import center_name
-from kinpole_ros.tools.plot._style import saved_figure
+from kinpole_ros.tools.plot._style import Box, box_of, saved_figure
 from kinpole_ros.tools.solve import _solution
 from kinpole_ros.tools.solve._shapes import wheel_lines
 from kinpole_ros.tools.solve._solution import SolvedScene
@@ -27,27 +27,6 @@ _ARROW, _CENTER_DISTANCE = 0.35, 1.2
 _TITLE_WIDTH = 60  # characters
 # Rates that differ by less than this fraction are constant.
 _CONSTANT = 1e-6
-
-
-class _Box:
-    """The rectangle around all points that were added."""
-
-    def __init__(self, points: np.ndarray) -> None:
-        self.low, self.high = complex(np.inf, np.inf), complex(-np.inf, -np.inf)
-        self.add(points[np.isfinite(points)])
-
-    def add(self, points: complex | np.ndarray) -> None:
-        points = np.append(points, [z for z in (self.low, self.high) if np.isfinite(z)])
-        self.low = complex(points.real.min(), points.imag.min())
-        self.high = complex(points.real.max(), points.imag.max())
-
-    @property
-    def diagonal(self) -> float:
-        return abs(self.high - self.low)
-
-    @property
-    def middle(self) -> complex:
-        return (self.low + self.high) / 2
 
 
 def draw_solution(
@@ -147,19 +126,16 @@ def draw_linkage(
     body_points, wheels = _body_points(here), [*wheel_lines(here)]
     paths = [motion[0] for motions in _body_points(solution).values() for motion in motions]
     motions = [motion for motions in body_points.values() for motion in motions]
-    box = _Box(
-        np.concatenate(
-            [*paths, *(motion[0] for motion in motions), *(rim for _, rim in wheels), ground + 0j]
-        )
-    )
-    size = max(box.diagonal, 1e-9)
+    drawn = [*paths, *(motion[0] for motion in motions), *(rim for _, rim in wheels), ground + 0j]
+    box = box_of(np.concatenate(drawn))
+    size = max(abs(box.high - box.low), 1e-9)
     fastest = max((abs(motion[1, 0]) for motion in motions), default=0.0)
     arrows = [
         (z, z + velocity / fastest * _ARROW * size)
         for z, velocity in (motion[:2, 0] for motion in motions)
         if abs(velocity) > 1e-3 * fastest
     ]
-    box.add(np.array([tip for _, tip in arrows]))
+    box = box.with_points([tip for _, tip in arrows])
     for path in paths:
         axis.plot(path.real, path.imag, color='#bbbbbb', linewidth=0.8, zorder=1)
     middles = _draw_vectors(axis, here)
@@ -183,9 +159,9 @@ def draw_linkage(
         color, width = (_style(b)['color'], 1.5) if b >= 0 else ('#000000', 1.0)
         axis.plot(rim.real, rim.imag, color=color, linewidth=width, zorder=3)
     if centers:
-        _draw_centers(axis, here, box, size)
+        box = box.with_points(_draw_centers(axis, here, box.middle, size))
     _draw_centrodes(axis, solution, here, centrodes, box)
-    margin = 0.08 * max(box.diagonal, size)
+    margin = 0.08 * max(abs(box.high - box.low), size)
     axis.set_xlim(box.low.real - margin, box.high.real + margin)
     axis.set_ylim(box.low.imag - margin, box.high.imag + margin)
     axis.set(aspect='equal', xlabel='x (m)', ylabel='y (m)')
@@ -218,7 +194,7 @@ def _draw_vectors(axis: Any, here: SolvedScene) -> dict[int, complex]:
 
 
 def _draw_centrodes(
-    axis: Any, solution: SolvedScene, here: SolvedScene, names: Sequence[str], box: _Box
+    axis: Any, solution: SolvedScene, here: SolvedScene, names: Sequence[str], box: Box
 ) -> None:
     """Draw the fixed and the moving centrodes of some bodies, near the linkage."""
     motion = solution.motion
@@ -230,15 +206,16 @@ def _draw_centrodes(
         turn = np.exp(1j * here.motion.angle[0, b, 0])
         moving = here.motion.position[0, b, 0] + in_body * turn
         for curve, dashes, width in ((body_poles.icr[b], '-', 4), (moving, '--', 1.2)):
-            is_near = np.abs(curve - box.middle) < (0.5 + _CENTER_DISTANCE) * box.diagonal
+            reach = (0.5 + _CENTER_DISTANCE) * abs(box.high - box.low)
+            is_near = np.abs(curve - box.middle) < reach
             z = np.where(is_near, curve, complex(np.nan, np.nan))
             style = {'color': _style(b)['color'], 'alpha': 0.35, 'linewidth': width, 'zorder': 0}
             axis.plot(z.real, z.imag, dashes, **style)
 
 
-def _draw_centers(axis: Any, here: SolvedScene, box: _Box, size: float) -> None:
-    """Draw the instant centers near the linkage, and the lines that determine them."""
-    centers, middle = _solution.centers_of(here), box.middle
+def _draw_centers(axis: Any, here: SolvedScene, middle: complex, size: float) -> list[complex]:
+    """Draw the instant centers near the linkage, and the lines that determine them; return them."""
+    centers = _solution.centers_of(here)
     names: dict[complex, list[str]] = {}
     drawn: dict[tuple[int, ...], complex] = {}
     for pair, z in zip(centers.pairs, centers.points[:, 0].tolist(), strict=True):
@@ -259,4 +236,4 @@ def _draw_centers(axis: Any, here: SolvedScene, box: _Box, size: float) -> None:
     for z, listed in names.items():
         axis.plot(z.real, z.imag, 'kx', markersize=7, zorder=6)
         _annotate(axis, ', '.join(listed), z, (5, -10), fontsize=8, zorder=6)
-        box.add(z)
+    return [*names]

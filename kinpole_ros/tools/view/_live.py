@@ -11,7 +11,7 @@ import numpy as np
 
 from kinpole_ros.messages import PAGE_TOPICS, STATE, DiagnosticArray, type_name
 from kinpole_ros.tools.record.diagnostics_log import parse_status
-from kinpole_ros.tools.record.record import Record, joints_of
+from kinpole_ros.tools.record.record import MotionRecord, joints_of
 from kinpole_ros.tools.record.result_bag import decode
 from kinpole_ros.tools.view._frames import Frame, Rig, frame_of_state, frame_of_view
 from kinpole_ros.tools.view._server import RIG_EVENT, Feed
@@ -115,7 +115,7 @@ class RigState:
             words.append(f'other nodes: {", ".join(other_nodes)} (kinpole view --topic NAME)')
         return '; '.join(words)
 
-    def _record(self, rig: Rig) -> Record:
+    def _record(self, rig: Rig) -> MotionRecord:
         """Return the history of frames with what `joints_of` reads."""
         columns: dict[Any, np.ndarray] = {}
 
@@ -139,7 +139,7 @@ class RigState:
         # A body that was never visible has no size.
         bodies = tuple(body for body in rig.bodies if body in self._sizes)
         none, count = np.empty(0, np.int64), len(self._history)
-        return Record(none, count, bodies, columns, self._sizes, {}, self._along)
+        return MotionRecord(none, count, bodies, columns, self._sizes, {}, self._along)
 
 
 def _rows(values: Sequence[list[float] | None], size: int) -> np.ndarray:
