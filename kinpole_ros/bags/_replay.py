@@ -166,7 +166,8 @@ class _Replaying:
         self._tracker = Tracker(settings)
         self._reader = reader_of(self._kind, settings)
         self._outputs = outputs_of(settings, theory)
-        self._diagnostics = _PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, theory, self._topic))
+        compare = theory.comparison() if theory else None
+        self._diagnostics = _PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, compare, self._topic))
         self._totals = ReplayTotals(settings, self._tracker, theory)
 
     def run(

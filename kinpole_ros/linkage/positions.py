@@ -177,6 +177,20 @@ class LivePositions:
             self._early = []
         return self._update(poses, self._ground)
 
+    def diagnose(self, estimate: Estimate) -> tuple[bool, str, dict[str, float]]:
+        """Append one instant; returns whether the scene is off, in words, and figures by name."""
+        report, scene = self.append(estimate), self._positions.scene.name
+        if report is None:
+            return False, f'too little is known yet to compare the scene {scene}', {}
+        figures = {}
+        for joint in report.joints:
+            figures[f'joint {joint.joint}: off (m)'] = joint.rms
+            figures[f'joint {joint.joint}: the same in deviations'] = joint.deviations
+        figures['residuals of the joints over their noise, rms'] = float(np.sqrt(report.ratio))
+        if report.words:
+            return True, f'off the scene {scene}: ' + '; '.join(report.words), figures
+        return False, f'compared with the scene {scene}', figures
+
     def _update(self, poses: ScenePoses, ground: Real) -> PositionReport | None:
         """Add the poses of one instant to the normal equations, and compare."""
         scene, values = self._positions.scene, self._positions.values
