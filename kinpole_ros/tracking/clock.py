@@ -132,17 +132,9 @@ def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.
         longer_counts, refined = _likeliest(
             since[-longer:], np.append(intervals, earlier), resolution, 2
         )
-        # The rate has changed if the newest frames are likelier without the older ones, ...
         cost = _costs(newest, counts[:1], intervals[:1], resolution)[0]
-        costs = _costs(newest, longer_counts[:, -number:], refined, resolution)
-        best = int(costs.argmin())
-        off = abs(refined[best] - intervals[0]) * number
-        if costs[best] > cost + CHANGE_NATS and off > 2 * resolution:
-            break
-        # ... or if the older ones are much later.
-        late = since[-longer:] - longer_counts[0] * refined[0]
-        late -= late.min()
-        if late[:-number].mean() > 2 * (late[-number:].mean() + resolution):
+        newer = number, float(intervals[0]), float(cost)
+        if _rate_has_changed(since[-longer:], longer_counts, refined, newer, resolution):
             break
         number, counts, intervals = longer, longer_counts, refined
         newest = since[-number:]
@@ -150,6 +142,32 @@ def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.
     if clock.is_even and (on_grid := _counts_on_grid(newest, resolution)) is not None:
         return _fit_clock(origin, newest, on_grid, resolution), on_grid
     return clock, count_frames(stamps[-number:], clock)
+
+
+def _rate_has_changed(
+    since: Real,
+    counts: np.ndarray,
+    intervals: Real,
+    newer: tuple[int, float, float],
+    resolution: float,
+) -> bool:
+    """
+    Whether the older of the frames `since` the first, ns, came at another rate than the newer ones.
+
+    `counts` (I, N) and `intervals` (I,) are likely for all of them, best first. `newer` is the
+    number of the newer frames, their interval, and its cost.
+    """
+    number, interval, cost = newer
+    # The newer frames are likelier without the older ones, ...
+    costs = _costs(since[-number:], counts[:, -number:], intervals, resolution)
+    best = int(costs.argmin())
+    off = abs(intervals[best] - interval) * number
+    if costs[best] > cost + CHANGE_NATS and off > 2 * resolution:
+        return True
+    # ... or the older ones are much later.
+    late = since - counts[0] * intervals[0]
+    late -= late.min()
+    return bool(late[:-number].mean() > 2 * (late[-number:].mean() + resolution))
 
 
 def _counts_on_grid(since: Real, resolution: float) -> np.ndarray | None:
