@@ -14,11 +14,15 @@ import yaml
 from hypothesis import settings
 from rosbags.typesys import Stores, get_typestore
 
-from kinpole_ros.bags import message_class, read_messages, simulate
+from kinpole_ros.bags import BagWriter, message_class, read_messages, simulate
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import deserialize_message
-from kinpole_ros.settings import Settings
+from kinpole_ros.settings import Settings, load_settings
+from kinpole_ros.tools.report import report
 from kinpole_ros.tools.usage import parse_words
+
+ROOT = Path(__file__).parents[1]
+FOUR_BAR = ROOT / 'bags' / 'four_bar.mcap'
 
 # Nodes of the tests meet nobody else's, nor those of another run on this machine. From domain 102
 # on, the ports are among those that the kernel gives to anybody, and nodes may miss each other.
@@ -154,6 +158,27 @@ def assert_alike(
 def title_of(figure: Any) -> str:
     """The title over all of a matplotlib figure, which has `get_suptitle` from 3.8 on."""
     return str(figure._suptitle.get_text())
+
+
+@pytest.fixture(scope='session')
+def four_bar_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of a four-bar."""
+    # No name that HTML or a regular expression would take for something else.
+    output = tmp_path_factory.mktemp('report') / 'four <b>bar.html'
+    report(FOUR_BAR, output, load_settings(ROOT / 'config' / 'four_bar.yaml'))
+    return output
+
+
+@pytest.fixture(scope='session')
+def gappy_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The markers of the four-bar without 170 frames, and without one more."""
+    bag = tmp_path_factory.mktemp('gappy') / 'gappy.mcap'
+    with BagWriter(bag) as writer:
+        for k, message in enumerate(read_messages(FOUR_BAR, ['/markers'])):
+            if not 100 <= k < 270 and k != 300:
+                cls = message_class(message.type_name)
+                writer.write_raw('/markers', cls, message.data, message.log_time)
+    return bag
 
 
 def browser_path() -> str:

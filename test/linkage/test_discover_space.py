@@ -17,7 +17,7 @@ from kinpole_ros.tools.discover import discover_rig
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.space import Space
 
-DATA = Path(__file__).parents[2] / 'shared' / 'data'
+DATA = Path(__file__).parents[3] / 'shared' / 'data'
 RATE, NOISE = 100, 2e-4
 
 

@@ -15,7 +15,7 @@ from conftest import options_of
 from kinpole_ros.mechanism import load_scene, scene_names, scene_text
 from kinpole_ros.tools.solve import solve_scene
 
-SOLVER = Path(__file__).parents[1] / 'kinpole_ros' / 'tools' / 'report' / 'page' / 'solver.js'
+SOLVER = Path(__file__).parents[3] / 'kinpole_ros' / 'tools' / 'report' / 'page' / 'solver.js'
 NUMBER = r'-?\d+(?:\.\d+)?'
 # Belts, a Geneva drive, a cam and a rack: all that no scene of the package has.
 DRIVES = """bodies:

@@ -30,7 +30,7 @@ from kinpole_ros.tools.commands import COMMANDS as COMMAND_MODULES
 from kinpole_ros.tools.usage import make_parser
 
 Bag = Callable[..., Path]
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 COMMANDS = ['node', 'replay', 'simulate', 'plot', 'import', 'play', 'record', 'demo']
 
 
@@ -1066,7 +1066,7 @@ def test_an_rclpy_that_cannot_load_is_told_by_its_own_error(
     if content:
         suffix = importlib.machinery.EXTENSION_SUFFIXES[0]
         (package / f'_rclpy_pybind11{suffix}').write_bytes(content)
-    paths = os.pathsep.join([str(tmp_path), str(Path(__file__).parents[1])])
+    paths = os.pathsep.join([str(tmp_path), str(Path(__file__).parents[2])])
     line = refusal(process('node', env={**os.environ, 'PYTHONPATH': paths}))
     assert told in line
     assert 'pip install _rclpy_pybind11' not in line
@@ -1075,7 +1075,7 @@ def test_an_rclpy_that_cannot_load_is_told_by_its_own_error(
 
 def test_commands_that_install_name_packages_of_the_extra() -> None:
     """The names of extras would do in a checkout only: no package index has kinpole_ros."""
-    root = Path(__file__).parents[1]
+    root = Path(__file__).parents[2]
     setup = ast.parse((root / 'setup.py').read_text())
     constants = {
         node.targets[0].id: ast.literal_eval(node.value)

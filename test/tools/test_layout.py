@@ -13,7 +13,7 @@ from kinpole_ros.bags import read_messages, replay
 from kinpole_ros.settings import load_settings
 from kinpole_ros.tools.cli import main
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope='module', params=['standard', 'all'])

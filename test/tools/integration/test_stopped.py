@@ -25,7 +25,7 @@ from kinpole_ros.bags import RECORDER, BagError, BagMessage, BagWriter, read_mes
 from kinpole_ros.messages import serialize_message, to_message
 from kinpole_ros.ros.recorder import Recorder
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 TOPIC = '/kinpole/test_stopped'
 FILE_SIZE = 600_000
 

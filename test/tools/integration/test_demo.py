@@ -15,7 +15,7 @@ from kinpole_ros.settings import load_settings
 from kinpole_ros.tools import demo
 
 pytest.importorskip('matplotlib')
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 BAG, CONFIG = ROOT / 'bags' / 'four_bar.mcap', ROOT / 'config' / 'four_bar.yaml'
 
 

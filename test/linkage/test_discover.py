@@ -35,7 +35,7 @@ from kinpole_ros.tracking.statistics import medians
 
 START = 10**18
 NOISE = 2e-4
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 XY_COLUMNS = ((0, 'x'), (1, 'y'))
 
 

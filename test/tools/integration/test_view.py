@@ -19,8 +19,8 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from pages import BLUE, GREEN, RED, await_color, cell
 from rclpy.node import Node
-from test_report import BLUE, GREEN, RED, await_color, cell
 
 from kinpole_ros.bags import BagWriter, read_messages, replay
 from kinpole_ros.messages import (
@@ -44,7 +44,7 @@ from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import XY
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Vectors
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 BAG = ROOT / 'bags' / 'four_bar.mcap'
 LIMIT = 20.0
 
