@@ -33,7 +33,7 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 
 from kinpole_ros.bags._definition import definition, message_class
-from kinpole_ros.bags._files import LIBRARY, BagError, unwritable
+from kinpole_ros.bags._files import LIBRARY, BagError, write_errors
 from kinpole_ros.messages import serialize_message, type_name, with_zero_padding
 
 # A program that is killed loses up to one chunk, and a reader has one in memory; zstd compresses
@@ -96,11 +96,9 @@ class BagWriter:
         self._chunk_indexes = bytearray()
         self._chunk_count = 0
         self._earliest, self._latest = 2**64, 0
-        try:
+        with write_errors(self._path):
             Path(path).parent.mkdir(parents=True, exist_ok=True)
             self._file = open(path, 'wb')  # noqa: SIM115 - close() does
-        except OSError as error:
-            raise unwritable(self._path, error) from error
         # A recording that cannot be written should fail now, not when the first message comes.
         with self._writing():
             self._put(MCAP0_MAGIC + _packed(Header('ros2', library)))
@@ -308,14 +306,13 @@ class BagWriter:
     @contextmanager
     def _writing(self) -> Iterator[None]:
         """Close the file where a block fails, or a signal ends it: nothing may follow a part."""
-        try:
-            yield
-        except BaseException as error:
-            with suppress(OSError):
-                self._file.close()
-            if isinstance(error, OSError):
-                raise unwritable(self._path, error) from error
-            raise
+        with write_errors(self._path):
+            try:
+                yield
+            except BaseException:
+                with suppress(OSError):
+                    self._file.close()
+                raise
 
 
 def _message_index(topic: _Topic) -> bytes:
