@@ -105,10 +105,11 @@ def curvature_of_numpy(m: Arrays) -> Expected:
     found, u = planar.centrode_curvature(m.position, m.angle), velocity_of_numpy(m)
     noise = variance(found, m.position_covariance, m.angle_covariance)
     slowness = np.einsum('...ii->...', u.spread) / 2 / np.abs(u.value) ** 2
-    noise = noise + 18 * (found.value.real * slowness) ** 2
-    least = np.maximum(0.3 * np.abs(found.value), 1 / m.size)
+    # The curvature of a path with all of the acceleration across it.
+    largest = np.abs(planar.icr_acceleration(m.position, m.angle).value / u.value**2)
+    noise = noise + 18 * (largest * slowness) ** 2
     turns = m.angle[1] ** 2 > 1.5**2 * m.angle_covariance[1, 1]
-    determined = u.moves & turns & np.isfinite(found.value) & (noise < least**2)
+    determined = u.moves & turns & np.isfinite(found.value) & np.isfinite(noise)
     return Expected(found.value, noise[..., None, None] * np.ones((2, 2)), determined, u.moves)
 
 

@@ -66,6 +66,8 @@ velocity(const Number *z, const double *rate, Linear *out)
     out->by_angle[1] = iqq * (inner + nv), out->by_angle[2] = iqq * z[1];
 }
 
+/* The acceleration of the ICR over its speed squared: its real part is that across the velocity, the
+   curvature, of which the partial derivatives are. */
 static void
 curvature(const Number *z, const double *rate, Linear *out)
 {
@@ -81,15 +83,15 @@ curvature(const Number *z, const double *rate, Linear *out)
     Number by_du = -I * inverse * slowness, by_u = by_du * (0.5 * conj(g) - 1.5 * g);
     for (int k = 1; k <= 3; k++)
         p[k] = by_du * dp[k] + by_u * p[k], a[k] = by_du * da[k] + by_u * a[k];
-    out->value = cimag(g) * slowness;
+    out->value = -I * g * slowness;
 }
 
 /* An ICR moves if its speed exceeds its standard deviation this many times, and this share of the
    body size per rad. */
 static const double MOVING = 1.7, STILL = 1e-6;
-/* A curvature is determined if its standard deviation is below this share of it or one over the body
-   size, while the body turns by more than so many standard deviations. */
-static const double CURVED = 0.3, TURNING = 1.5;
+/* A curvature is determined if the ICR moves, and the body turns by more than so many standard
+   deviations. */
+static const double TURNING = 1.5;
 
 /* Adds the covariance that follows from those of position and angle. */
 static void
@@ -200,15 +202,15 @@ curvature_at(const Motion *m, long long t)
     q.value = creal(linear.value);
     add_covariance(m, t, 3, &linear, q.spread);
     /* The curvature goes by the speed to the power of -2, which is far from linear where the speed is
-       noisy. An error x of the speed, relative to it, changes the curvature by 3 x^2 in second order. */
+       noisy: a relative error x of it changes the curvature by 3 x^2 of the acceleration over the speed
+       squared, in second order. */
     double slowness = (u.spread[0] + u.spread[2]) / 2 / creal(u.value * conj(u.value));
-    double second = creal(q.value) * slowness, variance = q.spread[0] + 18 * second * second;
-    double share = CURVED * fabs(creal(q.value)), by_size = 1 / m->size[t];
-    double most = share > by_size ? share : by_size, turned = m->angle[m->stride + t];
+    double second = cabs(linear.value) * slowness, variance = q.spread[0] + 18 * second * second;
+    double turned = m->angle[m->stride + t];
     /* A body that turns by less than its noise would have a straight centrode, and that for sure. */
     int turns = turned * turned > TURNING * TURNING * m->angle_covariance[(m->orders + 1) * m->stride + t];
     q.flags = u.flags & MOVES;
-    if (u.flags & MOVES && turns && isfinite(creal(q.value)) && variance < most * most)
+    if (u.flags & MOVES && turns && isfinite(creal(q.value)) && isfinite(variance))
         q.flags |= DETERMINED;
     q.spread[0] = variance;
     return q;
