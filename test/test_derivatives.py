@@ -138,8 +138,7 @@ def waves(
     """
     Derivatives (n, J) of what a process is a sum of, each with a normal factor, at n times.
 
-    In samples from the middle. A process is a power and a length, or the degree of a polynomial. It
-    is of the rough spectrum if the power is 0.
+    In samples from the middle. A process is a power and a length, or the degree of a polynomial.
     """
     if isinstance(process, int):
         powers = [
@@ -151,8 +150,6 @@ def waves(
     step = 2 * np.pi / (count + 10 * length)
     frequency = step * np.arange(int(np.pi / step) + 1)
     density = np.exp(-((frequency * length) ** power))
-    if power == 0:
-        density = (1 + (frequency * length) ** 2) ** -5.0
     density[0] /= 2
     phase = frequency * time[:, None] + order * np.pi / 2
     size = np.sqrt(density / density.sum()) * frequency**order
@@ -208,8 +205,7 @@ def test_stencils_are_those_of_the_regression_on_each_process(
     compared = set()
     for p, process in enumerate(processes):
         if process.spectrum >= 0:
-            powers = [*(power for power, _ in _models.SPECTRA), 0.0]
-            what: Any = powers[process.spectrum], process.length
+            what: Any = _models.SPECTRA[process.spectrum][0], process.length
         else:
             what = int(process.length)
         for a in (0, 1, 2):
@@ -228,7 +224,7 @@ def test_stencils_are_those_of_the_regression_on_each_process(
             # The variance of snap at an end of the window has modes that are not seen.
             below(off, 2e-3)
             compared.add(what if isinstance(what, int) else what[0])
-    assert compared == {1, 2, 1.4, 0}
+    assert compared == {1, 2, 1.4}
 
 
 def test_the_process_of_the_steepest_spectrum_has_a_gaussian_covariance() -> None:
@@ -250,9 +246,8 @@ def one_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         _pose_derivatives, '_tables', _pose_derivatives._Tables((), np.empty((0, 7), np.int64))
     )
     monkeypatch.setattr(_models, 'SPECTRA', (ONE,))
-    monkeypatch.setattr(_models, '_MAX_LENGTH', ONE[1] / 50)
-    monkeypatch.setattr(_models, '_ROUGH', ())
     monkeypatch.setattr(_models, '_DEGREES', (1,))
+    monkeypatch.setattr(_models, '_MAX_LENGTH', ONE[1] / 50)
     monkeypatch.setattr(_models, '_amplitudes', lambda exact: np.array([ONE_AMPLITUDE]))
     # What there is of modes below the noise would be left out otherwise.
     monkeypatch.setattr(_models, '_MIN_MODE_SIGMA', 1e-5)

@@ -298,7 +298,7 @@ def test_diagnostics_warn_in_the_words_of_the_verdict(tmp_path: Path) -> None:
     held = theory(changed(tmp_path, 'slider_crank', 'rod.B', 3e-3), 'slider_crank')
     tracker = Tracker(settings_from(settings('slider_crank')))
     found = tracker.add(frames(load_scene('slider_crank'), 2.0), 1)
-    maker, levels = DiagnosticsMaker('kinpole', held), []
+    maker, levels = DiagnosticsMaker('kinpole', held.comparison()), []
     for k in range(60, 180, 8):
         array = maker.make(10**9, tracker, found[0][k : k + 1], 1.0, {})
         (linkage,) = [status for status in array.status if status.name == 'kinpole: linkage']

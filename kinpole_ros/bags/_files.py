@@ -70,7 +70,7 @@ def bag_files(path: str | Path) -> list[Path]:
 
     """
     path = Path(path)
-    try:
+    with read_errors(path):
         if path.is_dir():
             files = _folder_files(path)
         elif path.is_file():
@@ -84,8 +84,6 @@ def bag_files(path: str | Path) -> list[Path]:
             raise BagError(f'no such file or folder: {path}; fix: see to the path')
         # A recorder that was killed leaves empty files among others.
         check_magic(next((file for file in files if file.stat().st_size), files[0]))
-    except OSError as error:
-        raise unreadable(path, error) from error
     return files
 
 
@@ -227,18 +225,28 @@ def recorder_of(path: str | Path) -> str:
     return ''
 
 
-def unreadable(path: Path, error: OSError) -> BagError:
-    """Return the error of a file that cannot be read."""
-    fix = 'cut it into parts' if error.errno == errno.EFBIG else 'check the path and its rights'
-    return BagError(f'{error.filename or path} cannot be read: {error.strerror}; fix: {fix}')
+@contextmanager
+def read_errors(path: Path) -> Iterator[None]:
+    """Turn OSError into the BagError of a file that cannot be read."""
+    try:
+        yield
+    except OSError as error:
+        fix = 'cut it into parts' if error.errno == errno.EFBIG else 'check the path and its rights'
+        raise BagError(
+            f'{error.filename or path} cannot be read: {error.strerror}; fix: {fix}'
+        ) from error
 
 
-def unwritable(path: str | Path, error: OSError) -> BagError:
-    """Return the error of a file that cannot be written."""
-    return BagError(
-        f'{path} cannot be written: {error.strerror or error}; '
-        'fix: check the path, its rights and the space on the disk'
-    )
+@contextmanager
+def write_errors(path: str | Path) -> Iterator[None]:
+    """Turn OSError into the BagError of a file that cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise BagError(
+            f'{path} cannot be written: {error.strerror or error}; '
+            'fix: check the path, its rights and the space on the disk'
+        ) from error
 
 
 @contextmanager
@@ -261,11 +269,8 @@ def in_place_of(path: str | Path) -> Iterator[Path]:
         If it cannot be written.
 
     """
-    try:
-        with whole_file(path) as part:
-            yield part
-    except OSError as error:
-        raise unwritable(path, error) from error
+    with write_errors(path), whole_file(path) as part:
+        yield part
 
 
 def open_file(path: Path) -> BinaryIO:

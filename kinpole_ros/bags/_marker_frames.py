@@ -15,6 +15,7 @@ from kinpole_ros.messages import (
     MessageError,
     PoseReader,
     kind_of,
+    marker_reader,
 )
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
@@ -65,7 +66,7 @@ def read_frames(
     name, kind = _marker_topic(bag, topic)
     frames: list[MarkerFrames] = []
     problem = ''
-    reader = MarkerReader(kind, identity)
+    reader = marker_reader(kind, identity)
     for group, _, error in frame_blocks(bag, name, kind, reader, progress):
         if isinstance(error, Truncated):
             if report is not None:

@@ -20,7 +20,7 @@ from kinpole_ros.bags._files import (
     bag_files,
     check_magic,
     open_file,
-    unreadable,
+    read_errors,
 )
 from kinpole_ros.bags._layout import NEVER, Layout, Span, is_data_changed, lay_out, read_span
 from kinpole_ros.bags._storages import is_sqlite, sqlite_blocks, sqlite_topics
@@ -66,15 +66,12 @@ def types_and_definitions(path: str | Path) -> tuple[dict[str, str], dict[str, s
     types: dict[str, str] = {}
     definitions: dict[str, str] = {}
     for file_path in bag_files(path):
-        try:
-            with open_file(file_path) as file:
-                if is_sqlite(file):
-                    file_types, file_definitions = sqlite_topics(file_path)
-                else:
-                    channels = _described_channels(file_path, file)
-                    file_types, file_definitions = channels.types, channels.definitions
-        except OSError as error:
-            raise unreadable(file_path, error) from error
+        with read_errors(file_path), open_file(file_path) as file:
+            if is_sqlite(file):
+                file_types, file_definitions = sqlite_topics(file_path)
+            else:
+                channels = _described_channels(file_path, file)
+                file_types, file_definitions = channels.types, channels.definitions
         types |= file_types
         definitions |= file_definitions
     return types, definitions
@@ -200,16 +197,15 @@ def _read_files(
 
     for path, size in zip(files, sizes, strict=True):
         try:
-            check_magic(path)
-            with open_file(path) as file:
-                if is_sqlite(file):
-                    yield from sqlite_blocks(path, requested)
-                else:
-                    yield from _read_file(path, file, requested, report)
+            with read_errors(path):
+                check_magic(path)
+                with open_file(path) as file:
+                    if is_sqlite(file):
+                        yield from sqlite_blocks(path, requested)
+                    else:
+                        yield from _read_file(path, file, requested, report)
         except Truncated as error:
             faults.append(str(error))
-        except OSError as error:
-            raise unreadable(path, error) from error
         size_before += size
     if faults:
         raise Truncated('; '.join(faults))

@@ -12,11 +12,12 @@ from typing import TypeAlias
 
 import numpy as np
 
+from kinpole_ros.bags import _replayed
 from kinpole_ros.bags._files import BagError, Truncated, bag_files, in_place_of
 from kinpole_ros.bags._marker_frames import NODE_NAME, frame_blocks, input_topic
 from kinpole_ros.bags._reader import Progress
-from kinpole_ros.bags._replayed import Replayed, ReplayTotals
-from kinpole_ros.bags._tables import CsvTable, ParquetTable
+from kinpole_ros.bags._replayed import Replayed
+from kinpole_ros.bags._tables import TABLES
 from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.messages import (
     DiagnosticArray,
@@ -30,6 +31,7 @@ from kinpole_ros.messages import (
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.space import updated
 from kinpole_ros.tracking.tracker import Tracker
 
 _SECOND = 1_000_000_000  # ns
@@ -157,17 +159,21 @@ class _Replaying:
     def __init__(self, bag: str | Path, settings: Settings, source: tuple[str, str]) -> None:
         self._bag, self._settings = bag, settings
         self._topic, self._kind = source
-        theory = None
+        theory = self._positions = None
         if settings.scene:
             # Imported only with a scene: it takes longer than a short replay.
+            from kinpole_ros.linkage.positions import Positions
             from kinpole_ros.linkage.theory import load_theory
 
             theory = load_theory(settings)
+            self._positions = Positions(theory.scene, theory.matches)
         self._tracker = Tracker(settings)
         self._reader = reader_of(self._kind, settings)
         self._outputs = outputs_of(settings, theory)
-        self._diagnostics = _PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, theory, self._topic))
-        self._totals = ReplayTotals(settings, self._tracker, theory)
+        compare = theory.comparison() if theory else None
+        self._diagnostics = _PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, compare, self._topic))
+        self._outcome = _replayed.begin(settings, self._tracker)
+        self._space_stamp = 0  # ns, at which the outcome has how the motion lies in space
 
     def run(
         self,
@@ -178,17 +184,19 @@ class _Replaying:
     ) -> Replayed:
         """Replay into files by kind; `names` are their names in messages of errors."""
         _keep_freed_memory()
+        outcome = self._outcome
         with ExitStack() as stack:
             writer = None
             if 'mcap' in files:
                 writer = stack.enter_context(BagWriter(files['mcap'], name=names['mcap']))
                 self._add_topics(writer)
-            tables = [
+            takers = [
                 stack.enter_context(table(files[kind], self._settings, names[kind]))
-                for kind, table in (('csv', CsvTable), ('parquet', ParquetTable))
+                for kind, table in TABLES.items()
                 if kind in files
             ]
-            has_readers_of_events = writer is not None or bool(tables) or take is not None
+            takers += [take] if take is not None else []
+            has_readers_of_events = writer is not None or bool(takers)
             blocks = frame_blocks(self._bag, self._topic, self._kind, self._reader, progress)
             for frames, log_times, error in blocks:
                 if error is not None:
@@ -196,15 +204,19 @@ class _Replaying:
                 if not frames:
                     continue
                 for estimate in self._track(frames, log_times, writer, has_readers_of_events):
-                    self._totals.add_estimate(estimate)
-                    for table in tables:
-                        table.add(estimate)
-                    if take is not None:
-                        take(estimate)
-            reader = self._reader
-            pose_problem = reader.unseen_names() if isinstance(reader, PoseReader) else ''
-            self._check_frames(pose_problem)
-        return self._totals.result(_unlisted_files(self._bag), pose_problem)
+                    _replayed.add_estimate(outcome, estimate)
+                    if self._positions is not None:
+                        self._positions.append(estimate)
+                    for add in takers:
+                        add(estimate)
+            if isinstance(self._reader, PoseReader) and (problem := self._reader.unseen_names()):
+                outcome.misnamed.append(problem)
+            self._check_frames()
+        outcome.concatenated = _unlisted_files(self._bag)
+        if self._positions is not None:
+            outcome.scene_positions = self._positions.report()
+        _replayed.finish(outcome, self._tracker)
+        return outcome
 
     def _add_topics(self, writer: BagWriter) -> None:
         """Have all topics in the bag of results, also those without messages."""
@@ -214,10 +226,10 @@ class _Replaying:
 
     def _add_error(self, error: Exception) -> None:
         if isinstance(error, Truncated):
-            self._totals.truncated = error
+            self._outcome.truncated = error
             return
         self._tracker.counts['unreadable'] += 1
-        self._totals.problem = self._totals.problem or str(error)
+        self._outcome.problem = self._outcome.problem or str(error)
         self._diagnostics.trouble['message'] = str(error)
 
     def _track(
@@ -229,13 +241,15 @@ class _Replaying:
     ) -> Sequence[Estimate]:
         """Track a block of frames, and return its estimates and write their messages, if any."""
         for part in frames:
-            self._totals.add_frames(part)
+            _replayed.add_frames(self._outcome, part)
         parts: Iterable[MarkerFrames] = frames
         if writer is not None:
             parts = self._diagnostics.split(frames, self._tracker)
         order = self._settings.highest_order
         estimates = self._tracker.add_parts(parts, order, has_readers_of_events)
-        self._totals.update_space()
+        if self._outcome.last - self._space_stamp >= _SECOND:
+            self._space_stamp = self._outcome.last
+            self._outcome.space = updated(self._outcome.space, self._tracker.space())
         if writer is not None:
             writer.write_many(self._messages(estimates, log_times))
         return estimates
@@ -248,17 +262,17 @@ class _Replaying:
         ]
         return [*chain(*columns), self._diagnostics.column(estimates, log_times)]
 
-    def _check_frames(self, pose_problem: str) -> None:
+    def _check_frames(self) -> None:
         """Raise BagError if no message could be read, or none has poses of the bodies."""
-        counts = self._tracker.counts
+        counts, outcome = self._tracker.counts, self._outcome
         if counts['frames']:
             return
         if counts['unreadable']:
             raise BagError(
-                f'{self._bag}: no message on {self._topic} can be read: {self._totals.problem}'
+                f'{self._bag}: no message on {self._topic} can be read: {outcome.problem}'
             )
-        if pose_problem:
-            raise BagError(f'{self._bag}: on {self._topic} {pose_problem}')
+        if outcome.misnamed:
+            raise BagError(f'{self._bag}: on {self._topic} {outcome.misnamed[0]}')
 
 
 def result_columns(

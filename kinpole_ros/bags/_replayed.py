@@ -1,7 +1,8 @@
 """The outcome of a replay, for the command line, batches and Python."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, field
+from itertools import compress
+from typing import TYPE_CHECKING
 
 from kinpole_ros.bags._files import Truncated
 from kinpole_ros.messages import identity_lines
@@ -17,17 +18,21 @@ from kinpole_ros.tracking.values import MOST_PAIRED_BODIES, POLE_NAMES
 
 if TYPE_CHECKING:
     from kinpole_ros.linkage.positions import PositionReport
-    from kinpole_ros.linkage.theory import Theory
 
-_SECOND = 1_000_000_000  # ns
+_LATEST = 2**63 - 1  # ns; ROS has no later time
+# Fields that are counts of the tracker.
+_COUNTED = ('frames', 'unreadable', 'repeated', 'late', 'lost', 'resets', 'frame_changes')
 
 
-class Replayed(NamedTuple):
+@dataclass
+class Replayed:
     """
-    The outcome of a replay.
+    The outcome of a replay, which the functions of this module fill.
 
     Attributes
     ----------
+    space : SpaceReport
+        How the motion lay in space, at the end.
     frames, estimates : int
         Frames read, and instants estimated.
     determined : dict
@@ -60,8 +65,6 @@ class Replayed(NamedTuple):
         The files that were read as one recording only because they are in one folder.
     scene_positions : PositionReport or None
         How far the joints are from the scene, if there is one.
-    space : SpaceReport
-        How the motion lay in space, at the end.
     stamps : StampState or None
         How the stamps deviate from their clock; None where there are too few.
     misnamed : list of str
@@ -75,151 +78,105 @@ class Replayed(NamedTuple):
 
     """
 
-    frames: int
-    estimates: int
-    determined: dict[str, dict[str, float]]
-    unreadable: int
-    problem: str
-    repeated: int
-    late: int
-    resets: int
-    frame_changes: int
-    truncated: Truncated | None
-    noise: dict[str, float]
-    rigidity_residual: dict[str, float]
-    causes: dict[str, str]
-    noise_underestimated: list[str]
-    first: int
-    last: int
-    absent: dict[str, list[str]]
-    identities: tuple[str, ...]
-    unknown: dict[str, str]
-    concatenated: list[str]
-    scene_positions: 'PositionReport | None'
     space: SpaceReport
-    lost: int
-    stamps: StampState | None
-    misnamed: list[str]
-    erring: dict[str, dict[str, float]]
-    wrong: dict[str, int]
-    outages: dict[str, Outage]
+    frames: int = 0
+    estimates: int = 0
+    determined: dict[str, dict[str, float]] = field(default_factory=dict)
+    unreadable: int = 0
+    problem: str = ''
+    repeated: int = 0
+    late: int = 0
+    lost: int = 0
+    resets: int = 0
+    frame_changes: int = 0
+    truncated: Truncated | None = None
+    noise: dict[str, float] = field(default_factory=dict)
+    rigidity_residual: dict[str, float] = field(default_factory=dict)
+    causes: dict[str, str] = field(default_factory=dict)
+    noise_underestimated: list[str] = field(default_factory=list)
+    first: int = 0
+    last: int = 0
+    absent: dict[str, list[str]] = field(default_factory=dict)
+    identities: tuple[str, ...] = ()
+    unknown: dict[str, str] = field(default_factory=dict)
+    concatenated: list[str] = field(default_factory=list)
+    scene_positions: 'PositionReport | None' = None
+    stamps: StampState | None = None
+    misnamed: list[str] = field(default_factory=list)
+    erring: dict[str, dict[str, float]] = field(default_factory=dict)
+    wrong: dict[str, int] = field(default_factory=dict)
+    outages: dict[str, Outage] = field(default_factory=dict)
 
 
-class ReplayTotals:
-    """Counts over the frames and estimates of a replay."""
-
-    def __init__(self, settings: Settings, tracker: Tracker, theory: 'Theory | None') -> None:
-        self.problem = ''
-        self.truncated: Truncated | None = None
-        self._settings, self._tracker = settings, tracker
-        self._first: int | None = None
-        self._last = 0
-        self._identities: tuple[str, ...] = ()
-        self._absent = {body: list(names) for body, names in settings.bodies.items() if names}
-        if settings.marker_identity == 'shape':
-            for body in settings.shapes:
-                self._absent.pop(body, None)
-        self._space, self._space_stamp = tracker.space(), 0
-        self._estimates = 0
-        poles = POLE_NAMES[: settings.highest_order]
-        self._determined = {body: dict.fromkeys(poles, 0) for body in tracker.bodies}
-        self._unknown = dict.fromkeys(tracker.bodies, '')
-        self._positions = None
-        if theory is not None:
-            from kinpole_ros.linkage.positions import Positions
-
-            self._positions = Positions(theory.scene, theory.matches)
-
-    def add_frames(self, frames: MarkerFrames) -> None:
-        """Add frames (T,) before the tracker takes them."""
-        earliest = int(frames.stamps.min())
-        self._first = earliest if self._first is None else min(self._first, earliest)
-        self._last = max(self._last, int(frames.stamps.max()))
-        if frames.identities != self._identities:
-            self._identities = frames.identities
-            absent = {
-                body: [
-                    name
-                    for name, row in zip(names, find_rows(frames.identities, names), strict=True)
-                    if row == len(frames.identities)
-                ]
-                for body, names in self._absent.items()
-            }
-            self._absent = {body: names for body, names in absent.items() if names}
-
-    def update_space(self) -> None:
-        """Note how the motion lies in space, once a second of stamps."""
-        if self._last - self._space_stamp >= _SECOND:
-            self._space_stamp = self._last
-            self._space = updated(self._space, self._tracker.space())
-
-    def add_estimate(self, estimate: Estimate) -> None:
-        """Add the estimates (T,) of consecutive instants."""
-        self._estimates += len(estimate)
-        for b, poles in enumerate(self._determined.values()):
-            for order, pole in enumerate(poles, 1):
-                poles[pole] += int(estimate.pole(order).determined[:, b].sum())
-        for body, reasons in zip(estimate.bodies, estimate.missing.T, strict=True):
-            if (reasons == '').any():
-                self._unknown.pop(body, None)
-            elif body in self._unknown:
-                self._unknown[body] = str(reasons[-1])
-        if self._positions is not None:
-            self._positions.append(estimate)
-
-    def result(self, concatenated: list[str], pose_problem: str) -> Replayed:
-        """Return the outcome; `pose_problem` is a line on the input, '' if nothing is wrong."""
-        tracker, counts, positions = self._tracker, self._tracker.counts, self._positions
-
-        def by_body(values: Sequence[float] | Sequence[str]) -> dict[str, Any]:
-            return dict(zip(tracker.bodies, values, strict=True))
-
-        return Replayed(
-            frames=counts['frames'],
-            estimates=self._estimates,
-            determined={
-                body: {pole: count / max(self._estimates, 1) for pole, count in poles.items()}
-                for body, poles in self._determined.items()
-            },
-            unreadable=counts['unreadable'],
-            problem=self.problem,
-            repeated=counts['repeated'],
-            late=counts['late'],
-            resets=counts['resets'],
-            frame_changes=counts['frame_changes'],
-            truncated=self.truncated,
-            noise=by_body(tracker.noise().tolist()),
-            rigidity_residual=by_body(tracker.rigidity_residual().tolist()),
-            causes=by_body(tracker.causes()),
-            noise_underestimated=[
-                body for body, is_more in by_body(tracker.noise_underestimated()).items() if is_more
-            ],
-            first=self._first or 0,
-            last=self._last,
-            absent=self._absent,
-            identities=self._identities,
-            unknown=self._unknown,
-            concatenated=concatenated,
-            scene_positions=None if positions is None else positions.report(),
-            space=updated(self._space, tracker.space()),
-            lost=counts['lost'],
-            stamps=tracker.stamp_state(),
-            misnamed=[
-                *identity_lines(tracker, counts),
-                *filter(None, (pose_problem, _pairs_line(self._settings))),
-            ],
-            erring=tracker.erring(),
-            wrong=by_body(tracker.wrong().tolist()),
-            outages=tracker.outages(),
-        )
-
-
-def _pairs_line(settings: Settings) -> str:
-    """Say that relative motions of pairs are not measured, if there are too many bodies."""
-    count = len(settings.bodies)
-    if count <= MOST_PAIRED_BODIES:
-        return ''
-    return (
-        f'relative rates and centers of pairs are left out: there are {count} bodies, and pairs '
-        f'are measured of up to {MOST_PAIRED_BODIES}; fix: for these, name fewer bodies'
+def begin(settings: Settings, tracker: Tracker) -> Replayed:
+    """Return the outcome of a replay that has no frames yet."""
+    absent = {body: list(names) for body, names in settings.bodies.items() if names}
+    for body in settings.shapes if settings.marker_identity == 'shape' else ():
+        absent.pop(body, None)
+    poles = POLE_NAMES[: settings.highest_order]
+    return Replayed(
+        tracker.space(),
+        determined={body: dict.fromkeys(poles, 0) for body in tracker.bodies},
+        first=_LATEST,
+        absent=absent,
+        unknown=dict.fromkeys(tracker.bodies, ''),
     )
+
+
+def add_frames(outcome: Replayed, frames: MarkerFrames) -> None:
+    """Add frames (T,) before the tracker takes them."""
+    outcome.first = min(outcome.first, int(frames.stamps.min()))
+    outcome.last = max(outcome.last, int(frames.stamps.max()))
+    if frames.identities != outcome.identities:
+        outcome.identities = frames.identities
+        absent = {
+            body: [
+                name
+                for name, row in zip(names, find_rows(frames.identities, names), strict=True)
+                if row == len(frames.identities)
+            ]
+            for body, names in outcome.absent.items()
+        }
+        outcome.absent = {body: names for body, names in absent.items() if names}
+
+
+def add_estimate(outcome: Replayed, estimate: Estimate) -> None:
+    """Add the estimates (T,) of consecutive instants."""
+    outcome.estimates += len(estimate)
+    for b, poles in enumerate(outcome.determined.values()):
+        for order, pole in enumerate(poles, 1):
+            poles[pole] += int(estimate.pole(order).determined[:, b].sum())
+    for body, reasons in zip(estimate.bodies, estimate.missing.T, strict=True):
+        if (reasons == '').any():
+            outcome.unknown.pop(body, None)
+        elif body in outcome.unknown:
+            outcome.unknown[body] = str(reasons[-1])
+
+
+def finish(outcome: Replayed, tracker: Tracker) -> None:
+    """Add what the tracker knows at the end, and turn numbers of instants into shares."""
+    bodies, counts = tracker.bodies, tracker.counts
+    for name in _COUNTED:
+        setattr(outcome, name, counts[name])
+    if not outcome.frames:
+        outcome.first = 0
+    for poles in outcome.determined.values():
+        for pole in poles:
+            poles[pole] /= max(outcome.estimates, 1)
+    outcome.noise = dict(zip(bodies, tracker.noise().tolist(), strict=True))
+    residuals = tracker.rigidity_residual().tolist()
+    outcome.rigidity_residual = dict(zip(bodies, residuals, strict=True))
+    outcome.causes = dict(zip(bodies, tracker.causes(), strict=True))
+    outcome.noise_underestimated = [*compress(bodies, tracker.noise_underestimated())]
+    outcome.space = updated(outcome.space, tracker.space())
+    outcome.stamps = tracker.stamp_state()
+    outcome.misnamed = [*identity_lines(tracker, counts), *outcome.misnamed]
+    if len(bodies) > MOST_PAIRED_BODIES:
+        outcome.misnamed.append(
+            f'relative rates and centers of pairs are left out: there are {len(bodies)} bodies, '
+            f'and pairs are measured of up to {MOST_PAIRED_BODIES}; fix: for these, name fewer '
+            'bodies'
+        )
+    outcome.erring = tracker.erring()
+    outcome.wrong = dict(zip(bodies, tracker.wrong().tolist(), strict=True))
+    outcome.outages = tracker.outages()

@@ -1,21 +1,21 @@
 """Results as tables, CSV or Parquet: a row for each instant, empty where undetermined."""
 
 import csv
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 
-from kinpole_ros.bags._files import BagError, unwritable
+from kinpole_ros.bags._files import BagError, write_errors
 from kinpole_ros.files import as_cell
 from kinpole_ros.packages import install_command
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors, measured_pairs
+
+AddRows: TypeAlias = Callable[[Estimate], None]
 
 _GROUP_ROWS = 8192  # of a Parquet file, which are in memory at once
 # The event of a body that was found with an instant: its time, and the step of the derivative of
@@ -108,123 +108,81 @@ def _vector_columns(vectors: Vectors, shape: tuple[int, int]) -> np.ndarray:
     return np.where(vectors.determined[..., None], columns, np.nan).reshape(*shape, 4)
 
 
-class _Table(ABC):
+@contextmanager
+def csv_table(
+    path: str | Path, settings: Settings, name: str | Path | None = None
+) -> Iterator[AddRows]:
     """
-    A file that estimates are written to; use it in a `with` block.
+    Give a function that writes the rows of an estimate to a spreadsheet.
 
-    `name` is the one in messages, where that is not its path. Raises BagError when it cannot be
-    written.
+    t in s with all its digits, then the quantities; empty is undetermined. `name` is the one in
+    messages, where that is not its path. Raises BagError when it cannot be written.
     """
+    order, named = settings.highest_order, name or path
+    with write_errors(named), open(path, 'w', newline='', encoding='utf-8') as file:
+        table = csv.writer(file)
+        table.writerow(['t', *map(as_cell, column_names(tuple(settings.bodies), order))])
 
-    def __init__(
-        self, path: str | Path, settings: Settings, name: str | Path | None = None
-    ) -> None:
-        self._path, self._name = Path(path), name or path
-        self._order = settings.highest_order
-        self._names = column_names(tuple(settings.bodies), self._order)
-        with self._write_errors():
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._open()
+        def add(estimate: Estimate) -> None:
+            rows = table_rows(estimate, order)
+            cells = rows.astype(object)
+            cells[np.isnan(rows)] = None
+            stamps = np.atleast_1d(estimate.stamp).tolist()
+            times = [f'{stamp // 10**9}.{stamp % 10**9:09d}' for stamp in stamps]
+            with write_errors(named):
+                table.writerows(
+                    [time, *row] for time, row in zip(times, cells.tolist(), strict=True)
+                )
 
-    def __enter__(self) -> '_Table':
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        try:
-            with self._write_errors():
-                self._close()
-        except BagError:
-            if kind is None:  # else the first error is the one to be seen
-                raise
-
-    def add(self, estimate: Estimate) -> None:
-        """Write the rows of its instants."""
-        rows = table_rows(estimate, self._order)
-        with self._write_errors():
-            self._write(np.atleast_1d(estimate.stamp), rows)
-
-    @contextmanager
-    def _write_errors(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise unwritable(self._name, error) from None
-
-    @abstractmethod
-    def _open(self) -> None: ...
-
-    @abstractmethod
-    def _write(self, stamps: np.ndarray, rows: np.ndarray) -> None: ...
-
-    @abstractmethod
-    def _close(self) -> None: ...
+        yield add
 
 
-class CsvTable(_Table):
-    """A spreadsheet: t in s with all its digits, then the quantities; empty is undetermined."""
-
-    def _open(self) -> None:
-        self._file = open(self._path, 'w', newline='', encoding='utf-8')  # noqa: SIM115
-        self._rows = csv.writer(self._file)
-        self._rows.writerow(['t', *map(as_cell, self._names)])
-
-    def _write(self, stamps: np.ndarray, rows: np.ndarray) -> None:
-        cells = rows.astype(object)
-        cells[np.isnan(rows)] = None
-        times = [f'{stamp // 10**9}.{stamp % 10**9:09d}' for stamp in stamps.tolist()]
-        self._rows.writerows([time, *row] for time, row in zip(times, cells.tolist(), strict=True))
-
-    def _close(self) -> None:
-        self._file.close()
-
-
-class ParquetTable(_Table):
+@contextmanager
+def parquet_table(
+    path: str | Path, settings: Settings, name: str | Path | None = None
+) -> Iterator[AddRows]:
     """
-    A Parquet file for pandas, Polars, DuckDB and the like, written in groups of rows.
+    Give a function that writes the rows of an estimate to a file for pandas, Polars and the like.
 
-    Columns: stamp, ns, exact; t, s; then the quantities; null is undetermined. Needs pyarrow.
+    Columns: stamp, ns, exact; t, s; then the quantities; null is undetermined. It is written in
+    groups of rows. Otherwise as `csv_table`; needs pyarrow.
     """
+    order, named = settings.highest_order, name or path
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        raise BagError(
+            f'{named} needs pyarrow; fix: {install_command("parquet")}, or write a CSV table'
+        ) from None
+    names = ('t', *column_names(tuple(settings.bodies), order))
+    columns = [('stamp', pyarrow.int64()), *((column, pyarrow.float64()) for column in names)]
+    schema = pyarrow.schema(columns)
+    blocks: list[tuple[np.ndarray, np.ndarray]] = []
+    with (
+        write_errors(named),
+        open(path, 'wb') as file,
+        parquet.ParquetWriter(file, schema, compression='zstd') as writer,
+    ):
 
-    def _open(self) -> None:
-        try:
-            import pyarrow
-            from pyarrow import parquet
-        except ImportError:
-            raise BagError(
-                f'{self._name} needs pyarrow; fix: {install_command("parquet")}, or write a CSV '
-                'table'
-            ) from None
-        self._arrow: Any = pyarrow
-        double = pyarrow.float64()
-        self._schema = pyarrow.schema(
-            [('stamp', pyarrow.int64()), *((name, double) for name in ('t', *self._names))]
-        )
-        self._blocks: list[tuple[np.ndarray, np.ndarray]] = []
-        self._file = open(self._path, 'wb')  # noqa: SIM115
-        self._writer = parquet.ParquetWriter(self._file, self._schema, compression='zstd')
+        def write_group() -> None:
+            stamps, rows = (np.concatenate(column) for column in zip(*blocks, strict=True))
+            blocks.clear()
+            arrays = [
+                pyarrow.array(column, from_pandas=True)
+                for column in (stamps, stamps * 1e-9, *rows.T)
+            ]
+            with write_errors(named):
+                writer.write_table(pyarrow.table(arrays, schema=schema))
 
-    def _write(self, stamps: np.ndarray, rows: np.ndarray) -> None:
-        self._blocks.append((stamps, rows))
-        if sum(len(stamps) for stamps, _ in self._blocks) >= _GROUP_ROWS:
-            self._write_group()
+        def add(estimate: Estimate) -> None:
+            blocks.append((np.atleast_1d(estimate.stamp), table_rows(estimate, order)))
+            if sum(len(stamps) for stamps, _ in blocks) >= _GROUP_ROWS:
+                write_group()
 
-    def _write_group(self) -> None:
-        if not self._blocks:
-            return
-        stamps, rows = (np.concatenate(column) for column in zip(*self._blocks, strict=True))
-        self._blocks = []
-        columns = [stamps, stamps * 1e-9, *rows.T]
-        arrays = [self._arrow.array(column, from_pandas=True) for column in columns]
-        self._writer.write_table(self._arrow.table(arrays, schema=self._schema))
+        yield add
+        if blocks:
+            write_group()
 
-    def _close(self) -> None:
-        try:
-            self._write_group()
-            self._writer.close()
-        finally:
-            self._file.close()
+
+TABLES = {'csv': csv_table, 'parquet': parquet_table}

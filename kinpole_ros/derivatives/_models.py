@@ -3,15 +3,14 @@ The models of motion within a window, and how each differentiates it: tables for
 
 A signal is a line, a process of zero mean on top of it, and white noise. A process has the spectrum
 exp(-(w l)^p): the length l is the time scale of the motion, and the power p is how fast harmonics
-decay. Low polynomials are processes too. For covariances alone there is a rough spectrum, that of
-a motion with four derivatives (Matern 9/2: Rasmussen and Williams, Gaussian Processes for Machine
-Learning, 2006, 4.2.1).
+decay. Low polynomials are processes too.
 
 A process is a sum of waves of random size: x = F z, with waves F (n, J) of J frequencies and white
 z (J,). The singular vectors of F, without its mean and slope, are the modes of the process, and the
 singular values s the standard deviations of their coefficients. An amplitude a multiplies all of
-these, so the modes diagonalize the covariances a^2 F F' of all amplitudes (there, 2.7 for the line
-with a flat prior, 5.4 for the evidence). F itself is decomposed, since rounding destroys the small
+these, so the modes diagonalize the covariances a^2 F F' of all amplitudes (Rasmussen and Williams,
+Gaussian Processes for Machine Learning, 2006, 2.7 for the line with a flat prior, 5.4 for the
+evidence). F itself is decomposed, since rounding destroys the small
 eigenvalues of F F'. Waves and modes are even and odd about the middle of the window.
 
 Times are in samples from the middle of the window, and signals in deviations of the noise. Windows
@@ -31,9 +30,7 @@ FEWEST_SAMPLES = SIZES['FEWEST_SAMPLES']
 """Samples of the shortest window, which still has every order."""
 # Power of each spectrum and its shortest length, samples: a shorter one is like white noise.
 SPECTRA = ((2.0, 1.0), (1.4, 1.0), (1.0, 4.0))
-# Smoothness of the rough spectrum and its shortest length; with 7/2 snap has no finite variance.
-_ROUGH = ((4.5, 4.0),)
-# Longest length, windows. The next one is half as long, in the rough spectrum a quarter.
+# Longest length, windows. The next one is half as long.
 _MAX_LENGTH = 1.25
 # Degrees of low polynomials; degree 1 is the line alone.
 _DEGREES = (1, 2)
@@ -49,6 +46,7 @@ _PARABOLA_AMPLITUDE = 2
 _MIN_MODE_SIGMA = 1e-2
 # Prior probability of all processes; low polynomials, the line, and rest have the other half.
 _PROCESS_PRIOR = 0.5
+_SIMPLE_PRIOR = (1 - _PROCESS_PRIOR) / (len(_DEGREES) + 1)
 # Models that the library evaluates side by side.
 _LANES = SIZES['LANES']
 # Singular values below this part of the largest are rounding.
@@ -88,22 +86,16 @@ def _processes(count: int, exact: bool) -> list[Process]:
     """
     Return the processes on a window of `count` samples, those of a spectrum from the longest on.
 
-    The rough spectrum is the last. Exact samples have none, and lengths half as short: where their
-    noise is larger than stated, it is a motion too.
+    Low polynomials are the last. Exact samples have lengths half as short: where their noise is
+    larger than stated, it is a motion too.
     """
     processes = []
-    for k, (_, shortest) in enumerate(SPECTRA if exact else SPECTRA + _ROUGH):
-        longest, factor = _MAX_LENGTH * count, 2.0 if k < len(SPECTRA) else 4.0
-        least = shortest / 2 if exact else shortest
-        number = max(1, int(np.log(longest / least) / np.log(factor)) + 1)
+    for k, (_, shortest) in enumerate(SPECTRA):
+        longest, least = _MAX_LENGTH * count, shortest / 2 if exact else shortest
+        number = max(1, int(np.log2(longest / least)) + 1)
         prior = _PROCESS_PRIOR / len(SPECTRA) / number
-        processes += [Process(k, longest / factor**i, prior) for i in range(number)]
-    return processes + [Process(-1, degree, _polynomial_prior()) for degree in _DEGREES]
-
-
-def _polynomial_prior() -> float:
-    """Return the prior of a low polynomial, and of rest."""
-    return (1 - _PROCESS_PRIOR) / (len(_DEGREES) + 1)
+        processes += [Process(k, longest / 2.0**i, prior) for i in range(number)]
+    return processes + [Process(-1, degree, _SIMPLE_PRIOR) for degree in _DEGREES]
 
 
 def _amplitudes(exact: bool) -> Real:
@@ -118,12 +110,8 @@ def _waves(process: Process, count: int, time: Real, orders: range) -> list[tupl
     # The sum repeats itself after this period, which is longer than a window.
     step = 2 * np.pi / (count + 10 * process.length)
     frequency = step * np.arange(int(np.pi / step) + 1)
-    if process.spectrum < len(SPECTRA):
-        power, _ = SPECTRA[process.spectrum]
-        weight = np.exp(-((frequency * process.length) ** power) / 2)
-    else:
-        smoothness, _ = _ROUGH[0]
-        weight = (1 + (frequency * process.length) ** 2) ** -((smoothness + 0.5) / 2)
+    power, _ = SPECTRA[process.spectrum]
+    weight = np.exp(-((frequency * process.length) ** power) / 2)
     weight[0] /= np.sqrt(2)
     weight /= np.sqrt((weight**2).sum())
     is_used = weight > _ROUNDING
@@ -275,7 +263,7 @@ def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
     prior = [member.process.prior / len(amplitudes) for member in members]
     # Rest has one amplitude, and no slope, whose flat prior is a factor of all other models.
     costs = np.array([*determinants, np.full(len(amplitudes), np.log(3 * amplitudes[-1]))])
-    priors = np.log([*prior, _polynomial_prior()])[:, None]
+    priors = np.log([*prior, _SIMPLE_PRIOR])[:, None]
     log_prior = priors + np.array((1, 2))[:, None, None] * costs
     log_prior[:, -1, 1:] = -np.inf
     own = [
@@ -290,8 +278,8 @@ def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
     ]
     if not exact:
         numbers.append(_step_squares(count, members, amplitudes))
-    # Polynomials and rest have the number after that of the rough spectrum: common to all.
-    last = len(SPECTRA) + 1
+    # Polynomials and rest have the number after those of the spectra: common to all.
+    last = len(SPECTRA)
     spectrum = np.array([*(one.process.spectrum % (last + 1) for one in members), last])
     spectra = _fill_lanes(np.tile(spectrum[:, None], len(amplitudes)), last)
     head = [len(costs), spectra.shape[1] // _LANES, last, first[1, 0], len(sizes)]

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.linkage._body_poses import BodyPoses, fit_body, refine_groups
 from kinpole_ros.linkage._motion_plane import MotionPlane, fit_plane, space_noise, track_noise
-from kinpole_ros.linkage._poses import Pose, fit_body, refine_groups
-from kinpole_ros.linkage._record import Record, UndiscoveredError
+from kinpole_ros.linkage._record import MarkerRecord, UndiscoveredError
 from kinpole_ros.linkage._rigid import Groups, distance_spreads, group, single_markers
 from kinpole_ros.linkage._solid import SolidPose, finite_mean, out_of_plane, turn_scatter
 from kinpole_ros.linkage._space import DISTANCE_FRAMES, SpaceBodies, find_bodies, soft_bodies
@@ -28,7 +28,7 @@ _FLAT_SOFT, _FLAT_TURN = 3.0, 0.05
 _NEARLY_ALL, _MANY, _STILL = 0.9, 6, 0.05
 
 
-class Bodies(NamedTuple):
+class FoundBodies(NamedTuple):
     """
     Tracks (T, N) of all markers in the plane, complex, in units of the source, and their bodies.
 
@@ -40,7 +40,7 @@ class Bodies(NamedTuple):
 
     tracks: Complex
     groups: Groups
-    poses: list[Pose]
+    poses: list[BodyPoses]
     plane: MotionPlane
     labels: list[str]
     ordered: bool
@@ -49,10 +49,10 @@ class Bodies(NamedTuple):
 
 
 def identify(
-    record: Record,
+    record: MarkerRecord,
     normal: np.ndarray | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Bodies:
+) -> FoundBodies:
     """
     Find the bodies of a record, in the plane with this `normal` (3,) or in that of the motion.
 
@@ -78,8 +78,8 @@ def identify(
 
 
 def _by_unreliable_names(
-    record: Record, normal: np.ndarray | None, error: UndiscoveredError
-) -> Bodies:
+    record: MarkerRecord, normal: np.ndarray | None, error: UndiscoveredError
+) -> FoundBodies:
     """Bodies by names that seem to change from frame to frame, if the bodies are rigid."""
     with suppress(UndiscoveredError):
         record = record._replace(names=record.unreliable_names, unreliable_names=())
@@ -91,13 +91,13 @@ def _by_unreliable_names(
     )
 
 
-def _in_plane(tracks: Complex, plane: MotionPlane, labels: list[str], ordered: bool) -> Bodies:
+def _in_plane(tracks: Complex, plane: MotionPlane, labels: list[str], ordered: bool) -> FoundBodies:
     """Bodies that are rigid in the plane, or else soft."""
     noise = track_noise(tracks)
     is_frequent = _seen_often(tracks.real)
     frequent = np.where(is_frequent, tracks, np.nan)
     groups = group(frequent, noise)
-    poses: list[Pose] = []
+    poses: list[BodyPoses] = []
     if groups.bodies:
         groups, poses = refine_groups(tracks, groups)
     soft = soft_bodies(frequent, noise, groups.bodies) if ordered else None
@@ -106,10 +106,10 @@ def _in_plane(tracks: Complex, plane: MotionPlane, labels: list[str], ordered: b
         groups = groups._replace(bodies=soft, single=single)
         poses = [fit_body(tracks[:, body]) for body in soft]
     _check_groups(groups, tracks, is_frequent, labels)
-    return Bodies(tracks, groups, poses, plane, labels, ordered, is_soft=bool(soft))
+    return FoundBodies(tracks, groups, poses, plane, labels, ordered, is_soft=bool(soft))
 
 
-def _in_space(record: Record, noise: np.ndarray, normal: np.ndarray | None) -> Bodies:
+def _in_space(record: MarkerRecord, noise: np.ndarray, normal: np.ndarray | None) -> FoundBodies:
     """Bodies that are rigid in space, projected on the plane nearest to their motion."""
     points = record.points
     is_frequent = _seen_often(points[..., 0])
@@ -132,7 +132,7 @@ def _in_space(record: Record, noise: np.ndarray, normal: np.ndarray | None) -> B
     _check_groups(groups, tracks, is_frequent, list(record.names))
     is_flat = all(_is_flat(pose, plane) for pose in solid)
     residual = float(np.median([pose.noise for pose in poses]))
-    return Bodies(
+    return FoundBodies(
         tracks,
         groups,
         poses,
@@ -152,7 +152,7 @@ def _is_flat(pose: SolidPose, plane: MotionPlane) -> bool:
     return off < max(soft, _FLAT * plane.across) and turned < limit
 
 
-def _check_motion(bodies: Bodies) -> None:
+def _check_motion(bodies: FoundBodies) -> None:
     """Raise UndiscoveredError if nearly all markers are of one body that stands still."""
     count, pose = bodies.tracks.shape[1], bodies.poses[0]
     is_one = len(bodies.poses) == 1 and len(pose.shape) >= max(_NEARLY_ALL * count, _MANY)

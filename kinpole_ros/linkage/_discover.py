@@ -5,11 +5,12 @@ from itertools import combinations
 
 import numpy as np
 
-from kinpole_ros.linkage._bodies import Bodies, identify
-from kinpole_ros.linkage._joints import (
+from kinpole_ros.linkage._bodies import FoundBodies, identify
+from kinpole_ros.linkage._body_poses import GROUND, GROUND_NUMBER, BodyPoses, ground
+from kinpole_ros.linkage._found_joints import (
     SKIN_STRAIN,
-    Joint,
-    Rolling,
+    FoundJoint,
+    FoundRolling,
     fit_gear,
     fit_pin,
     fit_slide,
@@ -25,8 +26,7 @@ from kinpole_ros.linkage._linkage import (
     name_points,
 )
 from kinpole_ros.linkage._motion_plane import unit_scale
-from kinpole_ros.linkage._poses import GROUND, GROUND_NUMBER, Pose, ground
-from kinpole_ros.linkage._record import Record, Stamps, gather
+from kinpole_ros.linkage._record import MarkerRecord, Stamps, gather
 from kinpole_ros.linkage._space import open_chains
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.statistics import medians
@@ -74,7 +74,7 @@ def discover(
     return _linkage_of(record, stamps, bodies)
 
 
-def _linkage_of(record: Record, stamps: Stamps, identified: Bodies) -> Linkage:
+def _linkage_of(record: MarkerRecord, stamps: Stamps, identified: FoundBodies) -> Linkage:
     scale = unit_scale(max(pose.size for pose in identified.poses))
     is_planar = identified.space is None
     if is_planar:
@@ -82,8 +82,8 @@ def _linkage_of(record: Record, stamps: Stamps, identified: Bodies) -> Linkage:
     poses = [_scaled(pose, scale) for pose in identified.poses]
     bodies = {**dict(enumerate(poses)), GROUND_NUMBER: ground(len(record.stamps))}
     names = body_names([[identified.labels[k] for k in body] for body in identified.groups.bodies])
-    joints: list[Joint] = []
-    rolling: list[Rolling] = []
+    joints: list[FoundJoint] = []
+    rolling: list[FoundRolling] = []
     freedom = 3 * len(poses)
     notes: list[str] = []
     # Joints in the plane mean nothing for bodies that leave it.
@@ -123,7 +123,7 @@ def _linkage_of(record: Record, stamps: Stamps, identified: Bodies) -> Linkage:
     )
 
 
-def _ordered_bodies(identified: Bodies) -> Bodies:
+def _ordered_bodies(identified: FoundBodies) -> FoundBodies:
     """Bodies in order of their distance from the ground, as one numbers links from the input."""
     bodies = {**dict(enumerate(identified.poses)), GROUND_NUMBER: ground(len(identified.tracks))}
     neighbors: dict[int, set[int]] = {number: set() for number in bodies}
@@ -147,7 +147,7 @@ def _ordered_bodies(identified: Bodies) -> Bodies:
     return identified._replace(groups=groups, poses=[identified.poses[k] for k in order])
 
 
-def candidate_pairs(bodies: dict[int, Pose]) -> list[tuple[int, int]]:
+def candidate_pairs(bodies: dict[int, BodyPoses]) -> list[tuple[int, int]]:
     """
     Pairs of bodies that a joint may connect, by number, in the order of `bodies`.
 
@@ -167,7 +167,7 @@ def candidate_pairs(bodies: dict[int, Pose]) -> list[tuple[int, int]]:
     return [(i, j) for i, j in pairs if GROUND_NUMBER in (i, j) or (i, j) in near or (j, i) in near]
 
 
-def _scaled(pose: Pose, scale: float) -> Pose:
+def _scaled(pose: BodyPoses, scale: float) -> BodyPoses:
     if scale == 1:
         return pose
     return pose._replace(
@@ -179,10 +179,10 @@ def _scaled(pose: Pose, scale: float) -> Pose:
 
 
 def _pins(
-    bodies: dict[int, Pose], names: list[str], notes: list[str], is_soft: bool
-) -> tuple[list[Joint], int]:
+    bodies: dict[int, BodyPoses], names: list[str], notes: list[str], is_soft: bool
+) -> tuple[list[FoundJoint], int]:
     """Pins of bodies, those on the ground first, and the degrees of freedom that they leave."""
-    pins: list[Joint] = []
+    pins: list[FoundJoint] = []
     moving = {k: bodies[k] for k in range(len(names))}
     for i, j in candidate_pairs(moving):
         pin, turns = fit_pin(bodies[i], bodies[j], (i, j), SKIN_STRAIN * is_soft)
@@ -211,15 +211,15 @@ def _pins(
     return pins, freedom
 
 
-def _freedom(count: int, pins: Sequence[Joint]) -> int:
+def _freedom(count: int, pins: Sequence[FoundJoint]) -> int:
     """Degrees of freedom of bodies on pins; three bodies on one axle have two independent pins."""
     return 3 * count - 2 * sum(len(on) - 1 for on, _ in merged_pins(pins))
 
 
 def _add_slides(
-    bodies: dict[int, Pose],
-    joints: list[Joint],
-    rolling: list[Rolling],
+    bodies: dict[int, BodyPoses],
+    joints: list[FoundJoint],
+    rolling: list[FoundRolling],
     names: list[str],
     notes: list[str],
     freedom: int,
@@ -258,7 +258,9 @@ def _add_slides(
     return freedom
 
 
-def _slides(bodies: dict[int, Pose], pairs: Iterable[tuple[int, int]]) -> list[tuple[Joint, bool]]:
+def _slides(
+    bodies: dict[int, BodyPoses], pairs: Iterable[tuple[int, int]]
+) -> list[tuple[FoundJoint, bool]]:
     """
     The slide that fits best of each pair that has one, those that fit best first.
 
@@ -280,14 +282,14 @@ def _slides(bodies: dict[int, Pose], pairs: Iterable[tuple[int, int]]) -> list[t
     )
 
 
-def _gears(bodies: dict[int, Pose], pins: Sequence[Joint]) -> list[Rolling]:
+def _gears(bodies: dict[int, BodyPoses], pins: Sequence[FoundJoint]) -> list[FoundRolling]:
     """Pairs of gears on one arm, those that fit best first."""
     sides = [(pin.one, pin.on_one, pin.other, pin.on_other, pin.deviation[0]) for pin in pins]
     sides += [(j, on_j, i, on_i, deviation) for i, on_i, j, on_j, deviation in sides]
     # The wheel of two gears is the one that is not pinned to the ground.
     grounded = {pin.one for pin in pins if pin.other == GROUND_NUMBER}
     sides.sort(key=lambda side: side[0] in grounded)
-    gears: list[Rolling] = []
+    gears: list[FoundRolling] = []
     for i, hub, arm, hub_on_arm, _ in sides:
         for j, center, arm_of_j, center_on_arm, deviation in sides:
             if i in (GROUND_NUMBER, j) or arm_of_j != arm:
@@ -308,7 +310,7 @@ def _gears(bodies: dict[int, Pose], pins: Sequence[Joint]) -> list[Rolling]:
 
 
 def _connection_notes(
-    joints: Sequence[Joint], rolling: Sequence[Rolling], names: list[str]
+    joints: Sequence[FoundJoint], rolling: Sequence[FoundRolling], names: list[str]
 ) -> list[str]:
     """Notes on pairs of bodies that were not examined, and on bodies that nothing connects."""
     notes = []
@@ -326,7 +328,7 @@ def _connection_notes(
     return notes
 
 
-def _marker_notes(record: Record, identified: Bodies) -> list[str]:
+def _marker_notes(record: MarkerRecord, identified: FoundBodies) -> list[str]:
     """Notes on exchanged names, and on points that are of no body."""
     notes = []
     times: dict[tuple[str, str], list[int]] = {}

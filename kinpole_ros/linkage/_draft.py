@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.linkage._body_poses import GROUND_NUMBER, BodyPoses, ground
 from kinpole_ros.linkage._drivers import fit_drive
-from kinpole_ros.linkage._joints import Joint, Rolling
+from kinpole_ros.linkage._found_joints import FoundJoint, FoundRolling
 from kinpole_ros.linkage._linkage import LINE, Linkage, connected, trammel_ends
-from kinpole_ros.linkage._poses import GROUND_NUMBER, Pose, ground
 from kinpole_ros.mechanism import LinkageError, SceneError, load_scene, marker_positions
 
 _DECIMALS = 7  # of a length, m
@@ -89,7 +89,7 @@ class _Sketch(NamedTuple):
     def name(self, number: int) -> str:
         return self.linkage.name(number)
 
-    def pose(self, number: int) -> Pose:
+    def pose(self, number: int) -> BodyPoses:
         if number == GROUND_NUMBER:
             return ground(len(self.linkage.seconds))
         return self.linkage.poses[number]
@@ -256,7 +256,7 @@ def _sketch(linkage: Linkage) -> _Sketch:
     return _Sketch(linkage, bodies, frames, points, angles, first)
 
 
-def _joint_lines(sketch: _Sketch, joint: Joint) -> list[str]:
+def _joint_lines(sketch: _Sketch, joint: FoundJoint) -> list[str]:
     """The lines of a slot, slide or trammel. A pin has none: its points have one name."""
     if joint.kind == 'pin':
         return []
@@ -277,7 +277,7 @@ def _joint_lines(sketch: _Sketch, joint: Joint) -> list[str]:
     return [f'{{prismatic: {on}, turned: {_degrees(turned)}, name: slide_{end}}}']
 
 
-def _slide_ends(sketch: _Sketch, joint: Joint) -> list[tuple[str, float]]:
+def _slide_ends(sketch: _Sketch, joint: FoundJoint) -> list[tuple[str, float]]:
     """The points of a slide or trammel that move along lines, with the lines' directions."""
     if joint.kind != 'trammel':
         return [(sketch.point(joint.one, joint.on_one), joint.along)]
@@ -285,7 +285,7 @@ def _slide_ends(sketch: _Sketch, joint: Joint) -> list[tuple[str, float]]:
     return list(zip(ends, (0.0, np.pi / 2), strict=True))
 
 
-def _wheel_line(sketch: _Sketch, wheel: Rolling) -> str:
+def _wheel_line(sketch: _Sketch, wheel: FoundRolling) -> str:
     """The line of a wheel that rolls on a line."""
     mover, base = sketch.name(wheel.one), sketch.name(wheel.other)
     hub, first = sketch.point(wheel.one, wheel.hub), sketch.first
@@ -303,7 +303,7 @@ def _wheel_line(sketch: _Sketch, wheel: Rolling) -> str:
     )
 
 
-def _gear_line(sketch: _Sketch, wheel: Rolling, turned: set[int]) -> str:
+def _gear_line(sketch: _Sketch, wheel: FoundRolling, turned: set[int]) -> str:
     """
     The line of a gear. Turns a body that is not in `turned` by whole turns, and puts it in.
 

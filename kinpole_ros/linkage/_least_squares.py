@@ -93,7 +93,7 @@ class Normal(NamedTuple):
         return self.chi_square + float(change @ (product + 2 * self.gradient[rows]))
 
 
-class Solution(NamedTuple):
+class Adjustment(NamedTuple):
     """
     Fitted dimensions `values` and `ground` pose (3,), with their residuals.
 
@@ -167,15 +167,20 @@ def adjust(
         moved = moved - np.einsum('tkm,tmbl,tk->tbl', whiten, by_noise, normalized)
         position[:, measured] += moved[..., 0] + 1j * moved[..., 1]
         angle[:, measured] += moved[..., 2]
-    # The pose of the markers in a body: its frame moves in its own axes.
-    turn = np.exp(1j * angle[:, measured])[:, None]
-    by_markers = now.by_pose[:, :, measured].copy()
-    x, y = by_markers[..., 0].copy(), by_markers[..., 1].copy()
-    by_markers[..., 0] = x * turn.real + y * turn.imag
-    by_markers[..., 1] = y * turn.real - x * turn.imag
+    by_markers = _by_markers(now.by_pose[:, :, measured], angle[:, measured])
     columns = now.by_dimension, now.by_pose[:, :, -1], _flat(by_markers)
     by_unknown = np.einsum('tkm,tmu->tku', whiten, np.concatenate(columns, axis=-1))
     return Adjusted(normalized, by_unknown, int(whiten.any(axis=-1).sum()), *joint_residuals)
+
+
+def _by_markers(by_pose: Real, angle: Real) -> Real:
+    """
+    Derivatives (T, m, B, 3) by the poses of the markers in their bodies, at angles (T, B).
+
+    The frame of a body moves in its own axes.
+    """
+    turn, (x, y, about) = np.exp(1j * angle)[:, None], np.moveaxis(by_pose, -1, 0)
+    return np.stack((x * turn.real + y * turn.imag, y * turn.real - x * turn.imag, about), axis=-1)
 
 
 def _flat(by_pose: Real) -> Real:
@@ -242,7 +247,9 @@ def always_free(equations: Equations) -> list[int]:
     return [count, count + 1, count + 2, *starts]
 
 
-def solve(problem: Problem, ground: Real, free: Sequence[int], steps: int = _MAX_STEPS) -> Solution:
+def solve(
+    problem: Problem, ground: Real, free: Sequence[int], steps: int = _MAX_STEPS
+) -> Adjustment:
     """Fit the dimensions `free`, the ground and what no scene states, by least squares."""
     unknowns = np.concatenate((problem.values, ground))
     requested = [*always_free(problem.equations), *free]
@@ -275,7 +282,7 @@ def solve(problem: Problem, ground: Real, free: Sequence[int], steps: int = _MAX
             break
     values, ground = np.split(unknowns, [-3])
     excess = variance_excess(adjusted.value)
-    return Solution(
+    return Adjustment(
         values, ground, adjusted, normal_of(adjusted), tuple(used), inverse * excess, excess
     )
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._joints import Joint, Rolling
+from kinpole_ros.linkage._body_poses import GROUND, GROUND_NUMBER, BodyPoses
+from kinpole_ros.linkage._found_joints import FoundJoint, FoundRolling
 from kinpole_ros.linkage._motion_plane import MotionPlane
-from kinpole_ros.linkage._poses import GROUND, GROUND_NUMBER, Pose
 from kinpole_ros.linkage._record import Stamps
 from kinpole_ros.linkage._space import SpaceBodies
 
@@ -114,7 +114,7 @@ class Linkage(NamedTuple):
     """
 
     names: list[str]
-    poses: list[Pose]
+    poses: list[BodyPoses]
     markers: list[list[str]]
     columns: list[list[int]]
     fixed: list[int]
@@ -127,8 +127,8 @@ class Linkage(NamedTuple):
     scale: float
     stamps: Stamps
     frame_id: str
-    joints: list[Joint]
-    rolling: list[Rolling]
+    joints: list[FoundJoint]
+    rolling: list[FoundRolling]
     places: list[Place]
     freedom: int
     notes: list[str]
@@ -168,7 +168,7 @@ class Linkage(NamedTuple):
         return Length(*names, float(distances[farthest]), deviation)
 
 
-def connected(joints: Sequence[Joint], rolling: Sequence[Rolling]) -> set[int]:
+def connected(joints: Sequence[FoundJoint], rolling: Sequence[FoundRolling]) -> set[int]:
     """Numbers of the bodies that joints connect with the ground, and the ground's."""
     pairs = [{joint.one, joint.other} for joint in joints]
     pairs += [{wheel.one, wheel.other} for wheel in rolling]
@@ -179,7 +179,7 @@ def connected(joints: Sequence[Joint], rolling: Sequence[Rolling]) -> set[int]:
 
 
 def name_points(
-    bodies: Mapping[int, Pose], joints: Sequence[Joint], rolling: Sequence[Rolling]
+    bodies: Mapping[int, BodyPoses], joints: Sequence[FoundJoint], rolling: Sequence[FoundRolling]
 ) -> list[Place]:
     """Named points of joints, pins first; O, O2, ... are pins on the ground, A, B, ... others."""
     ground_names = (f'O{k}' if k > 1 else 'O' for k in count(1))
@@ -216,7 +216,7 @@ def _letters() -> Iterator[str]:
         yield from (f'{letter}{number}' for letter in _LETTERS)
 
 
-def trammel_ends(joint: Joint) -> tuple[complex, complex]:
+def trammel_ends(joint: FoundJoint) -> tuple[complex, complex]:
     """
     The ends of a diameter of a trammel's circle that move along the axes of the other body.
 
@@ -229,7 +229,7 @@ def trammel_ends(joint: Joint) -> tuple[complex, complex]:
     return first, second
 
 
-def merged_pins(pins: Sequence[Joint]) -> list[tuple[dict[int, complex], float]]:
+def merged_pins(pins: Sequence[FoundJoint]) -> list[tuple[dict[int, complex], float]]:
     """Pins as points by body, those at one point of a body merged, with the least deviation."""
     points: list[tuple[dict[int, complex], float]] = []
     for pin in pins:

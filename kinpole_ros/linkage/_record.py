@@ -40,7 +40,7 @@ class UndiscoveredError(ValueError):
     """Why no linkage can be found in a recording; the message ends with the fix."""
 
 
-class Record(NamedTuple):
+class MarkerRecord(NamedTuple):
     """
     Markers of T frames.
 
@@ -90,7 +90,7 @@ class Stamps(NamedTuple):
     dropped: int
 
 
-def gather(blocks: Sequence[MarkerFrames]) -> tuple[Record, Stamps]:
+def gather(blocks: Sequence[MarkerFrames]) -> tuple[MarkerRecord, Stamps]:
     """
     Concatenate blocks of frames, in the order they came, up to the first stamp that jumps back.
 
@@ -109,7 +109,7 @@ def gather(blocks: Sequence[MarkerFrames]) -> tuple[Record, Stamps]:
         (points[1:end] == points[: end - 1]) | np.isnan(points[1:end]), axis=(1, 2)
     )
     rows = np.concatenate(([True], ~is_repeated)).nonzero()[0]
-    record = Record(stamps[rows], points[rows], names, blocks[0].frame_id)
+    record = MarkerRecord(stamps[rows], points[rows], names, blocks[0].frame_id)
     if len(rows) < RECORDING_FRAMES or record.interval <= 0:
         raise UndiscoveredError(
             f'{count} frames have {len(np.unique(stamps))} different stamps; fix: have the driver '
@@ -152,7 +152,7 @@ def _concatenated_frames(
     return stamps, points, names
 
 
-def _names_follow_markers(record: Record) -> bool:
+def _names_follow_markers(record: MarkerRecord) -> bool:
     """Whether a marker is mostly nearer to its own prediction than any other marker is."""
     points = record.points
     starts = np.arange(len(points) - 2)
@@ -171,7 +171,7 @@ def _names_follow_markers(record: Record) -> bool:
     return bool(not seen.any() or is_own[seen].mean() >= _MIN_OWN_SHARE)
 
 
-def _stamps(record: Record, count: int) -> Stamps:
+def _stamps(record: MarkerRecord, count: int) -> Stamps:
     steps, seconds = record.steps(), record.seconds
     dropped = count - len(steps)
     if record.is_uneven:

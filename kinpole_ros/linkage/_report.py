@@ -5,9 +5,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from kinpole_ros.linkage._body_poses import GROUND_NUMBER
 from kinpole_ros.linkage._draft import Checked
 from kinpole_ros.linkage._linkage import Linkage
-from kinpole_ros.linkage._poses import GROUND_NUMBER
 from kinpole_ros.linkage._solid import main_axis, out_of_plane
 from kinpole_ros.tracking.plane import NORMALS
 

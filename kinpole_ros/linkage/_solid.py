@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._joints import SKIN_STRAIN
-from kinpole_ros.linkage._poses import GROUND_NUMBER
+from kinpole_ros.linkage._body_poses import GROUND_NUMBER
+from kinpole_ros.linkage._found_joints import SKIN_STRAIN
 from kinpole_ros.linkage.limits import PAIR_FRAMES
 from kinpole_ros.planar._plane import Real
 

@@ -11,8 +11,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from kinpole_ros.linkage._joints import Joint
-from kinpole_ros.linkage._poses import GROUND_NUMBER
+from kinpole_ros.linkage._body_poses import GROUND_NUMBER
+from kinpole_ros.linkage._found_joints import FoundJoint
 from kinpole_ros.linkage._rigid import RIGID_RATIO, complete_linkage, distance_spreads, sampled
 from kinpole_ros.linkage._solid import (
     SolidPose,
@@ -263,7 +263,7 @@ def _joints_of(solid: list[SolidPose | None], pairs: Iterable[tuple[int, int]]) 
     return [joint for joint in joints if joint is not None]
 
 
-AnyJoint = TypeVar('AnyJoint', SpaceJoint, Joint)
+AnyJoint = TypeVar('AnyJoint', SpaceJoint, FoundJoint)
 
 
 def open_chains(candidates: list[AnyJoint], count: int) -> list[AnyJoint]:
@@ -282,7 +282,7 @@ def open_chains(candidates: list[AnyJoint], count: int) -> list[AnyJoint]:
     return joints
 
 
-def _chain_numbers(count: int, joints: Sequence[SpaceJoint | Joint]) -> list[int]:
+def _chain_numbers(count: int, joints: Sequence[SpaceJoint | FoundJoint]) -> list[int]:
     """A number for each of `count` bodies, the same for bodies that joints connect."""
     chain = list(range(count))
     for joint in joints:

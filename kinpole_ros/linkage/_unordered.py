@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.linkage._body_poses import BodyPoses, fit_body, off_body, refine_groups
 from kinpole_ros.linkage._follow import follow, stacked_shapes
 from kinpole_ros.linkage._motion_plane import MotionPlane, fit_plane, space_noise, track_noise
-from kinpole_ros.linkage._poses import Pose, fit_body, off_body, refine_groups
-from kinpole_ros.linkage._record import Record, UndiscoveredError
+from kinpole_ros.linkage._record import MarkerRecord, UndiscoveredError
 from kinpole_ros.linkage._rigid import group
 from kinpole_ros.linkage._tracks import Tracks, best_window, link
 from kinpole_ros.planar._plane import Complex, Real
@@ -39,15 +39,15 @@ _REMAINING = 0.02
 _MIN_SEEN = 0.2
 
 
-class _Body(NamedTuple):
+class _Outline(NamedTuple):
     """A body with its pose in all frames, and its markers' numbers: one marker may be on two."""
 
-    pose: Pose
+    pose: BodyPoses
     numbers: list[int]
 
 
 def order_points(
-    record: Record, normal: np.ndarray | None, progress: Callable[[float], None] | None
+    record: MarkerRecord, normal: np.ndarray | None, progress: Callable[[float], None] | None
 ) -> tuple[Complex, MotionPlane]:
     """
     Tracks (T, N), complex, NaN for none, of a record of points in no order, and their plane.
@@ -60,7 +60,7 @@ def order_points(
     steps = window.steps()
     min_steps = round(_MIN_WINDOW * 1e9 / record.interval)
     remaining = window.points.copy()
-    bodies: list[_Body] = []
+    bodies: list[_Outline] = []
     tracks: Complex = np.zeros((len(steps), 0), complex)
     plane: MotionPlane | None = None
     noise = 0.0
@@ -142,7 +142,7 @@ def _fit_plane(points: np.ndarray, normal: np.ndarray | None) -> MotionPlane:
     return plane
 
 
-def _stacked_poses(bodies: list[_Body]) -> tuple[Complex, Real]:
+def _stacked_poses(bodies: list[_Outline]) -> tuple[Complex, Real]:
     """Positions and angles (T, B)."""
     return (
         np.stack([body.pose.position for body in bodies], axis=1),
@@ -150,7 +150,7 @@ def _stacked_poses(bodies: list[_Body]) -> tuple[Complex, Real]:
     )
 
 
-def _fit_tracks(bodies: list[_Body], tracks: Complex) -> list[Pose]:
+def _fit_tracks(bodies: list[_Outline], tracks: Complex) -> list[BodyPoses]:
     """Poses of the bodies fitted to their tracks (T, N), with gaps filled."""
     poses = []
     first = 0
@@ -168,7 +168,7 @@ def _fit_tracks(bodies: list[_Body], tracks: Complex) -> list[Pose]:
     return poses
 
 
-def _refitted(bodies: list[_Body], tracks: Complex) -> tuple[list[_Body], Complex]:
+def _refitted(bodies: list[_Outline], tracks: Complex) -> tuple[list[_Outline], Complex]:
     """Bodies and tracks of the markers that were followed at all, two or more of a body."""
     refitted, columns = [], [np.zeros(0, bool)]
     for body, pose in zip(bodies, _fit_tracks(bodies, tracks), strict=True):
@@ -177,21 +177,21 @@ def _refitted(bodies: list[_Body], tracks: Complex) -> tuple[list[_Body], Comple
         columns.append(followed)
         if followed.any():
             numbers = np.array(body.numbers)[followed].tolist()
-            refitted.append(_Body(pose._replace(shape=pose.shape[followed]), numbers))
+            refitted.append(_Outline(pose._replace(shape=pose.shape[followed]), numbers))
     return refitted, tracks[:, np.concatenate(columns)]
 
 
-def _part(pose: Pose, frames: slice) -> Pose:
+def _part(pose: BodyPoses, frames: slice) -> BodyPoses:
     return pose._replace(position=pose.position[frames], angle=pose.angle[frames])
 
 
-def _next_number(bodies: list[_Body]) -> int:
+def _next_number(bodies: list[_Outline]) -> int:
     return 1 + max((number for body in bodies for number in body.numbers), default=-1)
 
 
 def _with_more_markers(
-    bodies: list[_Body], linked: Tracks, flat: Complex, noise: float
-) -> tuple[list[_Body], bool]:
+    bodies: list[_Outline], linked: Tracks, flat: Complex, noise: float
+) -> tuple[list[_Outline], bool]:
     """Bodies with the linked points (T, n) that are fixed on them, and whether there are any."""
     shapes = [body.pose.shape for body in bodies]
     length = linked.last - linked.first
@@ -210,24 +210,24 @@ def _with_more_markers(
         position = fits[k][1][0]
         if np.abs(position - shapes[k]).min() > _NEW_MARKER * noise:
             shapes[k] = np.append(shapes[k], position)
-    grown: list[_Body] = []
+    grown: list[_Outline] = []
     for body, shape in zip(bodies, shapes, strict=True):
         first = _next_number([*grown, *bodies])
         numbers = [*body.numbers, *range(first, first + len(shape) - len(body.numbers))]
-        grown.append(_Body(body.pose._replace(shape=shape), numbers))
+        grown.append(_Outline(body.pose._replace(shape=shape), numbers))
     has_added = any(len(a.numbers) > len(b.numbers) for a, b in zip(grown, bodies, strict=True))
     return grown, has_added
 
 
 def _new_bodies(
-    bodies: list[_Body], tracks: Complex, frames: slice, noise: float, frame_count: int
-) -> list[_Body]:
+    bodies: list[_Outline], tracks: Complex, frames: slice, noise: float, frame_count: int
+) -> list[_Outline]:
     """Bodies of tracks (F, K) in some frames that are not on any of the known `bodies`."""
     is_free = np.ones(tracks.shape[1], bool)
     for body in bodies:
         is_free &= ~(off_body(_part(body.pose, frames), tracks, noise)[0] < _ON_BODY)
     free = tracks[:, is_free]
-    new: list[_Body] = []
+    new: list[_Outline] = []
     if free.shape[1] < 2:
         return new
     groups, _ = refine_groups(free, group(free, track_noise(tracks)[is_free]))
@@ -238,15 +238,15 @@ def _new_bodies(
         angle = np.full(frame_count, np.nan)
         position[frames], angle[frames] = pose.position, pose.angle
         numbers = [first + k for k in columns]
-        new.append(_Body(pose._replace(position=position, angle=angle), numbers))
+        new.append(_Outline(pose._replace(position=position, angle=angle), numbers))
     return new
 
 
 def _followed_everywhere(
-    record: Record,
+    record: MarkerRecord,
     searched: slice,
     plane: MotionPlane,
-    bodies: list[_Body],
+    bodies: list[_Outline],
     tracks: Complex,
     noise: float,
     progress: Callable[[float], None] | None,
@@ -274,7 +274,7 @@ def _followed_everywhere(
     return result
 
 
-def _unique_tracks(bodies: list[_Body], tracks: Complex) -> Complex:
+def _unique_tracks(bodies: list[_Outline], tracks: Complex) -> Complex:
     """Tracks (T, N) with those of one marker merged, without bodies that were hardly ever seen."""
     columns: dict[int, Complex] = {}
     first = 0

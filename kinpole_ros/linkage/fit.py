@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._least_squares import Solution
+from kinpole_ros.linkage._least_squares import Adjustment
 from kinpole_ros.linkage.positions import Positions
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import Dimension, Equations, Part, Scene, SceneError
@@ -38,7 +38,7 @@ class Fitted(NamedTuple):
     undetermined: bool
 
 
-class Fit(NamedTuple):
+class SceneFit(NamedTuple):
     """
     Fitted dimensions, and chi^2 over its degrees of freedom, before and after.
 
@@ -85,7 +85,7 @@ def _used_dimensions(equations: Equations) -> list[int]:
     return sorted(used)
 
 
-def fit_scene(theory: Theory, estimates: Iterable[Estimate], free: Sequence[int]) -> Fit:
+def fit_scene(theory: Theory, estimates: Iterable[Estimate], free: Sequence[int]) -> SceneFit:
     """
     Fit the dimensions `free` of the scene to estimates (T, B).
 
@@ -113,7 +113,7 @@ def fit_scene(theory: Theory, estimates: Iterable[Estimate], free: Sequence[int]
         )
         for k in free
     ]
-    return Fit(
+    return SceneFit(
         rows,
         ratio_before=first.normal.chi_square / first.freedom,
         ratio=solution.normal.chi_square / solution.freedom,
@@ -123,7 +123,7 @@ def fit_scene(theory: Theory, estimates: Iterable[Estimate], free: Sequence[int]
     )
 
 
-def fitted_lines(fit: Fit) -> list[str]:
+def fitted_lines(fit: SceneFit) -> list[str]:
     """Describe a fit in lines for a terminal."""
     lines = []
     width = max(len(_label(row.dimension)) for row in fit.dimensions)
@@ -171,7 +171,7 @@ class _Arm(NamedTuple):
     radius: int
 
 
-def meshed(equations: Equations, solution: Solution) -> Solution:
+def meshed(equations: Equations, solution: Adjustment) -> Adjustment:
     """
     Correct the dimensions of a solution so that the radii of gears add up to their arms.
 

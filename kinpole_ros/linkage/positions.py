@@ -11,11 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._faults import Fault, find_faults
 from kinpole_ros.linkage._least_squares import (
+    Adjustment,
     Normal,
     Problem,
-    Solution,
     adjust,
     always_free,
     find_ground,
@@ -25,6 +24,7 @@ from kinpole_ros.linkage._least_squares import (
     variance_excess,
 )
 from kinpole_ros.linkage._matches import BodyMatch
+from kinpole_ros.linkage._scene_faults import Fault, find_faults
 from kinpole_ros.linkage._scene_poses import Anchors, ScenePoses, concatenated, scene_poses
 from kinpole_ros.mechanism import LinkageError, Scene
 from kinpole_ros.planar._plane import Complex, Real
@@ -102,7 +102,7 @@ class Positions:
         poses = poses.at_instants(poses.seen.all(axis=1))
         return poses if poses.instants >= 2 and len(often) else None
 
-    def solve(self, free: tuple[int, ...] = ()) -> tuple[Solution, ScenePoses] | None:
+    def solve(self, free: tuple[int, ...] = ()) -> tuple[Adjustment, ScenePoses] | None:
         """Fit the dimensions `free` by least squares; None where nothing can be compared."""
         poses = self.poses()
         if poses is None:
@@ -176,6 +176,20 @@ class LivePositions:
                 self._update(early, self._ground)
             self._early = []
         return self._update(poses, self._ground)
+
+    def diagnose(self, estimate: Estimate) -> tuple[bool, str, dict[str, float]]:
+        """Append one instant; returns whether the scene is off, in words, and figures by name."""
+        report, scene = self.append(estimate), self._positions.scene.name
+        if report is None:
+            return False, f'too little is known yet to compare the scene {scene}', {}
+        figures = {}
+        for joint in report.joints:
+            figures[f'joint {joint.joint}: off (m)'] = joint.rms
+            figures[f'joint {joint.joint}: the same in deviations'] = joint.deviations
+        figures['residuals of the joints over their noise, rms'] = float(np.sqrt(report.ratio))
+        if report.words:
+            return True, f'off the scene {scene}: ' + '; '.join(report.words), figures
+        return False, f'compared with the scene {scene}', figures
 
     def _update(self, poses: ScenePoses, ground: Real) -> PositionReport | None:
         """Add the poses of one instant to the normal equations, and compare."""

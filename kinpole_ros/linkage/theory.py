@@ -5,13 +5,14 @@ The scene's markers show how its body frames lie in the measured bodies.
 """
 
 import re
-from collections.abc import Container, Sequence
+from collections.abc import Callable, Container, Sequence
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from kinpole_ros.linkage._matches import BodyMatch, MismatchError, match_bodies
+from kinpole_ros.linkage.positions import LivePositions
 from kinpole_ros.mechanism import GROUND, Force, Load, Scene, SceneError, load_scene
 from kinpole_ros.mechanism._equations import part_sum
 from kinpole_ros.planar import Port, covariance, measured_balance
@@ -53,6 +54,10 @@ class Theory(NamedTuple):
     def balances(self) -> bool:
         """Whether the scene has loads, and a tracked body that can balance them."""
         return bool(self.loads) and bool(self.driver or self.scene.held_by)
+
+    def comparison(self) -> Callable[[Estimate], tuple[bool, str, dict[str, float]]]:
+        """Return what compares estimates, one after the other, with the joints of the scene."""
+        return LivePositions(self.scene, self.matches).diagnose
 
     def connected_bodies(self) -> list[tuple[str, str]]:
         """Return the pairs of bodies that have a joint in the scene."""

@@ -6,8 +6,8 @@ import numpy as np
 
 from kinpole_ros.mechanism._assembly import joint_extent, poses_of
 from kinpole_ros.mechanism._kennedy import (
+    KennedyStep,
     Pair,
-    Step,
     bodies_of,
     deduce,
     kennedy_centers,
@@ -37,7 +37,7 @@ class Centers(NamedTuple):
     pairs: tuple[Pair, ...]
     places: Real
     by_rates: np.ndarray
-    steps: tuple[Step, ...]
+    steps: tuple[KennedyStep, ...]
 
     @property
     def points(self) -> Complex:

@@ -111,40 +111,39 @@ def centrodes(
     of_other = _relative(mechanism, motion, one, other)
     of_one = _relative(mechanism, motion, other, one)
     _, size = joint_extent(mechanism.assembly, poses_of(mechanism.assembly, motion.values[0]))
+    omega = np.where(motion.regular, of_other[1][1], np.nan)
     with np.errstate(all='ignore'):
-        omega = np.where(motion.regular, of_other[1][1], np.nan)
         fixed, moving = pole(1, *of_other).value, pole(1, *of_one).value
-        far = _FARTHEST * size
-        # Distances are from the bodies' origins, of which one alone may be far away.
-        exists = (np.abs(fixed) < far) | (np.abs(moving) < far)
-        exists &= np.isfinite(fixed) & np.isfinite(moving) & (omega != 0)
-        if not exists[:count].any():
-            raise LinkageError(
-                f'{other} does not turn as seen from {one}: their center is at infinity, and '
-                'there are no centrodes'
-            )
+        exists = _existing(fixed, moving, omega, size)
+    if not exists[:count].any():
+        raise LinkageError(
+            f'{other} does not turn as seen from {one}: their center is at infinity, and there '
+            'are no centrodes'
+        )
+    with np.errstate(all='ignore'):
         speeds = np.abs(np.stack([icr_velocity(*part).value for part in (of_other, of_one)]))
         moves = exists & (speeds.min(axis=0) > _STILL * size * np.abs(omega))
         curvature = np.where(moves, centrode_curvature(*of_other).value.real, np.nan)
         moving_curvature = moving_centrode_curvature(curvature, of_other[1][1], speeds[0])
-        lengths = speeds[:, count:] * (high - low) * rate[count:]
-        lengths = lengths.reshape(2, count - 1, _NODES) @ weights * (step / 2)
+    rates = (speeds[:, count:] * (high - low) * rate[count:]).reshape(2, count - 1, _NODES)
+    lengths = rates @ weights * (step / 2)
     piece, arc = _pieces(exists[:count], _unbroken(exists, omega, count), lengths)
     fixed, moving = (np.where(exists, points, _NAN)[:count] for points in (fixed, moving))
-    return Centrodes(
-        one,
-        other,
-        low + (high - low) * share[:count],
-        fixed,
-        moving,
-        curvature[:count],
-        moving_curvature[:count],
-        arc[0],
-        arc[1],
-        piece,
-        (_pins(mechanism, one), _pins(mechanism, other)),
-        size,
-    )
+    inputs = low + (high - low) * share[:count]
+    curvature, moving_curvature = curvature[:count], moving_curvature[:count]
+    curves = fixed, moving, curvature, moving_curvature, arc[0], arc[1]
+    pins = _pins(mechanism, one), _pins(mechanism, other)
+    return Centrodes(one, other, inputs, *curves, piece, pins, size)
+
+
+def _existing(fixed: Complex, moving: Complex, omega: Real, size: float) -> np.ndarray:
+    """
+    Return where centers at `fixed` and `moving` (T,), m, in both bodies' frames are not far away.
+
+    Distances are from the bodies' origins, of which one alone may be far away.
+    """
+    is_near = (np.abs(fixed) < _FARTHEST * size) | (np.abs(moving) < _FARTHEST * size)
+    return is_near & np.isfinite(fixed) & np.isfinite(moving) & (omega != 0)
 
 
 def _unbroken(exists: np.ndarray, omega: Real, count: int) -> np.ndarray:

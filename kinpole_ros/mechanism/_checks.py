@@ -8,6 +8,7 @@ import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly
 from kinpole_ros.mechanism._equilibrium import loose_teeth
+from kinpole_ros.mechanism._joint_kinds import GROUND, Belt
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._scene_inputs import Driven
@@ -16,8 +17,8 @@ from kinpole_ros.mechanism._start import close_near, closing_starts, mobility
 from kinpole_ros.planar._plane import Real
 
 # Errors of a stated start, rad: it gives roughly the branch of loops, but exactly the phase of
-# gears.
-_BRANCH_TOLERANCE, _GEAR_TOLERANCE = pi / 2, 0.02
+# gears and belts.
+_BRANCH_TOLERANCE, _PHASE_TOLERANCE = pi / 2, 0.02
 
 
 def check_mobility(assembly: Assembly, start: Real, drivers: int) -> None:
@@ -100,6 +101,29 @@ def _limits(mechanism: Mechanism, low: float, high: float) -> tuple[float | None
     return least, most
 
 
+def check_belts(mechanism: Mechanism, stated: Mapping[str, float]) -> None:
+    """
+    Raise SceneError where a belt's wheels start at angle zero, but its strand not in `direction`.
+
+    Its length is stated for that position. A strand whose angle is in `stated` may start anywhere.
+    """
+    belts = [joint for joint in mechanism.assembly.joints if isinstance(joint, Belt)]
+    free = [belt for belt in belts if not belt.is_carried and f'{belt.name}.angle' not in stated]
+    start = mechanism.motion(np.zeros(1), 3).values[0, :, 0] if free else ()
+    values = dict(zip(mechanism.assembly.loops.variables, start, strict=False))
+    for belt in free:
+        wheels = {rim.body for rim in belt.rims()} - {GROUND}
+        turned = max((abs(values[wheel]) for wheel in wheels), default=pi)
+        angle = values[f'{belt.name}.angle']
+        if turned <= _PHASE_TOLERANCE < abs(angle - belt.direction):
+            raise SceneError(
+                f"'joints: {belt.name}': its wheels start at 0 deg, where its 'direction' is "
+                f'{np.degrees(belt.direction):.6g} deg, but it leads to {np.degrees(angle):.6g} '
+                'deg: a radius is positive where the strand runs on the left of the hub, or give '
+                f"'start: {belt.name}.angle'"
+            )
+
+
 def check_teeth(mechanism: Mechanism) -> None:
     """Raise SceneError for teeth with a pressure angle if nothing else holds the hub of a wheel."""
     if not any(joint.pressure is not None for joint in mechanism.assembly.joints):
@@ -123,7 +147,7 @@ def check_start(mechanism: Mechanism, stated: Mapping[str, float]) -> None:
         if name not in stated or kinds[name] != 'angle':
             continue
         error = abs((values[k] - stated[name] + pi) % (2 * pi) - pi)
-        if error <= (_BRANCH_TOLERANCE if has_branches[k] else _GEAR_TOLERANCE):
+        if error <= (_BRANCH_TOLERANCE if has_branches[k] else _PHASE_TOLERANCE):
             continue
         actual, start = (np.degrees(x) % 360 for x in (values[k], stated[name]))
         fix = 'drivers and gears have it there: correct it, or give the joint its start'

@@ -16,7 +16,7 @@ from kinpole_ros.planar._plane import Real
 ANGLE, OTHER_ANGLE, POINTS = 2, 5, 10
 
 
-class Rows(NamedTuple):
+class ConstraintRows(NamedTuple):
     """
     The k equations of a joint at T instants: `value` (T, k), m or rad, zero where they hold.
 
@@ -36,7 +36,7 @@ class _Chain(NamedTuple):
     """
     The chain of a joint: its `own` variable (T,), if any, and the equations (T, k) that are left.
 
-    Slopes as those of `Rows`.
+    Slopes as those of `ConstraintRows`.
     """
 
     own: Real | None
@@ -45,7 +45,9 @@ class _Chain(NamedTuple):
     slope: Real
 
 
-def constraint_rows(joint: Joint, one: Pose, other: Pose, anchor: Anchor | None = None) -> Rows:
+def constraint_rows(
+    joint: Joint, one: Pose, other: Pose, anchor: Anchor | None = None
+) -> ConstraintRows:
     """
     Equations of a joint between the poses of its bodies at T instants, with their derivatives.
 
@@ -81,7 +83,7 @@ def constraint_rows(joint: Joint, one: Pose, other: Pose, anchor: Anchor | None 
         whole = 2 * np.pi * abs(tie.weights.get(joint.other, np.inf))
         values.append(((gap + whole / 2) % whole - whole / 2)[:, None])
         by.append(slope[:, None])
-    return Rows(np.concatenate(values, axis=1), np.concatenate(by, axis=1))
+    return ConstraintRows(np.concatenate(values, axis=1), np.concatenate(by, axis=1))
 
 
 def anchor_of(joint: Joint, one: Pose, other: Pose) -> Anchor | None:

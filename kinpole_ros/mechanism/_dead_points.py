@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._loop_closure import SINGULAR, Solution, solve
-from kinpole_ros.mechanism._loops import Linkage, reduce
+from kinpole_ros.mechanism._loops import ReducedLoops, reduce
 from kinpole_ros.planar._plane import Real
 
 # Values and derivatives (5, d, T) of the drivers over a parameter (T,).
@@ -46,7 +46,7 @@ def unit_input(at: Real, orders: int = 5) -> Real:
 class Branch(NamedTuple):
     """A linkage, and its inputs over the parameter of the branch."""
 
-    linkage: Linkage
+    linkage: ReducedLoops
     inputs: Inputs
 
     def at(self, at: float, guess: Real) -> Solution:
@@ -124,21 +124,21 @@ def locate_change_point(branch: Branch, low: float, here: Solution, high: float)
     return DeadPoint(float(middle), taylor(here, middle - low), False, moving, loop)
 
 
-def _block_variables(linkage: Linkage, block: int) -> tuple[str, ...]:
+def _block_variables(linkage: ReducedLoops, block: int) -> tuple[str, ...]:
     """The variables that depend on the unknowns of a block."""
     rows = linkage.free[:, list(linkage.blocks[block].unknown)]
     names = zip(linkage.loops.variables, rows, strict=True)
     return tuple(name for name, row in names if row.any())
 
 
-def loose_variables(linkage: Linkage, here: Solution) -> tuple[str, ...]:
+def loose_variables(linkage: ReducedLoops, here: Solution) -> tuple[str, ...]:
     """The variables, at the one position of a solution, that can move with all drivers held."""
     blocks = np.flatnonzero(np.abs(here.determinant[:, 0]) <= SINGULAR).tolist()
     names = {name for block in blocks for name in _block_variables(linkage, block)}
     return tuple(name for name in linkage.loops.variables if name in names)
 
 
-def loop_names(linkage: Linkage, block: int) -> tuple[str, ...]:
+def loop_names(linkage: ReducedLoops, block: int) -> tuple[str, ...]:
     """The joints, or vectors, of a block's loops, each once."""
     around = linkage.blocks[block].loops.around
     return tuple(dict.fromkeys(name for names in around for name in names))

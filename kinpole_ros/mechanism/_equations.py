@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._joint_kinds import GROUND, Joint, Revolute, Slot
-from kinpole_ros.mechanism._vectors import Vectors
+from kinpole_ros.mechanism._vectors import LoopVectors
 from kinpole_ros.planar._plane import Complex, Real
 
 Path = tuple[str | int, ...]
@@ -176,7 +176,7 @@ class _Node(NamedTuple):
     slides: tuple[tuple[float, int], ...]
 
 
-def equations_of_vectors(read: Vectors) -> Equations:
+def equations_of_vectors(read: LoopVectors) -> Equations:
     """The equations of vector loops."""
     rows = _Dimensions()
     lines: dict[str, Part] = {}
@@ -216,7 +216,7 @@ def equations_of_vectors(read: Vectors) -> Equations:
 
 
 def _nodes_on(
-    read: Vectors, turns_with: str | None, origin: object, lines: dict[str, Part]
+    read: LoopVectors, turns_with: str | None, origin: object, lines: dict[str, Part]
 ) -> dict[object, _Node]:
     """All nodes on a body, from its origin along vectors that turn with it, rigid ones first."""
     nodes = {origin: _Node((), ())}

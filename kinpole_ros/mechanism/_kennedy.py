@@ -31,7 +31,7 @@ _TRIAL_POSITIONS = 33
 Pair = tuple[int, int]
 
 
-class Step(NamedTuple):
+class KennedyStep(NamedTuple):
     """
     How one center is found: that of the bodies `pair` (i, j), numbered from the ground, 0.
 
@@ -64,7 +64,7 @@ def pairs_of(mechanism: Mechanism) -> tuple[Pair, ...]:
     return tuple(combinations(range(len(mechanism.bodies) + 1), 2))
 
 
-def deduce(mechanism: Mechanism, values: Real) -> tuple[Step, ...]:
+def deduce(mechanism: Mechanism, values: Real) -> tuple[KennedyStep, ...]:
     """
     The chain of deduction that leads from the joints to all centers, in order.
 
@@ -78,7 +78,7 @@ def deduce(mechanism: Mechanism, values: Real) -> tuple[Step, ...]:
     for m, joint in enumerate(centers.joints):
         pair = centers.pair_of(joint)
         if pair not in centers.centers and joint.center().kind not in ('', 'line'):
-            steps.append(Step(pair, 'joint', (m,)))
+            steps.append(KennedyStep(pair, 'joint', (m,)))
             centers.add(steps[-1])
     remaining = [pair for pair in pairs_of(mechanism) if pair not in centers.centers]
     while remaining:
@@ -91,11 +91,11 @@ def deduce(mechanism: Mechanism, values: Real) -> tuple[Step, ...]:
         centers.add(step)
         remaining.remove(step.pair)
     for pair in remaining:
-        steps.append(Step(pair, 'rates', tuple(centers.lines(pair))))
+        steps.append(KennedyStep(pair, 'rates', tuple(centers.lines(pair))))
     return tuple(steps)
 
 
-def kennedy_centers(mechanism: Mechanism, steps: Sequence[Step], values: Real) -> Real:
+def kennedy_centers(mechanism: Mechanism, steps: Sequence[KennedyStep], values: Real) -> Real:
     """
     Centers `places` (3, c, T), as in Centers, at the variables `values` (n, T), by `steps`.
 
@@ -112,7 +112,7 @@ def kennedy_centers(mechanism: Mechanism, steps: Sequence[Step], values: Real) -
     return outward(np.stack(points, axis=1), centers.middle, centers.size)
 
 
-def explain(mechanism: Mechanism, steps: Sequence[Step]) -> list[str]:
+def explain(mechanism: Mechanism, steps: Sequence[KennedyStep]) -> list[str]:
     """
     The chain of deduction of instant centers in lines, as written by hand.
 
@@ -184,23 +184,23 @@ class _CenterMap:
         """The numbers of the bodies of a joint."""
         return _ordered(number_of(self._bodies, joint.one), number_of(self._bodies, joint.other))
 
-    def add(self, step: Step) -> None:
+    def add(self, step: KennedyStep) -> None:
         """Add the center that a step deduces."""
         self.centers[step.pair] = self._center(step)
 
-    def sharpness(self, step: Step) -> float:
+    def sharpness(self, step: KennedyStep) -> float:
         """How well a step determines its center, at most positions."""
         return float(np.median(np.nan_to_num(self._center(step)[1])))
 
-    def steps(self, remaining: Sequence[Pair]) -> Iterator[Step]:
+    def steps(self, remaining: Sequence[Pair]) -> Iterator[KennedyStep]:
         """All steps that are possible now for the remaining pairs."""
         for pair in remaining:
             lines = self.lines(pair)
             for k in lines:
                 if k >= 0 and self._line(pair, k)[1].max() < _COINCIDENT:
-                    yield Step(pair, 'same', (k,))
+                    yield KennedyStep(pair, 'same', (k,))
             for two in combinations(lines, 2):
-                yield Step(pair, 'lines', two)
+                yield KennedyStep(pair, 'lines', two)
 
     def lines(self, pair: Pair) -> list[int]:
         """The known lines through a center, as in Step."""
@@ -211,7 +211,7 @@ class _CenterMap:
             if k not in pair and _ordered(i, k) in self.centers and _ordered(k, j) in self.centers
         ] + [~m for m in self._slots.get(pair, [])]
 
-    def _center(self, step: Step) -> tuple[Real, Real]:
+    def _center(self, step: KennedyStep) -> tuple[Real, Real]:
         if step.rule == 'joint':
             m = step.by[0]
             is_far = self.joints[m].center().kind == 'infinity'

@@ -13,7 +13,7 @@ import numpy as np
 
 from kinpole_ros.mechanism._loops import (
     Block,
-    Linkage,
+    ReducedLoops,
     loop_jacobian,
     term_directions,
     term_lengths,
@@ -50,7 +50,7 @@ class Solution(NamedTuple):
 
 
 def solve(
-    linkage: Linkage, inputs: Real, guess: Real, orders: int = 5, close: bool = True
+    linkage: ReducedLoops, inputs: Real, guess: Real, orders: int = 5, close: bool = True
 ) -> Solution:
     """
     Positions near `guess` (n, T), and their derivatives, for `inputs` (orders or more, d, T).
@@ -80,7 +80,7 @@ def solve(
     return Solution(values, closed, regular, determinants)
 
 
-def sound_orders(linkage: Linkage, inputs: Real, solution: Solution) -> np.ndarray:
+def sound_orders(linkage: ReducedLoops, inputs: Real, solution: Solution) -> np.ndarray:
     """
     How many orders (T,) of `solution.values` have digits: next to a change point, not all.
 

@@ -49,7 +49,7 @@ class Loops(NamedTuple):
         return ~np.asarray((self.lengths != 0).any(axis=0))
 
 
-class Linkage(NamedTuple):
+class ReducedLoops(NamedTuple):
     """
     Loops reduced to their unknowns: u = free @ w + driven @ inputs + fixed, where w = u[unknown].
 
@@ -82,7 +82,7 @@ class Block(NamedTuple):
     unknown: tuple[int, ...]
 
 
-def reduce(loops: Loops) -> Linkage:
+def reduce(loops: Loops) -> ReducedLoops:
     """
     Use ties and drivers to leave the unknowns, and find the order to solve them in.
 
@@ -112,7 +112,7 @@ def reduce(loops: Loops) -> Linkage:
                 f'{law.name}: what turns it is not known before loops are closed: drive the body '
                 'that it is on, by itself, by gears or by belts on one body'
             )
-    linkage = Linkage(loops, tuple(unknown), free, driven, fixed, ())
+    linkage = ReducedLoops(loops, tuple(unknown), free, driven, fixed, ())
     coefficients = linkage.coefficients
     names = [loops.variables[k] for k in unknown]
     anywhere = np.random.default_rng(0).normal(size=(count, 1))
@@ -128,7 +128,7 @@ def reduce(loops: Loops) -> Linkage:
     return linkage._replace(blocks=tuple(_block(linkage, *block) for block in order))
 
 
-def with_laws(linkage: Linkage, inputs: Real) -> Real:
+def with_laws(linkage: ReducedLoops, inputs: Real) -> Real:
     """Values and derivatives (orders, d, T) of the drivers, followed by those that laws give."""
     for law in linkage.loops.laws:
         argument = law.of @ linkage.driven[:, : inputs.shape[1]] @ inputs
@@ -173,7 +173,7 @@ def loop_jacobian(
     return weigh(loops.loops, length * turn), slope
 
 
-def _block(linkage: Linkage, numbers: tuple[int, ...], unknown: tuple[int, ...]) -> Block:
+def _block(linkage: ReducedLoops, numbers: tuple[int, ...], unknown: tuple[int, ...]) -> Block:
     """The loops of these numbers, over the unknowns and inputs of the linkage."""
     loops, coefficients = linkage.loops, linkage.coefficients
     rows = loops.loops[list(numbers)]

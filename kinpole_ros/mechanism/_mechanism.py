@@ -18,9 +18,9 @@ import numpy.typing as npt
 from kinpole_ros.mechanism._assembly import Assembly, body_motion
 from kinpole_ros.mechanism._dead_points import loop_names, most_singular, unit_input
 from kinpole_ros.mechanism._loop_closure import Solution, solve, sound_orders
-from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce
+from kinpole_ros.mechanism._loops import LinkageError, ReducedLoops, reduce
 from kinpole_ros.mechanism._motions import ORDERS
-from kinpole_ros.mechanism._path import Path, Table, initial_guess, tabulate, trace
+from kinpole_ros.mechanism._path import Path, PathTable, initial_guess, tabulate, trace
 from kinpole_ros.planar._plane import Complex, Real
 
 # Positions at a time: fewer cost more calls, more leave the cache (1e5 of a four-bar to its
@@ -86,7 +86,7 @@ class Mechanism:
     drivers: tuple[Driver, ...]
     start: Real
     _path: Path | None = field(default=None, init=False)
-    _table: Table | None = field(default=None, init=False)
+    _table: PathTable | None = field(default=None, init=False)
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -99,7 +99,7 @@ class Mechanism:
         return np.array([driver.row for driver in self.drivers]).reshape(-1, len(self.start))
 
     @cached_property
-    def linkage(self) -> Linkage:
+    def linkage(self) -> ReducedLoops:
         """The loops with the drivers, reduced to their unknowns; raises LinkageError."""
         return reduce(self.assembly.loops._replace(drives=self.driver_rows))
 

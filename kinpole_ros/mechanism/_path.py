@@ -23,7 +23,7 @@ from kinpole_ros.mechanism._dead_points import (
     unit_input,
 )
 from kinpole_ros.mechanism._loop_closure import Solution, solve
-from kinpole_ros.mechanism._loops import Linkage, LinkageError, Loops
+from kinpole_ros.mechanism._loops import LinkageError, Loops, ReducedLoops
 from kinpole_ros.mechanism._start import closing_starts, open_gaps
 from kinpole_ros.planar._plane import Real
 
@@ -58,7 +58,7 @@ class Path(NamedTuple):
 
 
 def trace(
-    linkage: Linkage,
+    linkage: ReducedLoops,
     start: float,
     guess: Real,
     low: float,
@@ -111,7 +111,7 @@ def trace(
     )
 
 
-def _first(branch: Branch, linkage: Linkage, start: float, guess: Real) -> Solution:
+def _first(branch: Branch, linkage: ReducedLoops, start: float, guess: Real) -> Solution:
     """Return the position at the start; raise LinkageError if there is none, or a dead point."""
     first = branch.at(start, guess)
     if not first.closed[0]:
@@ -127,7 +127,7 @@ def _first(branch: Branch, linkage: Linkage, start: float, guess: Real) -> Solut
     return first
 
 
-def _why_open(linkage: Linkage, guess: Real) -> str:
+def _why_open(linkage: ReducedLoops, guess: Real) -> str:
     """The message about loops that do not close from `guess` (n,), with starts that do."""
     loops, is_angle = linkage.loops, linkage.loops.is_angle
     driven = [int(k) for k in np.flatnonzero(loops.drives.any(axis=0))]
@@ -165,7 +165,7 @@ def _widest_gap(loops: Loops, guess: Real) -> str:
     return f'the loop {around} stays open by {gaps[widest]:.4g} m'
 
 
-def _reach(linkage: Linkage, guess: Real, driven: Sequence[int]) -> str:
+def _reach(linkage: ReducedLoops, guess: Real, driven: Sequence[int]) -> str:
     """Words on how far the one driver goes towards its value in `guess` (n,)."""
     loops = linkage.loops
     starts = closing_starts(loops._replace(drives=loops.drives[:0]), guess)
@@ -215,7 +215,7 @@ def _follow(
     return nodes, dead
 
 
-class Table(NamedTuple):
+class PathTable(NamedTuple):
     """
     Guesses for `solve`: nodes of a path so dense that one step of Newton's method is left.
 
@@ -230,7 +230,7 @@ class Table(NamedTuple):
     winding: Real
 
 
-def tabulate(linkage: Linkage, path: Path, inputs: Inputs = unit_input) -> Table:
+def tabulate(linkage: ReducedLoops, path: Path, inputs: Inputs = unit_input) -> PathTable:
     """A table for `initial_guess` over the whole path, its steps split into up to 16 parts."""
     count = min(16, max(1, _MOST_NODES // len(path.inputs)))
     share = np.arange(count) / count
@@ -251,7 +251,7 @@ def tabulate(linkage: Linkage, path: Path, inputs: Inputs = unit_input) -> Table
         radius = np.nan_to_num(rates[0] / rates[1], nan=np.inf, posinf=np.inf)
         before, after = np.minimum(radius[:-1], gap), np.minimum(radius[1:], gap)
         share = np.nan_to_num(before / (before + after), nan=0.5)
-    return Table(
+    return PathTable(
         at[:-1] + share * gap,
         at,
         np.ascontiguousarray(values),
@@ -260,7 +260,7 @@ def tabulate(linkage: Linkage, path: Path, inputs: Inputs = unit_input) -> Table
     )
 
 
-def initial_guess(table: Table, at: Real) -> Real:
+def initial_guess(table: PathTable, at: Real) -> Real:
     """The unknowns (w, T) near the inputs `at` (T,), by Taylor's series at the nearest node."""
     turns = None
     if table.period:

@@ -16,7 +16,13 @@ import numpy.typing as npt
 
 from kinpole_ros.files import cut_line
 from kinpole_ros.mechanism._assembly import Assembly
-from kinpole_ros.mechanism._checks import check_mobility, check_range, check_start, check_teeth
+from kinpole_ros.mechanism._checks import (
+    check_belts,
+    check_mobility,
+    check_range,
+    check_start,
+    check_teeth,
+)
 from kinpole_ros.mechanism._equations import Equations, equations_of_vectors
 from kinpole_ros.mechanism._loads import Holder, Load, Mass, Spring, Torsion
 from kinpole_ros.mechanism._loops import LinkageError
@@ -144,6 +150,7 @@ def _scene(path: Path, data: Any) -> Scene:
     start = start_near(assembly, stated, rows, inputs)
     check_mobility(assembly, start, len(drivers))
     mechanism = Mechanism(assembly, drivers, start)
+    check_belts(mechanism, stated)
     check_range(mechanism, driven)
     check_start(mechanism, stated)
     check_teeth(mechanism)

@@ -38,7 +38,7 @@ class Vector(NamedTuple):
     angle: float
 
 
-class Vectors(NamedTuple):
+class LoopVectors(NamedTuple):
     """All vectors by name, and the two nodes between which each lies: those that loops share."""
 
     vectors: dict[str, Vector]
@@ -47,7 +47,7 @@ class Vectors(NamedTuple):
 
 def read_vectors(
     vectors: dict[str, Any], loops: Any, points: dict[str, Any]
-) -> tuple[Assembly, Points, Vectors]:
+) -> tuple[Assembly, Points, LoopVectors]:
     """
     The assembly of `vectors` and `loops`, the `points` on their bodies, and the nodes.
 
@@ -99,7 +99,7 @@ def read_vectors(
         (),
     )
     on_body = {name: _on_body(name, chain, tails, read) for name, chain in chains.items()}
-    return assembly, on_body, Vectors(read, _ends(sums, list(chains.values()), tails))
+    return assembly, on_body, LoopVectors(read, _ends(sums, list(chains.values()), tails))
 
 
 def _vector(name: str, vectors: dict[str, Any]) -> Vector:

@@ -15,7 +15,14 @@ from kinpole_ros.messages._drawing import COLORS, deletion_of_all
 from kinpole_ros.messages._events import read_event
 from kinpole_ros.messages._faults import identity_lines, jitter_fault, plane_words, tilt_fault
 from kinpole_ros.messages._markers import marker_arrays, read_markers, to_message
-from kinpole_ros.messages._poses import AUTO_TYPES, PoseReader, kind_of, poses_data, reader_of
+from kinpole_ros.messages._poses import (
+    AUTO_TYPES,
+    PoseReader,
+    kind_of,
+    marker_reader,
+    poses_data,
+    reader_of,
+)
 from kinpole_ros.messages._reader import MarkerReader
 from kinpole_ros.messages._results import (
     DRAWING,
@@ -84,6 +91,7 @@ __all__ = [
     'live_outputs',
     'marker_arrays',
     'marker_faults',
+    'marker_reader',
     'message_class',
     'ns_to_stamp',
     'octets',

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -24,9 +24,8 @@ from kinpole_ros.tracking.outages import Outage
 from kinpole_ros.tracking.plane import as_parameter
 from kinpole_ros.tracking.tracker import Tracker
 
-if TYPE_CHECKING:
-    from kinpole_ros.linkage.positions import LivePositions
-    from kinpole_ros.linkage.theory import Theory
+# Compares an estimate with a scene: whether it is off, in words, and its figures by name.
+Comparison: TypeAlias = Callable[[Estimate], tuple[bool, str, dict[str, float]]]
 
 # Keys of the diagnostics of the input, by the names of the tracker's counts. Where RECEIVED begins
 # again from 0, or RESTARTS goes up, a node was started again.
@@ -62,19 +61,15 @@ class DiagnosticsMaker:
     """
     Makes the diagnostics of a tracker, with rates and counts since the last ones.
 
-    With a `theory` they also say how far the bodies are from it. `topic` is that of the markers.
+    With `compare` they also say how far the bodies are from a scene. `topic` is that of the
+    markers.
     """
 
-    def __init__(self, name: str, theory: 'Theory | None' = None, topic: str = '') -> None:
+    def __init__(self, name: str, compare: Comparison | None = None, topic: str = '') -> None:
         self._name = name
         self._nothing = f'no markers received on {topic}' if topic else 'no markers received'
         self._topic = topic
-        self._theory = theory
-        self._positions: LivePositions | None = None
-        if theory is not None:
-            from kinpole_ros.linkage import positions
-
-            self._positions = positions.LivePositions(theory.scene, theory.matches)
+        self._compare = compare
         # At the last diagnostics: counts, outages by body, and frames with a wrong pose (B,).
         self._counts: Counter[str] = Counter()
         self._outages: dict[str, int] = {}
@@ -143,7 +138,7 @@ class DiagnosticsMaker:
             array.header.stamp = ns_to_stamp(stamp)
             statuses = [body.status(now, is_receiving, is_idle) for body in bodies]
             array.status = [input_status, *statuses]
-            if now is not None and (len(bodies) > 1 or self._theory is not None):
+            if now is not None and (len(bodies) > 1 or self._compare is not None):
                 array.status.append(self._linkage(now))
             for status in array.status:
                 status.hardware_id = self._topic
@@ -168,24 +163,11 @@ class DiagnosticsMaker:
                 pair = f'{now.bodies[j]} wrt {now.bodies[i]}'
                 values[f'{pair}: center off the line of the pins (m)'] = float(distance)
                 values[f'{pair}: the same in deviations'] = float(deviations)
-        if self._theory is None:
+        if self._compare is None:
             return _status(name, DiagnosticStatus.OK, 'no scene given', values)
-        scene = self._theory.scene.name
-        level, message = DiagnosticStatus.OK, f'compared with the scene {scene}'
-        positions = self._positions.append(now) if self._positions else None
-        if positions is None and not values:
-            message = f'too little is known yet to compare the scene {scene}'
-        if positions is not None:
-            for joint in positions.joints:
-                values[f'joint {joint.joint}: off (m)'] = joint.rms
-                values[f'joint {joint.joint}: the same in deviations'] = joint.deviations
-            values['residuals of the joints over their noise, rms'] = float(
-                np.sqrt(positions.ratio)
-            )
-            if positions.words:
-                level = DiagnosticStatus.WARN
-                message = f'off the scene {scene}: ' + '; '.join(positions.words)
-        return _status(name, level, message, values)
+        is_off, message, figures = self._compare(now)
+        level = DiagnosticStatus.WARN if is_off else DiagnosticStatus.OK
+        return _status(name, level, message, values | figures)
 
 
 def _bodies(

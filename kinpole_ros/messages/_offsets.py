@@ -6,15 +6,19 @@ taken for what they claim. Offsets are counted from the start of the message.
 """
 
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from kinpole_ros.messages._cdr import HEAD, LITTLE
 from kinpole_ros.messages._types import INPUT_TYPE_NAMES, MessageError
+from kinpole_ros.settings import MESSAGE_TYPES, MessageType
+from kinpole_ros.settings.message_types import Field
 
 # Objects that rclpy would make of a message; beyond, they take 5 s and hundreds of MB. A marker
 # takes as long as 16 points.
 _MAX_OBJECTS = 1 << 18
 _MARKER = 16
+# Bytes and alignment of the kinds of fields in MESSAGE_TYPES.
+_SIZES = {'int8': (1, 1), 'int32': (4, 4), 'uint32': (4, 4), 'point': (24, 8), 'pose': (56, 8)}
 _ORDERS = {b'\x00\x00': '>', LITTLE: '<'}
 
 
@@ -52,8 +56,9 @@ class MessageOffsets:
     `size` is that of the message in bytes, `order` its byte order as `struct` names it. `sizes` are
     the offsets of the lengths of all sequences and strings. A Marker or MarkerArray has `markers`,
     the other types a `stamp`, a `frame_id` and `items`: poses, or the data of a cloud. `poses` has
-    the poses of bodies. `layout` are first and last offsets of the fields of a cloud that describe
-    its data.
+    the poses of bodies. `entries` are the offsets of the fields of each item of a type of which
+    MESSAGE_TYPES has the fields. `layout` are first and last offsets of the fields of a cloud that
+    describe its data.
 
     Raises MessageError for a message that is cut off, or that holds more than 16,384 markers or
     262,144 poses or points.
@@ -63,9 +68,11 @@ class MessageOffsets:
         self.sizes: list[int] = []
         self.markers: list[MarkerOffsets] = []
         self.poses: list[PoseOffsets] = []
+        self.entries: list[dict[str, Any]] = []
         self.stamp = 0
         self.frame_id = self.items = Items(0, 0)
         self.layout: list[tuple[int, int]] = []
+        row = MESSAGE_TYPES[kind]
         order = _ORDERS.get(data[:2])
         if order is None or len(data) < HEAD:
             raise MessageError(
@@ -78,7 +85,10 @@ class MessageOffsets:
         self._unpack_length = struct.Struct(f'{order}I').unpack_from
         self._at = HEAD
         try:
-            getattr(self, f'_{kind}')()
+            if row.item:
+                self._list(row)
+            else:
+                getattr(self, f'_{kind}')()
         except struct.error:
             self._at = len(data) + 1
         if self._at > len(data):
@@ -156,6 +166,28 @@ class MessageOffsets:
         self._describe(8, 4)  # point_step, row_step
         self.items = self._sequence(1)
         self._skip(1)  # is_dense
+
+    def _list(self, row: MessageType) -> None:
+        """Pass a header, the fields behind it, and a list of markers or bodies."""
+        self.stamp, self.frame_id = self._header()
+        for _, kind in row.before:
+            self._field(kind)
+        self.entries = self._fields_of_list(row.item)
+
+    def _fields_of_list(self, item: tuple[Field, ...]) -> list[dict[str, Any]]:
+        entries: list[dict[str, Any]] = []
+        for _ in range(self._length()):
+            self._objects += _MARKER
+            if self._objects > _MAX_OBJECTS:
+                break
+            entries.append({name: self._field(kind) for name, kind in item})
+        return entries
+
+    def _field(self, kind: str | tuple[Field, ...]) -> Any:
+        """Pass a field of a kind of MESSAGE_TYPES; return its offset, or the items of a string."""
+        if not isinstance(kind, str):
+            return self._fields_of_list(kind)
+        return self._sequence(1) if kind == 'string' else self._skip(*_SIZES[kind])
 
     def _header(self) -> tuple[int, Items]:
         return self._skip(8, 4), self._sequence(1)

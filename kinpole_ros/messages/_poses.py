@@ -1,36 +1,44 @@
 """
-Poses of bodies as input: PoseStamped, a PoseArray with a pose for each body, and frames on /tf.
+Poses of bodies as input, and markers in the types of trackers.
 
-They are read from their bytes, so that tf2_msgs need not be installed. Some drivers send the bodies
-of one frame on /tf in several messages of one stamp; these are assembled here.
+They are PoseStamped, a PoseArray with a pose for each body, frames on /tf, and the types of which
+MESSAGE_TYPES has the fields. They are read from their bytes, so that their packages need not be
+installed. Some drivers send the bodies of one frame on /tf in several messages of one stamp; these
+are assembled here.
 """
 
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, count, groupby
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from kinpole_ros.messages._cdr import Writer
-from kinpole_ros.messages._markers import rotation_matrices
+from kinpole_ros.messages._markers import blank_unseen, rotation_matrices
 from kinpole_ros.messages._offsets import Items, MessageOffsets, PoseOffsets
 from kinpole_ros.messages._reader import MarkerReader
 from kinpole_ros.messages._types import (
     END_OF_TIME,
     INPUT_TYPE_NAMES,
-    MARKER_TYPES,
     SECOND,
     MessageError,
 )
-from kinpole_ros.settings import POSE_TYPES, Settings, check_poses
+from kinpole_ros.settings import (
+    MESSAGE_TYPES,
+    POSE_TYPES,
+    ParameterError,
+    Settings,
+    check_poses,
+)
 from kinpole_ros.tracking.frame import MarkerFrames
 
-AUTO_TYPES = (*MARKER_TYPES, 'pose_stamped')
+AUTO_TYPES = tuple(kind for kind, row in MESSAGE_TYPES.items() if row.is_recognized)
 """The input types that are recognized by the type of the messages alone."""
 _LENGTH_TOLERANCE = 1e-3  # of a quaternion: generous for one of 32-bit floats
 _LISTED_NAMES, _SHOWN_CHARACTERS = 12, 80  # in messages: there may be any number, of any length
 _UNSEEN = np.full(7, np.nan)
+_NUMBER_IS_MEANT = 1  # `id_type` of mocap4r2_msgs/msg/Marker
 
 
 def kind_of(type_name: str, marker_type: str = 'auto') -> str | None:
@@ -47,7 +55,7 @@ def kind_of(type_name: str, marker_type: str = 'auto') -> str | None:
     Returns
     -------
     str or None
-        A key of `INPUT_TYPES`; None where such messages are not read.
+        A key of `MESSAGE_TYPES`; None where such messages are not read.
     """
     kinds = AUTO_TYPES if marker_type == 'auto' else (marker_type,)
     return next((kind for kind in kinds if INPUT_TYPE_NAMES[kind] == type_name), None)
@@ -60,7 +68,7 @@ def reader_of(kind: str, settings: Settings) -> 'MarkerReader | PoseReader':
     Parameters
     ----------
     kind : str
-        A key of `INPUT_TYPES`.
+        A key of `MESSAGE_TYPES`.
     settings : Settings
         The parameters, which name the bodies.
 
@@ -75,9 +83,21 @@ def reader_of(kind: str, settings: Settings) -> 'MarkerReader | PoseReader':
         Where the settings do not go with the type.
     """
     if kind not in POSE_TYPES:
-        return MarkerReader(kind, settings.marker_identity)
+        return marker_reader(kind, settings.marker_identity)
     check_poses(settings, kind)
     return PoseReader(kind, [name for names in settings.bodies.values() for name in names])
+
+
+def marker_reader(kind: str, identity: str) -> 'MarkerReader | PoseReader':
+    """Return the reader of a type of markers; ParameterError where it lacks such identities."""
+    if not MESSAGE_TYPES[kind].item:
+        return MarkerReader(kind, identity)
+    if identity not in ('auto', 'index', 'shape'):
+        raise ParameterError(
+            f'parameter marker_identity is {identity}, and a marker of {INPUT_TYPE_NAMES[kind]} '
+            'has its name or number, and its index: set it to auto or index'
+        )
+    return PoseReader(kind, (), has_names=identity == 'auto')
 
 
 class PoseReader:
@@ -85,11 +105,15 @@ class PoseReader:
     Reads serialized messages of poses of the bodies called `names`, or of the only body.
 
     A body is called '0' in a PoseStamped, by its index in a PoseArray, and by its child_frame_id on
-    /tf. Of /tf only transforms directly from one fixed frame are read.
+    /tf. Of /tf only transforms directly from one fixed frame are read. Types of which MESSAGE_TYPES
+    has the fields name their bodies, or their markers, which are all read; without `has_names` the
+    index is the name.
     """
 
-    def __init__(self, kind: str, names: Sequence[str]) -> None:
+    def __init__(self, kind: str, names: Sequence[str], has_names: bool = True) -> None:
         self._kind, self._names = kind, tuple(names)
+        self._has_names = has_names
+        self._width = 7 if MESSAGE_TYPES[kind].has_poses else 3
         # The poses of the present stamp of /tf, and the fixed frame.
         self._pending: _Poses | None = None
         self._parent = ''
@@ -109,7 +133,8 @@ class PoseReader:
         if not unseen or not (self._seen_names or self._unused_names):
             return ''
         listed = ', '.join(map(_shown, self._unused_names)) or 'no others'
-        what = 'frames' if self._kind == 'tf' else 'places'
+        is_list = bool(MESSAGE_TYPES[self._kind].item)
+        what = 'frames' if self._kind == 'tf' else 'names' if is_list else 'places'
         return (
             f'no pose came of {", ".join(map(_shown, unseen))}; {what} that came, and no body has: '
             f'{listed}; fix: name the one of each body, as <body>.markers'
@@ -124,7 +149,7 @@ class PoseReader:
             same_layout = list(group)
             poses = [result for result, _ in same_layout if isinstance(result, _Poses)]
             if poses:
-                yield _frames(poses), np.array([number for _, number in same_layout])
+                yield _frames(poses, self._width), np.array([number for _, number in same_layout])
             for result, number in same_layout:
                 if isinstance(result, MessageError):
                     yield result, np.array([number])
@@ -139,26 +164,57 @@ class PoseReader:
                     self._add_transform(transform, data, offsets.order, results)
                 self._end_message(offsets, data, results)
             else:
-                results.append(self._poses(offsets, data))
+                results.append(self._whole_frame(offsets, data))
         except MessageError as error:
             results.append(error)
-        faults = [one.fault(self._names) for one in results if isinstance(one, _Poses)]
+        faults: list[MessageError | None] = []
+        if self._width == len(_UNSEEN):
+            faults += [one.fault(self._names) for one in results if isinstance(one, _Poses)]
         return [(one, number) for one in (*faults, *results) if one is not None]
 
-    def _poses(self, offsets: MessageOffsets, data: bytes) -> '_Poses':
-        """Read a PoseStamped or PoseArray."""
-        (poses,) = offsets.poses
-        size = poses.poses.number
-        if not self._names and size > 1:
+    def _whole_frame(self, offsets: MessageOffsets, data: bytes) -> '_Poses':
+        """Read a message that is a frame: a PoseStamped, a PoseArray, or a list of a tracker."""
+        if self._kind in ('pose_stamped', 'body_poses'):
+            (found,) = offsets.poses
+            stamp, frame_id, (start, size) = found.stamp, found.frame_id, found.poses
+            starts = [start + 8 * len(_UNSEEN) * k for k in range(size)]
+            names = list(map(str, range(size)))
+        else:
+            stamp, frame_id = offsets.stamp, offsets.frame_id
+            field = 'pose' if self._width == len(_UNSEEN) else 'point'
+            starts = [one[field] for one in offsets.entries]
+            names = [self._name(k, one, data) for k, one in enumerate(offsets.entries)]
+        if self._width == len(_UNSEEN) and not self._names and len(starts) > 1:
             raise MessageError(
-                f'PoseArray has {size} poses, and it is not known which is that of the body; fix: '
-                "name its place, as <body>.markers: ['0']"
+                f'{INPUT_TYPE_NAMES[self._kind].rpartition("/")[2]} has {len(starts)} poses, and '
+                'it is not known which is that of the body; fix: name it, as <body>.markers: '
+                f'[{names[0]!r}]'
             )
-        values = np.frombuffer(data, f'{offsets.order}f8', 7 * size, poses.poses.start)
-        named = dict(zip(map(str, range(size)), values.reshape(-1, 7), strict=True))
-        self._note_names(named)
-        stamp = _stamp(data, poses.stamp, offsets.order)
-        return _Poses(stamp, _text(data, poses.frame_id), named)
+        kind, count = f'{offsets.order}f8', self._width
+        named = {
+            name: np.frombuffer(data, kind, count, start)
+            for name, start in zip(names, starts, strict=True)
+        }
+        if len(named) < len(names):
+            twice = next(name for k, name in enumerate(names) if name in names[:k])
+            raise MessageError(
+                f'{INPUT_TYPE_NAMES[self._kind]} has {_shown(twice)} several times; see that the '
+                'driver gives each its own name'
+            )
+        if self._width == len(_UNSEEN):
+            self._note_names(named)
+        return _Poses(_stamp(data, stamp, offsets.order), _text(data, frame_id), named)
+
+    def _name(self, index: int, entry: Mapping[str, Any], data: bytes) -> str:
+        """Return the name in the message of a marker or body, else its number, else its index."""
+        if not self._has_names:
+            return str(index)
+        is_numbered = 'id_type' in entry and data[entry['id_type']] == _NUMBER_IS_MEANT
+        name = '' if is_numbered else _text(data, entry['name'])
+        if name or 'number' not in entry:
+            return name or str(index)
+        form = '<i' if data[1] else '>i'
+        return str(struct.unpack_from(form, data, entry['number'])[0])
 
     def _add_transform(
         self,
@@ -218,7 +274,7 @@ class PoseReader:
 
 
 class _Poses(NamedTuple):
-    """Poses of one instant, ns, by name: x, y, z, and a quaternion x, y, z, w."""
+    """Poses of one instant, ns, by name: x, y, z, and a quaternion x, y, z, w; or markers."""
 
     stamp: int
     frame_id: str
@@ -248,16 +304,19 @@ def _layout(result: _Result) -> tuple[str, tuple[str, ...]] | None:
     return None if isinstance(poses, MessageError) else (poses.frame_id, tuple(poses.poses))
 
 
-def _frames(poses: Sequence[_Poses]) -> MarkerFrames:
-    """Make frames of poses of one layout; a pose that is not finite, or none, becomes NaN."""
+def _frames(poses: Sequence[_Poses], width: int) -> MarkerFrames:
+    """Make frames of poses of one layout; one that is not finite, or no pose, becomes NaN."""
     first, names = poses[0], tuple(poses[0].poses)
+    stamps = np.array([one.stamp for one in poses])
     rows = np.array([list(one.poses.values()) for one in poses], float)
-    rows = rows.reshape(len(poses), len(names), 7)
+    rows = rows.reshape(len(poses), len(names), width)
+    if width < len(_UNSEEN):
+        blank_unseen(rows)
+        return MarkerFrames(stamps, first.frame_id, names, rows)
     rows[~(np.isfinite(rows).all(axis=-1) & _have_length_1(rows[..., 3:]))] = np.nan
     length = np.sqrt((rows[..., 3:] ** 2).sum(axis=-1))
     rotations = rotation_matrices(rows[..., 3:] / length[..., None])
     axes = np.ascontiguousarray(rotations.swapaxes(-1, -2)[..., :2, :])
-    stamps = np.array([one.stamp for one in poses])
     return MarkerFrames(stamps, first.frame_id, names, rows[..., :3].copy(), axes)
 
 
@@ -296,7 +355,7 @@ def poses_data(
     Parameters
     ----------
     kind : str
-        One of POSE_TYPES. A PoseStamped has the first pose alone.
+        pose_stamped, body_poses or tf. A PoseStamped has the first pose alone.
     stamp : int
         Stamp, ns.
     frame_id : str

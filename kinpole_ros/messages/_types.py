@@ -8,6 +8,8 @@ them from here, so only the live node needs ROS.
 # ruff: noqa: F401, F403
 from typing import TYPE_CHECKING
 
+from kinpole_ros.settings import MESSAGE_TYPES
+
 try:
     from rclpy.serialization import deserialize_message, serialize_message
 
@@ -52,15 +54,15 @@ MARKER_TYPES: dict[str, type] = {
     'pose_array': PoseArray,
     'point_cloud2': PointCloud2,
 }
-# The input types: messages of markers, and of poses of bodies.
+# The types that can be written too: messages of markers, and of poses of bodies.
 INPUT_TYPES: dict[str, type] = {
     **MARKER_TYPES,
     'pose_stamped': PoseStamped,
     'body_poses': PoseArray,
     'tf': TFMessage,
 }
-INPUT_TYPE_NAMES = {kind: type_name(cls) for kind, cls in INPUT_TYPES.items()}
-ROS_TYPE_NAMES = {kind: INPUT_TYPE_NAMES[kind] for kind in MARKER_TYPES}
+INPUT_TYPE_NAMES = {kind: row.type_name for kind, row in MESSAGE_TYPES.items()}
+ROS_TYPE_NAMES = {kind: row.type_name for kind, row in MESSAGE_TYPES.items() if not row.has_poses}
 SECOND = 1_000_000_000  # ns
 END_OF_TIME = 2**31 * SECOND  # ns: the first stamp that a ROS time cannot hold
 

@@ -7,7 +7,7 @@ neither the joints nor the bodies without loads need be known. Friction and iner
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -129,10 +129,7 @@ def measured_balance(
 
     """
     unit = _unit_port(through)
-
-    def variance_of(body: int, linear: Linear) -> Real:
-        return variance(linear, position_covariance[:, :, body], angle_covariance[:, :, body])
-
+    covariances = position_covariance, angle_covariance
     rate, *powers = (
         port_power(port.effort, port.point, position[:, port.body], angle[:, port.body])
         for port in (unit, *loads)
@@ -143,9 +140,17 @@ def measured_balance(
     )
     value = by_body[through.body].value.real
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        total = np.asarray(sum(variance_of(body, linear) for body, linear in by_body.items()))
-        is_moving = np.abs(rate.value) > significant * np.sqrt(variance_of(through.body, rate))
+        total = _variance_of(by_body, *covariances)
+        rate_variance = _variance_of({through.body: rate}, *covariances)
+        is_moving = np.abs(rate.value) > significant * np.sqrt(rate_variance)
     return value, total, is_moving & np.isfinite(value) & np.isfinite(total)
+
+
+def _variance_of(by_body: Mapping[int, Linear], position: Real, angle: Real) -> Real:
+    """Variance (...) of a sum over bodies, by the covariances (K, K, B, ...) of their poses."""
+    return np.asarray(
+        sum(variance(part, position[:, :, b], angle[:, :, b]) for b, part in by_body.items())
+    )
 
 
 def _unit_port(port: Port) -> Port:

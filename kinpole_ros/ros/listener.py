@@ -20,16 +20,20 @@ from rclpy.subscription import Subscription
 from kinpole_ros.bags import BagError, message_class
 from kinpole_ros.messages import (
     DRAWING,
-    MARKER_TYPES,
     PAGE_TOPICS,
     ROS_TYPE_NAMES,
-    MarkerReader,
     MessageError,
+    marker_reader,
 )
 from kinpole_ros.ros.executor import start_ros
 from kinpole_ros.ros.player import bag_errors, own_context, with_slash
 from kinpole_ros.ros.private import PreparedWait, take
-from kinpole_ros.ros.source import MAX_MESSAGE_BYTES, SUBSCRIPTION_DEPTH, describe_excess
+from kinpole_ros.ros.source import (
+    MAX_MESSAGE_BYTES,
+    SUBSCRIPTION_DEPTH,
+    describe_excess,
+    subscribed_class,
+)
 from kinpole_ros.tracking.frame import MarkerFrames
 
 _PATIENCE = 10.0  # s, for a publisher that starts at the same time; discovery takes one or two
@@ -85,7 +89,7 @@ def listen(
     try:
         kind = _published_kind(node, executor, name)
         qos = QoSProfile(depth=SUBSCRIPTION_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-        node.create_subscription(MARKER_TYPES[kind], name, receive, qos, raw=True)
+        node.create_subscription(subscribed_class(kind), name, receive, qos, raw=True)
         end = time.monotonic() + _PATIENCE
         has_begun = False
         while time.monotonic() < end and context.ok():
@@ -103,7 +107,7 @@ def listen(
         executor.shutdown()
         node.destroy_node()
         context.try_shutdown()
-    results = MarkerReader(kind).read(messages)
+    results = marker_reader(kind, 'auto').read(messages)
     frames = [result for result in results if not isinstance(result, MessageError)]
     if not frames:
         errors = [str(result) for result in results] or refused
@@ -115,7 +119,7 @@ def listen(
 
 
 def _published_kind(node: Node, executor: SingleThreadedExecutor, name: str) -> str:
-    """Return the type of the published markers, a key of MARKER_TYPES."""
+    """Return the type of the published markers, a key of ROS_TYPE_NAMES."""
     kinds = {ros: kind for kind, ros in ROS_TYPE_NAMES.items()}
     end = time.monotonic() + _PATIENCE
     published: set[str] = set()

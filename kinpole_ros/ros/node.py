@@ -122,7 +122,8 @@ class KinpoleNode(ParameterNode):
     def _make_diagnostics(self) -> DiagnosticsMaker:
         # With the namespace: the nodes of several rigs share the topic.
         name = self.get_fully_qualified_name().lstrip('/')
-        return DiagnosticsMaker(name, self.theory, self.source.topic)
+        compare = self.theory.comparison() if self.theory else None
+        return DiagnosticsMaker(name, compare, self.source.topic)
 
     def _restart(self) -> None:
         """Forget all frames and counts."""

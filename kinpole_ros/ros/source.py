@@ -18,13 +18,14 @@ from rclpy.qos import (
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.type_support import check_is_valid_msg_type
 
 from kinpole_ros.messages import (
     AUTO_TYPES,
     INPUT_TYPE_NAMES,
-    INPUT_TYPES,
     MessageError,
     PoseReader,
+    message_class,
     reader_of,
 )
 from kinpole_ros.ros.executor import SubscriptionGroup
@@ -138,9 +139,11 @@ class MarkerSource:
         kinds, fault = self._readable_kinds(published)
         if kinds and self._kind not in kinds:
             try:
+                subscribed_class(kinds[0])
                 reader_of(kinds[0], self._settings)
             except ParameterError as error:
-                kinds, fault = [], f'{self.topic} is published as poses: {error}'
+                fault = f'{INPUT_TYPE_NAMES[kinds[0]]} on {self.topic} cannot be read: {error}'
+                kinds = []
         self._note('type', fault)
         if kinds and self._kind not in kinds:
             self.close()
@@ -164,7 +167,7 @@ class MarkerSource:
         """Return the input types that can be subscribed to, and the fault if none is published."""
         marker_type = self._settings.marker_type
         is_auto = marker_type == 'auto'
-        readable = [k for k in INPUT_TYPES if k in AUTO_TYPES] if is_auto else [marker_type]
+        readable = list(AUTO_TYPES) if is_auto else [marker_type]
         matching = [kind for kind in readable if INPUT_TYPE_NAMES[kind] in published]
         fault = ''
         if published and not matching:
@@ -195,7 +198,7 @@ class MarkerSource:
         overrides = f'qos_overrides.{self.topic}.subscription'
         try:
             self._subscription = self._node.create_subscription(
-                INPUT_TYPES[kind],
+                subscribed_class(kind),
                 self._settings.marker_topic,
                 self._on_markers,
                 qos,
@@ -337,6 +340,26 @@ class MarkerSource:
             )
         self._note('sources', text)
         self._alternations = 0
+
+
+def subscribed_class(kind: str) -> type:
+    """
+    Return the class that rclpy subscribes to an input type with.
+
+    Raises ParameterError where its package is not installed, or cannot be used here.
+    """
+    name = INPUT_TYPE_NAMES[kind]
+    package = name.partition('/')[0]
+    reason = f'the package {package} is not installed, or its workspace is not sourced'
+    try:
+        found: type = message_class(name)
+        reason = f'the package {package} that is installed has no {name} for this Python'
+        check_is_valid_msg_type(found)
+    except Exception:  # LookupError, and whatever rclpy raises where it loads the type
+        raise ParameterError(
+            f'{reason}; fix: install {package} for this ROS, source it, and start the node again'
+        ) from None
+    return found
 
 
 def describe_excess(topic: str, size: int) -> str:

@@ -2,6 +2,7 @@
 
 from kinpole_ros.settings.consistency import check_poses, known_rows, of_poses, settings_from
 from kinpole_ros.settings.kinds import AXES, FIT, ParameterError, PlaneSetting, canonical_name
+from kinpole_ros.settings.message_types import MESSAGE_TYPES, POSE_TYPES, MessageType
 from kinpole_ros.settings.parameter_file import assignments, load_settings
 from kinpole_ros.settings.settings import (
     GROUND,
@@ -10,7 +11,6 @@ from kinpole_ros.settings.settings import (
     OWN_PARAMETERS,
     PARAMETERS,
     POSE_POINTS,
-    POSE_TYPES,
     RUNNING,
     START,
     Parameter,
@@ -25,6 +25,7 @@ __all__ = [
     'FIT',
     'GROUND',
     'INACTIVE',
+    'MESSAGE_TYPES',
     'NODE_PARAMETERS',
     'OWN_PARAMETERS',
     'PARAMETERS',
@@ -32,6 +33,7 @@ __all__ = [
     'POSE_TYPES',
     'RUNNING',
     'START',
+    'MessageType',
     'Parameter',
     'ParameterError',
     'PlaneSetting',

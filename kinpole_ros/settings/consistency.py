@@ -6,12 +6,12 @@ from typing import Any
 
 from kinpole_ros.files import cut, did_you_mean
 from kinpole_ros.settings.kinds import FIT, ParameterError
+from kinpole_ros.settings.message_types import POSE_TYPES
 from kinpole_ros.settings.settings import (
     GROUND,
     NODE_PARAMETERS,
     PARAMETERS,
     POSE_POINTS,
-    POSE_TYPES,
     Parameter,
     Settings,
     check_value,
@@ -124,7 +124,7 @@ def check_poses(settings: Settings, kind: str) -> None:
             f'parameter {min(settings.shapes)}.shape is of markers, and marker_type {kind} brings '
             'poses; leave it out'
         )
-    single, example = kind == 'pose_stamped', 'crank' if kind == 'tf' else '0'
+    single, example = kind == 'pose_stamped', '0' if kind == 'body_poses' else 'crank'
     if single and len(bodies) > 1:
         raise ParameterError(
             f'parameter bodies names {len(bodies)}, and a PoseStamped is of one; take their poses '

@@ -14,9 +14,8 @@ from typing import Any
 from kinpole_ros.files import cut
 from kinpole_ros.settings import kinds
 from kinpole_ros.settings.kinds import Kind, ParameterError, PlaneSetting
+from kinpole_ros.settings.message_types import MESSAGE_TYPES
 
-# Of the types of messages, those that carry poses of bodies and not markers.
-POSE_TYPES = ('pose_stamped', 'body_poses', 'tf')
 # m, complex, of the points that stand for such a pose, in its frame. Figures do not depend on them;
 # drawings show them. Their mean is the origin, so that it is not rounded by how the body is turned.
 POSE_POINTS = (0.1 + 0j, 0.1j, -0.1 - 0.1j)
@@ -59,10 +58,11 @@ class Settings:
     )
     marker_type: str = parameter(
         'auto',
-        kinds.one_of('auto', 'marker_array', 'marker', 'pose_array', 'point_cloud2', *POSE_TYPES),
+        kinds.one_of('auto', *MESSAGE_TYPES),
         'Type of the marker messages; auto takes the type that is published. pose_stamped, '
-        'body_poses (a PoseArray with one pose per body) and tf carry poses of bodies instead of '
-        'markers: <body>.markers then names one pose, by its index or its child_frame_id.',
+        'body_poses (a PoseArray with one pose per body), tf, rigid_bodies and named_poses carry '
+        'poses of bodies instead of markers: <body>.markers then names one pose, by its index, '
+        'child_frame_id or name.',
         START,
     )
     marker_identity: str = parameter(

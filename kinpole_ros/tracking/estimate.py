@@ -30,7 +30,7 @@ from kinpole_ros.tracking.quantities import (
 )
 from kinpole_ros.tracking.reasons import stands_out, why_no_curvature, why_no_poles
 from kinpole_ros.tracking.rejection import REASONS_OF_MARKERS, REASONS_OF_POSES
-from kinpole_ros.tracking.result_layout import COUNT, INSTANT_AXIS, Part, layout_of
+from kinpole_ros.tracking.result_layout import COUNT, INSTANT_AXIS, ArrayPart, layout_of
 from kinpole_ros.tracking.values import (
     POLE_NAMES,
     FramePoses,
@@ -64,7 +64,7 @@ class Results(NamedTuple):
     """
 
     fields: np.ndarray
-    layout: dict[str, Part]
+    layout: dict[str, ArrayPart]
     buffer: np.ndarray
     address: int
     of_motion: np.ndarray

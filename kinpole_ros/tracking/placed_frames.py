@@ -13,7 +13,7 @@ from kinpole_ros.tracking.frame import MarkerFrames
 OTHERS, RENAMED = 'markers_of_others', 'markers_renamed'
 
 
-class Layout(NamedTuple):
+class FrameLayout(NamedTuple):
     """
     Where the markers are in messages with the same identities.
 
@@ -46,7 +46,7 @@ class PlacedFrames:
     ----------
     frames : MarkerFrames
         The frames, with contiguous points.
-    layout : Layout
+    layout : FrameLayout
         Where their markers are in the message.
     points, heights : (T, B, n)
         Markers in the plane, complex, m, NaN for none, and for all while the plane is not known;
@@ -65,7 +65,7 @@ class PlacedFrames:
     """
 
     frames: MarkerFrames
-    layout: Layout
+    layout: FrameLayout
     points: np.ndarray
     heights: np.ndarray
     in_space: np.ndarray | None
@@ -80,7 +80,7 @@ class PlacedFrames:
         return self.frames.identities
 
 
-def count_misnamed(counts: Counter[str], layout: Layout, frames: int) -> None:
+def count_misnamed(counts: Counter[str], layout: FrameLayout, frames: int) -> None:
     """Count the markers with wrong names in so many frames; take them back if it is negative."""
     if layout.foreign_names:
         counts[OTHERS] += frames * layout.foreign_names

@@ -15,7 +15,7 @@ from kinpole_ros.core.bindings import Slots, library, pass_new_array
 from kinpole_ros.settings import POSE_POINTS, Settings
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.marker_rows import find_rows
-from kinpole_ros.tracking.placed_frames import Layout, PlacedFrames, count_misnamed
+from kinpole_ros.tracking.placed_frames import FrameLayout, PlacedFrames, count_misnamed
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.pose_points import ARM, project_poses, tilts_of
 from kinpole_ros.tracking.rejection import (
@@ -81,7 +81,7 @@ class MarkerAssignment:
         self.takes_all = not any(self.markers)
         has_indices = settings.marker_identity in ('auto', 'index', 'shape')
         self.names_come = self.takes_all or not has_indices
-        self._layouts: dict[tuple[str, ...], Layout] = {}
+        self._layouts: dict[tuple[str, ...], FrameLayout] = {}
         # Slots (body, marker) that names stand for now, where these are not those of the
         # parameters, and the slot that takes the place of each, counted through all bodies.
         self._aliases: dict[str, tuple[int, int]] = {}
@@ -143,7 +143,7 @@ class MarkerAssignment:
         placed.points[first:], placed.heights[first:] = points, heights
 
     def _place(
-        self, frames: MarkerFrames, layout: Layout, first: int
+        self, frames: MarkerFrames, layout: FrameLayout, first: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, int]:
         """Return points, heights and points in space from `first` on; how many are too far."""
         assert layout.slots is not None
@@ -281,7 +281,7 @@ class MarkerAssignment:
             names if n < 2 else [] for n, names in zip(count, placed.layout.absent, strict=True)
         ]
 
-    def _layout_of(self, identities: tuple[str, ...]) -> Layout:
+    def _layout_of(self, identities: tuple[str, ...]) -> FrameLayout:
         """Look up the layout of a message, or make it, with its slots."""
         layout = self._layouts.get(identities)
         if layout is not None and layout.slots is not None:
@@ -304,7 +304,7 @@ class MarkerAssignment:
             slots.basis = tuple(self.plane.basis.ravel().tolist())
         return slots
 
-    def _new_layout(self, identities: tuple[str, ...]) -> Layout:
+    def _new_layout(self, identities: tuple[str, ...]) -> FrameLayout:
         """Return the layout of a message that was not seen before."""
         if self.takes_all:
             self._take_new(identities)
@@ -336,7 +336,7 @@ class MarkerAssignment:
         rows: np.ndarray,
         named: np.ndarray,
         absent: list[list[str]],
-    ) -> Layout:
+    ) -> FrameLayout:
         """Return the layout of a message whose markers are in these rows; `named` by names."""
         none = len(identities)
         corrected = (rows != named) & (rows < none)
@@ -349,7 +349,7 @@ class MarkerAssignment:
             unassigned = unassigned[:0]
         is_numbered &= not self.posed
         all_rows = self._slots_of(np.arange(none), none)
-        return Layout(rows, named, absent, foreign, unknown, unassigned, is_numbered, all_rows)
+        return FrameLayout(rows, named, absent, foreign, unknown, unassigned, is_numbered, all_rows)
 
     def _with_aliases(self, identities: tuple[str, ...], named: np.ndarray) -> np.ndarray:
         """Rows with the markers that have other names for now; a name of its own goes first."""

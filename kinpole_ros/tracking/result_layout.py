@@ -16,7 +16,7 @@ INSTANT_AXIS = {
 }
 
 
-class Part(NamedTuple):
+class ArrayPart(NamedTuple):
     """Where an array is in the buffer of results."""
 
     shape: tuple[int, ...]
@@ -36,7 +36,7 @@ _FIELDS = tuple('position' if name == 'derivatives' else name for name in bindin
 @lru_cache(maxsize=64)
 def layout_of(
     instants: int, orders: int, bodies: int, markers: int
-) -> tuple[dict[str, Part], np.ndarray, np.ndarray, int]:
+) -> tuple[dict[str, ArrayPart], np.ndarray, np.ndarray, int]:
     """Where the arrays of results, and the fields of C and of `Motion` are; the size of all."""
     each, square = (instants, bodies), (orders, orders, instants, bodies)
     arrays: dict[str, tuple[tuple[int, ...], Any]] = {
@@ -60,7 +60,7 @@ def layout_of(
     }
     layout, offset = {}, 0
     for name, (shape, dtype) in arrays.items():
-        layout[name] = Part(shape, dtype, offset)
+        layout[name] = ArrayPart(shape, dtype, offset)
         offset += math.prod(shape) * np.dtype(dtype).itemsize
     of_fields, of_motion = (
         np.array([layout[name].offset for name in names])

@@ -101,6 +101,8 @@ class Timeline:
         # Stamps of the frames, in parts, and which of the frames are used; number of all of them.
         self._appended = [(np.zeros(0, np.int64), np.zeros(0, bool))]
         self._seen = 0
+        # Lost frames among them.
+        self._lost = 0
         # Frames since the last update, and used frames that were not compared with neighbors yet.
         self._new = self._unweighed = 0
         # Whether even stamps may slip; the last stamp that did, and whether it is the next one.
@@ -332,11 +334,17 @@ class Timeline:
 
     def _count_lost(self, clock: Clock, counts: np.ndarray) -> None:
         """Count the frames that were lost between the new ones."""
+        if clock.is_on_grid and self.clock is not None and self.clock.is_even:
+            # The empty steps of the grid were taken for losses.
+            self._totals['lost'] -= self._lost
+            self._lost, self._new = 0, len(counts)
         steps = np.diff(counts)[max(len(counts) - self._new - UNSETTLED - 1, 0) : -UNSETTLED]
         self._new = 0
         # Stamps far from all ticks do not show any loss.
-        if self.at_ticks or clock.largest < clock.interval / 2:
-            self._totals['lost'] += int((steps - 1).clip(0).sum())
+        if self.at_ticks or clock.is_on_grid or clock.largest < clock.interval / 2:
+            lost = int((steps - 1).clip(0).sum())
+            self._lost += lost
+            self._totals['lost'] += lost
 
     def _weigh_motion(
         self, history: History, samples: int, counts: np.ndarray, noise: Real

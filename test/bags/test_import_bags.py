@@ -310,7 +310,11 @@ def test_a_db3_message_of_more_than_32_mib_is_named(tmp_path):
 
 @pytest.mark.parametrize('command', ['replay', 'discover'])
 def test_messages_of_trackers_in_place_of_markers_are_sent_to_import(tmp_path, capsys, command):
-    path = write_bag(tmp_path, 'mocap4r2 markers', 'mcap')
+    path = tmp_path / 'bag'
+    with Ros2Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        name = 'geometry_msgs/msg/TransformStamped'
+        link = writer.add_connection('/m', name, typestore=makers().ros2.store)
+        writer.write(link, FIRST, bytes(100))
     assert main([command, str(path), '--topic', '/m']) == 2
     assert f'`kinpole import {path} --output ' in capsys.readouterr().err
 

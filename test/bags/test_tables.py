@@ -12,7 +12,7 @@ import pytest
 from conftest import bodies_of
 
 from kinpole_ros.bags import BagError, replay
-from kinpole_ros.bags._tables import CsvTable, ParquetTable, column_names, table_rows
+from kinpole_ros.bags._tables import TABLES, column_names, csv_table, parquet_table, table_rows
 from kinpole_ros.settings import Settings
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tracking.values import Numbers, Vectors
@@ -63,8 +63,8 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 def test_a_block_of_instants_makes_the_rows_of_its_instants(tmp_path: Path) -> None:
     known: Any = Known(50, ('a', 'b', 'c'))
     settings = Settings(bodies={'a': (), 'b': (), 'c': ()})
-    with CsvTable(tmp_path / 'out.csv', settings) as table:
-        table.add(known)
+    with csv_table(tmp_path / 'out.csv', settings) as add:
+        add(known)
     with open(tmp_path / 'out.csv', newline='') as file:
         assert file.readline().endswith('\r\n')
     rows = rows_of(tmp_path / 'out.csv')
@@ -132,9 +132,9 @@ def test_parquet_is_written_in_groups_so_that_memory_stays_bounded(tmp_path: Pat
     parquet = pytest.importorskip('pyarrow.parquet')
     settings = Settings(bodies={'a': (), 'b': ()})
     blocks: list[Any] = [Known(1000, ('a', 'b'), seed) for seed in range(20)]
-    with ParquetTable(tmp_path / 'out.parquet', settings) as table:
+    with parquet_table(tmp_path / 'out.parquet', settings) as add:
         for block in blocks:
-            table.add(block)
+            add(block)
     with parquet.ParquetFile(tmp_path / 'out.parquet') as file:
         sizes = [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)]
         found = file.read()
@@ -178,14 +178,14 @@ def test_the_command_writes_parquet_and_says_what_is_missing(
     assert line.count('\n') == 1
 
 
-@pytest.mark.parametrize('kind', [CsvTable, ParquetTable])
-def test_a_full_disk_is_one_line(kind: type[CsvTable]) -> None:
-    if kind is ParquetTable:
+@pytest.mark.parametrize('kind', TABLES)
+def test_a_full_disk_is_one_line(kind: str) -> None:
+    if kind == 'parquet':
         pytest.importorskip('pyarrow')
     known: Any = Known(3000, ('a', 'b'))
     with (
         pytest.raises(BagError, match=r'/dev/full cannot be written: No space left'),
-        kind('/dev/full', Settings(bodies={'a': (), 'b': ()})) as table,
+        TABLES[kind]('/dev/full', Settings(bodies={'a': (), 'b': ()})) as add,
     ):
         for _ in range(10):
-            table.add(known)
+            add(known)

@@ -4,8 +4,7 @@ What the compiled kernel does of even samples, with numpy: to read, and to test 
 Derivatives of poses within a window are the mean over all models, by how probable each is.
 
 What the models disagree about is part of the covariance. There each spectrum counts as much as the
-others: how the harmonics of a motion fall below its noise is what the samples cannot tell. The
-rough spectrum counts in the covariance alone, and less.
+others: how the harmonics of a motion fall below its noise is what the samples cannot tell.
 """
 
 from typing import NamedTuple
@@ -21,8 +20,6 @@ KNOWN = 300.0
 _LEAST, _LEAST_PROBABLE = 1e-5, 1e-8
 # Models with so much less evidence than others do not count.
 _FAR = 80.0
-# The weight of the rough spectrum in covariances, over that of another, is at most this.
-_ROUGH_SHARE = 0.1
 # Of angle and position: how many components, and which of both each component is of.
 _COMPONENTS = np.array((1, 2))
 _SIGNAL = [0, 1, 1]
@@ -151,7 +148,7 @@ def derive(
     """
     rows, variance, evidence, lacks = evidence_of(modes, samples, seen, lacking)
     orders, bodies = len(stencils.modes), samples.shape[2]
-    best = evidence[modes.kinds[-1] == 0].max(axis=0)
+    best = evidence.max(axis=0)
     likely, weights = weights_of(evidence.reshape(1, len(evidence), -1), np.zeros(1), modes.kinds)
     likely, weights = likely[0], weights[0]
     noisy = weights * variance.reshape(len(variance), -1)
@@ -273,24 +270,16 @@ def weights_of(evidence: Real, prior: Real, kinds: Real) -> tuple[Real, Real]:
 
     With N sets of steps, the logarithms of whose `prior` (N,) are part of the evidence.
     """
-    smooth = kinds[-1] == 0
-    best = evidence[:, smooth].max(axis=(0, 1))
+    best = evidence.max(axis=(0, 1))
     likely = np.exp(evidence - best)
-    likely[:, ~smooth] = 0.0
     likely[evidence < best - _FAR] = 0.0
     # For covariances evidence counts to the power of 1/2: the likeliest model is not the only one.
     # So does half of the prior of steps.
     up = evidence - prior[:, None, None] / 2
-    top = up[:, smooth].max(axis=(0, 1))
-    rough = up[:, ~smooth].max(axis=(0, 1), initial=-np.inf)
-    highest = np.maximum(top, rough)
-    weights = np.exp((up - top) / 2)
-    weights[:, ~smooth] = np.exp((up[:, ~smooth] - highest) / 2)
+    weights = np.exp((up - up.max(axis=(0, 1))) / 2)
     # Of each spectrum beside the line and rest, unless it is out of the question.
     total = np.einsum('km,nms->ks', kinds, weights)
     inverse = np.divide(1.0, total, out=np.zeros_like(total), where=total > 1e-300)
-    part = total[-1] / total[:-1].max(axis=0) * np.exp((highest - top) / 2)
-    inverse[-1] *= _ROUGH_SHARE * np.sqrt(np.minimum(part, 1.0))
     weights *= kinds.T @ inverse
     weights /= weights.sum(axis=(0, 1))
     weights[weights < _LEAST] = 0.0

@@ -7,13 +7,13 @@ import numpy as np
 
 from kinpole_ros.derivatives import _models
 from kinpole_ros.derivatives._models import (
+    _SIMPLE_PRIOR,
     FEWEST_SAMPLES,
     FLAT,
     Process,
     _Functions,
     _half_window,
     _line_derivatives,
-    _polynomial_prior,
     _waves,
 )
 from kinpole_ros.planar._plane import Real
@@ -49,8 +49,7 @@ class Modes(NamedTuple):
     zeros is none. M models are the processes, each with its amplitudes, and then rest: `chances`
     (M, 2, 1) are the logarithm of a model's prior less half of that of its determinant, for one and
     for two components, `freedom` (M,) is how many parameters it has for the samples, and `kinds`
-    (spectra, M) is 1 for those of a spectrum, and for low polynomials and rest. The last spectrum
-    is the rough one, without these.
+    (spectra, M) is 1 for those of a spectrum, and for low polynomials and rest.
 
     Model by model `place` (M, m) says which rows, of R and one more of zeros, it has, and `share`
     (M, m) how much of them is motion; `vectors` (R + 1, n) are the modes on all samples.
@@ -158,7 +157,7 @@ def modes_of(count: int, block: int = 1, exact: bool = False) -> Modes:
     even, odd = (np.concatenate(part) * root / 2 for part in rows)
     # Rest has no slope, and is more probable by all that this might be.
     occam.append(np.log([3 * amplitudes[-1]]))
-    prior, less = np.log([*priors, _polynomial_prior()]), np.concatenate(occam)
+    prior, less = np.log([*priors, _SIMPLE_PRIOR]), np.concatenate(occam)
     kind = np.array([*(process.spectrum for process in by_model), -1])
     return Modes(
         even,
@@ -167,10 +166,7 @@ def modes_of(count: int, block: int = 1, exact: bool = False) -> Modes:
         np.stack((prior + less, prior + 2 * less), axis=1)[..., None],
         np.concatenate([*freedom, [1.0]]),
         np.array(
-            [
-                *((kind == k) | (kind < 0) for k in range(len(_models.SPECTRA))),
-                kind == len(_models.SPECTRA),
-            ],
+            [(kind == k) | (kind < 0) for k in range(len(_models.SPECTRA))],
             float,
         ),
         *_by_model(parts, len(kind), 2 * len(even)),

@@ -237,8 +237,8 @@ def _processes(window: Window) -> list[tuple[int, float, slice]]:
 
 
 def _left_out(window: Window, evidence: Real) -> np.ndarray:
-    """Which models (M,) with steps are left out: rough ones, and lengths beyond much worse ones."""
-    out = modes_of(*window.models).kinds[-1] > 0
+    """Which models (M,) with steps are left out: lengths beyond much worse ones."""
+    out = np.zeros(len(evidence), bool)
     processes = _processes(window)
     for spectrum in {one for one, _, _ in processes if one >= 0}:
         top, dropped = np.full(2, -np.inf), False
@@ -262,7 +262,7 @@ def _sets(window: Window, samples: Real, seen: Real, lacking: Real, empty: _Set)
     """All sets of steps that count: the empty one, and those that explain samples better."""
     found: dict[int, _Candidate] = {}
     before = None
-    for allowed in (modes_of(*window.models).kinds[-1] == 0, _slow(window)):
+    for allowed in (np.ones(len(empty.evidence), bool), _slow(window)):
         evidence = np.where(allowed[:, None], empty.evidence, -np.inf)
         models = evidence.argmax(axis=0)
         if before is not None and (models == before).all():
@@ -299,7 +299,7 @@ def _slow(window: Window) -> np.ndarray:
     slow = np.zeros(len(modes.freedom), bool)
     for spectrum, length, models in processes:
         longer = sum(one == spectrum and other > length for one, other, _ in processes)
-        slow[models] = longer < _SLOWEST and 0 <= spectrum < len(modes.kinds) - 1
+        slow[models] = longer < _SLOWEST and spectrum >= 0
     return slow
 
 

@@ -17,7 +17,14 @@ from fuzz_kills import COMMANDS, fuzz_kills
 from geometry_msgs.msg import Point
 from rclpy.node import Node
 
-from kinpole_ros.bags import BagError, BagWriter, bag_files, import_points
+from kinpole_ros.bags import (
+    BagError,
+    BagWriter,
+    Truncated,
+    bag_files,
+    import_points,
+    read_messages,
+)
 from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limited, whole_file
 from kinpole_ros.files.bounded_yaml import load_yaml
 from kinpole_ros.mechanism import SceneError, load_scene
@@ -283,9 +290,12 @@ def test_what_a_killed_process_left_goes_with_the_next_result(tmp_path: Path) ->
     assert sorted(tmp_path.iterdir()) == [path, other]
 
 
-def test_a_signal_amid_any_line_of_the_writer_is_what_ends_it(tmp_path: Path) -> None:
+def test_a_signal_amid_any_line_of_the_writer_ends_it_and_leaves_whole_chunks(
+    tmp_path: Path,
+) -> None:
     """SIGTERM raises SystemExit wherever the program is."""
     columns = [('/a', Point, [1, 2], [bytes(200_000)] * 2)]
+    own_or_mcaps = '_writer.py', 'mcap/writer.py', '_chunk_builder.py', 'records.py'
     line, last = 0, -1
 
     def step(frame: FrameType, event: str, arg: Any) -> Any:
@@ -294,7 +304,7 @@ def test_a_signal_amid_any_line_of_the_writer_is_what_ends_it(tmp_path: Path) ->
         if line == last:
             sys.settrace(None)
             raise SystemExit(143)
-        return step if frame.f_code.co_filename.endswith('_writer.py') else None
+        return step if frame.f_code.co_filename.endswith(own_or_mcaps) else None
 
     def write() -> None:
         nonlocal line
@@ -312,9 +322,15 @@ def test_a_signal_amid_any_line_of_the_writer_is_what_ends_it(tmp_path: Path) ->
         for last in range(1, line):  # noqa: B007 - `step` looks at it
             with pytest.raises(SystemExit):
                 write()
+            fault = ''
+            try:
+                count = len(list(read_messages(tmp_path / 'out.mcap')))
+            except Truncated as error:
+                fault = str(error)
+            assert 'is cut off' in fault or (not fault and count <= 2)
     finally:
         sys.settrace(before)
-    assert last > 50
+    assert last > 100
 
 
 def test_stopped_at_any_moment_a_replay_leaves_what_was_there_or_all_of_its_own(

@@ -19,9 +19,9 @@ from kinpole_ros.linkage import (
     parameter_file,
     table,
 )
+from kinpole_ros.linkage._body_poses import GROUND_NUMBER, fit_body, ground, refine_groups
 from kinpole_ros.linkage._discover import candidate_pairs
 from kinpole_ros.linkage._matches import match_markers
-from kinpole_ros.linkage._poses import GROUND_NUMBER, fit_body, ground, refine_groups
 from kinpole_ros.linkage._record import gather, near_pairs
 from kinpole_ros.linkage._rigid import Groups, quantiles
 from kinpole_ros.linkage.theory import load_theory

@@ -22,8 +22,8 @@ from kinpole_ros.mechanism._equilibrium import (
 from kinpole_ros.mechanism._joint_kinds import GROUND, Belt, Pose, Revolute, Rolling, Slot, Strut
 from kinpole_ros.mechanism._loads import Force, Load
 from kinpole_ros.mechanism._loops import (
-    Linkage,
     LinkageError,
+    ReducedLoops,
     loop_jacobian,
     reduce,
     term_directions,
@@ -81,7 +81,7 @@ def power_of(mechanism: Mechanism, load: Load, moving: Moving) -> Real:
 SINGULAR_VALUE = np.sqrt(ROUNDING)
 
 
-def move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) -> Moving:
+def move(linkage: ReducedLoops, assembly: Assembly, values: Real, rates: Real) -> Moving:
     """
     Let the drivers move at `rates` (d, T), at variables (n, T) that close the loops.
 

@@ -97,12 +97,17 @@ def test_a_belt_on_an_arm_is_a_planetary_gear(radii: tuple[float, float], turn: 
     np.testing.assert_allclose(moving(scene, 'tool'), expected, rtol=1e-9, atol=1e-8)
 
 
-def hoist(side: float = 1.0) -> Scene:
-    """A load that slides upright on a rope to the edge of a drum, r = 5 cm."""
+def hoist(side: float = 1.0, guide: float | None = None) -> Scene:
+    """
+    A load that slides upright on a rope to the edge of a drum, r = 5 cm.
+
+    The rope runs on the `side` of the drum, its load on that of the `guide`.
+    """
+    guide = side if guide is None else guide
     return load_scene(
         {
             'bodies': {
-                'ground': {'O': [0, 0], 'G': [0.05 * side, 0]},
+                'ground': {'O': [0, 0], 'G': [0.05 * guide, 0]},
                 'drum': {'O': [0, 0]},
                 'load': {'L': [0, 0]},
             },
@@ -129,6 +134,12 @@ def test_a_rope_to_a_load_unwinds_by_the_turn_of_its_drum(side: float) -> None:
     expected = -0.05 * side * drum
     expected[0] += 0.4
     np.testing.assert_allclose(drop, expected, **EXACT)
+
+
+@pytest.mark.parametrize('guide', [-1.0, 0.5, 1.2])
+def test_a_rope_that_cannot_start_in_its_direction_is_refused(guide: float) -> None:
+    with pytest.raises(SceneError, match=r'joints: rope.*is -90 deg, but it leads to'):
+        hoist(guide=guide)
 
 
 def test_a_string_unwinds_along_an_involute() -> None:

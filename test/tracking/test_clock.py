@@ -395,3 +395,30 @@ def test_a_clock_far_finer_than_its_lateness_counts_in_bounded_work(monkeypatch)
     assert len(counts) >= 60 - MAX_PENDING
     assert (np.diff(counts) > 0).all()
     assert (np.diff(sure_with) >= 0).all()
+
+
+@pytest.mark.parametrize('share', [0.0, 0.02])
+@pytest.mark.parametrize(('rate', 'step'), [(60, 1 / 64), (50, 1 / 64), (85, 0.01), (240, 0.004)])
+def test_frames_on_the_grid_of_a_timer_are_at_the_ticks_of_their_camera(rate, step, share):
+    """A grid that is hardly finer than the frames: regular empty steps are no losses."""
+    kept = frames_kept(20 * rate, share)
+    times = kept / rate + 0.4 / rate
+    points, rates = record(times)
+    stamps = START + np.rint(np.floor(times / step) * step * 1e9).astype(np.int64)
+    tracker, rms = errors(stamps, points, rates, skip=2.5, block=50)
+    _, even = errors(START + np.rint(times * 1e9).astype(np.int64), points, rates, skip=2.5)
+    assert tracker.state.timeline.clock.interval == pytest.approx(1e9 / rate, rel=1e-3)
+    assert rms < 1.1 * even
+    lost = kept[-1] + 1 - len(kept)
+    assert lost - 3 <= tracker.state.totals.counts['lost'] <= lost
+
+
+@pytest.mark.parametrize('share', [0.01, 0.05])
+def test_losses_of_exactly_even_stamps_are_not_taken_for_the_grid_of_a_timer(share):
+    for seed in range(5):
+        kept = frames_kept(1500, share, seed)
+        points, _ = record(kept / 100)
+        tracker, _, _ = track(START + kept * 10_000_000, points, block=50)
+        assert tracker.state.timeline.clock.interval == 1e7
+        lost = kept[-1] + 1 - len(kept)
+        assert 0.8 * lost <= tracker.state.totals.counts['lost'] <= lost

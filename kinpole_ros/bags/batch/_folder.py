@@ -7,7 +7,7 @@ from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 
-from kinpole_ros.bags._files import unwritable
+from kinpole_ros.bags._files import write_errors
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._results import Job, Row, finished, result_name, write_text
 from kinpole_ros.files import as_cell
@@ -42,11 +42,9 @@ class ResultFolder:
         if isinstance(self.root, str):
             self._stored = _store.content(self.root)
             return
-        try:
+        with write_errors(self.root):
             self.root.mkdir(parents=True, exist_ok=True)
             TemporaryFile(dir=self.root).close()
-        except OSError as error:
-            raise unwritable(self.root, error) from None
 
     def job(self, bag: str, settings: Settings, topic: str | None, kinds: Sequence[str]) -> Job:
         """Return the job of a bag, whose results stay in the subfolder where they are."""
@@ -90,7 +88,5 @@ def write_summary(path: Path, rows: list[Row]) -> None:
     table = csv.writer(text)
     table.writerow(map(as_cell, columns))
     table.writerows([as_cell(row.get(name, '')) for name in columns] for row in rows)
-    try:
+    with write_errors(path):
         write_text(path, text.getvalue())
-    except OSError as error:
-        raise unwritable(path, error) from None

@@ -41,7 +41,7 @@ _KINDS = {
     **dict.fromkeys(('PoseStamped', 'PoseWithCovarianceStamped', 'TransformStamped'), 'pose'),
     **dict.fromkeys(('TFMessage', 'tfMessage'), 'tf'),
 }
-_MARKERS = {name.replace('/msg/', '/'): key for key, name in ROS_TYPE_NAMES.items()}
+_MARKERS = {ROS_TYPE_NAMES[kind].replace('/msg/', '/'): kind for kind in MARKER_TYPES}
 _IN_MM = ('vicon_bridge/Markers',)  # by no convention of ROS
 # Those that bags of before ROS 2 Iron do not define.
 _MESSAGES = {

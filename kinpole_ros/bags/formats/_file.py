@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from kinpole_ros.bags._files import BagError, unreadable
+from kinpole_ros.bags._files import BagError, read_errors
 from kinpole_ros.bags.formats._sheet import Sheet, number_in
 from kinpole_ros.files import open_regular, read_limited
 
@@ -124,19 +124,14 @@ class File:
         self.is_folder = path.is_dir()
         self.head = b''
         if not self.is_folder:
-            try:
-                with open_regular(path) as file:
-                    self.head = file.read(_HEAD_BYTES)
-            except OSError as error:
-                raise unreadable(path, error) from error
+            with read_errors(path), open_regular(path) as file:
+                self.head = file.read(_HEAD_BYTES)
 
     @cached_property
     def data(self) -> bytes:
         """Return all its bytes."""
-        try:
+        with read_errors(self.path):
             return read_limited(self.path, MOST_BYTES)
-        except OSError as error:
-            raise unreadable(self.path, error) from error
 
     @cached_property
     def sheet(self) -> Sheet:

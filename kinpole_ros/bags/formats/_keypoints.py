@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.bags._files import BagError, unreadable
+from kinpole_ros.bags._files import BagError, read_errors
 from kinpole_ros.bags.formats._file import File, Format, Options, Points
 from kinpole_ros.bags.formats._sheet import MOST_COLUMNS, check_cells, check_names, shown
 from kinpole_ros.files import read_limited
@@ -142,11 +142,8 @@ def _persons(file: File) -> Iterator[_Person]:
 def _json_errors(path: Path) -> Iterator[None]:
     """Turn what JSON of another form raises into BagError."""
     try:
-        yield
-    except BagError:
-        raise
-    except OSError as error:
-        raise unreadable(path, error) from error
+        with read_errors(path):
+            yield
     except _MALFORMED as error:
         raise BagError(f'{path} is not JSON of keypoints; fix: {_FIX}') from error
 

@@ -16,11 +16,8 @@
 /* Loss of log evidence after which shorter lengths of a spectrum are skipped in sets with events:
    their evidence is lower still. */
 #define LENGTH_EVIDENCE_LOSS 8.0
-/* Bound of the number of spectra, of which _models.py has four. */
+/* Bound of the number of spectra, of which _models.py has three. */
 #define MAX_SPECTRA 8
-/* Largest weight of the rough spectrum in the covariance, over that of another spectrum. With 1,
-   88% of the cells cover over 97%. */
-#define MAX_ROUGH_WEIGHT 0.1
 
 /* Solve L y = root values in place, with L D L' of `factorize`; `over_pivots` is y / D. */
 static inline void
@@ -198,11 +195,11 @@ evaluate_models(const Models *m, const Samples *s, const Work *w, Set *set)
     set->best_evidence[0] = set->best_evidence[1] = -INFINITY;
     for (long long g = 0; g < m->groups; g++) {
         Lanes residual[3], reduction[3], logs[2];
-        int rough = m->spectrum[g * LANES] == m->spectra - 1, lower = 1;
+        int lower = 1;
         if (set->steps) {
             if (g && m->spectrum[g * LANES] != m->spectrum[(g - 1) * LANES])
                 top[0] = top[1] = -INFINITY, dropped = 0;
-            if (dropped || rough) {
+            if (dropped) {
                 set->evidence[g] = set->evidence[m->groups + g] = all_lanes(-INFINITY);
                 set->variance[g] = set->variance[m->groups + g] = all_lanes(1.0);
                 continue;
@@ -222,8 +219,7 @@ evaluate_models(const Models *m, const Samples *s, const Work *w, Set *set)
         FOR_VECTORS residual[1].part[h] += residual[2].part[h];
         for (int c = 0; c < 2; c++) {
             double best = evaluate_group(m, w, g, c, residual, logs, set);
-            if (!rough)
-                set->best_evidence[c] = larger(set->best_evidence[c], best);
+            set->best_evidence[c] = larger(set->best_evidence[c], best);
             lower &= best < top[c] - LENGTH_EVIDENCE_LOSS;
             top[c] = larger(top[c], best);
         }
@@ -242,8 +238,7 @@ find_probabilities(const Models *m, int c, Set *sets, int number)
         const double *evidence = (const double *)(sets[n].evidence + c * m->groups);
         double *probability = (double *)(sets[n].probability + c * m->groups);
         for (long long i = 0; i < models; i++) {
-            int is_rough = m->spectrum[i] == m->spectra - 1;
-            int is_skipped = is_rough || evidence[i] < best - MAX_EVIDENCE_LOSS;
+            int is_skipped = evidence[i] < best - MAX_EVIDENCE_LOSS;
             probability[i] = is_skipped ? 0.0 : exp(evidence[i] - best);
             /* A comparison with NaN is false, so NaN reaches the result. */
             if (probability[i] < MIN_PROBABILITY)
@@ -259,8 +254,8 @@ find_probabilities(const Models *m, int c, Set *sets, int number)
 PRIVATE void
 find_covariance_weights(const Models *m, int c, Set *sets, int number)
 {
-    long long models = m->groups * LANES, common = m->spectra, rough = common - 1;
-    double top[MAX_SPECTRA + 1], total[MAX_SPECTRA + 1] = {0}, smooth_top = -INFINITY;
+    long long models = m->groups * LANES, common = m->spectra;
+    double top[MAX_SPECTRA + 1], total[MAX_SPECTRA + 1] = {0}, highest = -INFINITY;
     for (long long k = 0; k <= common; k++)
         top[k] = -INFINITY;
     for (int n = 0; n < number; n++) {
@@ -270,36 +265,31 @@ find_covariance_weights(const Models *m, int c, Set *sets, int number)
                 larger(top[m->spectrum[i]], evidence[i] - sets[n].log_prior / 2);
     }
     for (long long k = 0; k <= common; k++)
-        smooth_top = k == rough ? smooth_top : larger(smooth_top, top[k]);
+        highest = larger(highest, top[k]);
     /* A common model is skipped only if it is far below the best of every spectrum. */
     double lowest = top[common];
-    for (long long k = 0; k < rough; k++) {
+    for (long long k = 0; k < common; k++) {
         top[k] = larger(top[k], top[common]);
         lowest = k ? smaller(lowest, top[k]) : top[k];
     }
     top[common] = lowest;
-    double highest = larger(smooth_top, top[rough]);
     for (int n = 0; n < number; n++) {
         const double *evidence = (const double *)(sets[n].evidence + c * m->groups);
         double *weight = (double *)(sets[n].covariance_weight + c * m->groups);
         for (long long i = 0; i < models; i++) {
             double value = evidence[i] - sets[n].log_prior / 2;
             long long k = m->spectrum[i];
-            weight[i] = value < top[k] - MAX_EVIDENCE_LOSS
-                ? 0.0 : exp((value - (k == rough ? highest : smooth_top)) / 2);
+            weight[i] = value < top[k] - MAX_EVIDENCE_LOSS ? 0.0 : exp((value - highest) / 2);
             total[k] += weight[i];
         }
     }
-    double of_common = 0.0, sum = 0.0, largest = 0.0;
-    for (long long k = 0; k < rough; k++) {
+    double of_common = 0.0, sum = 0.0;
+    for (long long k = 0; k < common; k++) {
         total[k] += total[common];
-        largest = larger(largest, total[k]);
         total[k] = total[k] > 1e-300 ? 1.0 / total[k] : 0.0;
         of_common += total[k];
     }
     total[common] = of_common;
-    double ratio = smaller(total[rough] / largest * exp((highest - smooth_top) / 2), 1.0);
-    total[rough] = total[rough] > 1e-300 ? MAX_ROUGH_WEIGHT * sqrt(ratio) / total[rough] : 0.0;
     for (int n = 0; n < number; n++) {
         double *weight = (double *)(sets[n].covariance_weight + c * m->groups);
         for (long long i = 0; i < models; i++)

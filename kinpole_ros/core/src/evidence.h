@@ -42,8 +42,8 @@ PRIVATE void correct_for_columns(const Models *m, const Stencils *s, long long g
 PRIVATE void project_samples(const Models *m, const Samples *s, Work *w);
 
 /* Compute the evidence of all models with the columns of a set, and the variance of their noise,
-   after `project_samples`. With steps, the rough spectrum is left out, and so are lengths shorter
-   than one whose evidence is far below that of a longer one: theirs is lower still. */
+   after `project_samples`. With steps, lengths shorter than one whose evidence is far below that
+   of a longer one are left out: theirs is lower still. */
 PRIVATE void evaluate_models(const Models *m, const Samples *s, const Work *w, Set *set);
 
 /* Compute the probabilities of all models with all sets, from their evidence. */
@@ -51,9 +51,7 @@ PRIVATE void find_probabilities(const Models *m, int c, Set *sets, int number);
 
 /* Compute the weights of all models with all sets in the covariance: square roots of the evidence,
    with half of the log prior of events. All spectra have the same total, each with the models that
-   are common to all, because samples contain no information on harmonics below the noise. The
-   total of the rough spectrum, the last, is MAX_ROUGH_WEIGHT of theirs, times the root of its sum
-   over theirs. */
+   are common to all, because samples contain no information on harmonics below the noise. */
 PRIVATE void find_covariance_weights(const Models *m, int c, Set *sets, int number);
 
 #endif

@@ -26,7 +26,7 @@ typedef struct {
     long long processes;
     long long chunks;  /* groups of each process */
     long long groups;  /* processes times chunks */
-    long long spectra; /* with the rough one, which is the last */
+    long long spectra;
     long long exact;   /* each process has as many modes as there are samples */
     long long rows;    /* modes of all processes, filled up to whole lanes: the even ones first */
     long long first_odd;

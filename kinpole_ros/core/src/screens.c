@@ -21,7 +21,7 @@ most_probable_model(const Models *m, const Set *set, int c, int slow)
         long long spectrum = m->spectrum[k], slower = k - SLOW_LENGTHS * process;
         /* Processes of a spectrum begin with the longest. */
         int is_fast = slower >= 0 && m->spectrum[slower] == spectrum;
-        int is_allowed = slow ? spectrum < m->spectra - 1 && !is_fast : spectrum != m->spectra - 1;
+        int is_allowed = !slow || (spectrum < m->spectra && !is_fast);
         if (is_allowed && evidence[k] > evidence[best])
             best = k;
     }

@@ -116,23 +116,21 @@ def find_faults(
         factor = excess(columns, change)
         if best.reduction < _MIN_REDUCTION[len(best.unknowns) - 1] * factor:
             break
-        alternatives = tuple(
-            c.subject for c in candidates[1:] if c.score > best.score - _AS_GOOD * factor
-        )
-        own = [columns.index(k) for k in best.unknowns]
-        lengths = [k for k in own if _kind(equations, columns[k]) == 'length'] or own
-        off = change[lengths]
-        size = float(np.linalg.norm(off)) or 1e-300
-        variance = off @ (covariance[np.ix_(lengths, lengths)] * factor) @ off
+        as_good = [c.subject for c in candidates[1:] if c.score > best.score - _AS_GOOD * factor]
+        kinds = {k: _kind(equations, k) for k in best.unknowns}
+        kind = 'length' if 'length' in kinds.values() else 'angle'
+        sized = [columns.index(k) for k in best.unknowns if kinds[k] == kind]
+        size = float(np.linalg.norm(change[sized])) or 1e-300
+        variance = change[sized] @ (covariance[np.ix_(sized, sized)] * factor) @ change[sized]
         faults.append(
             Fault(
                 best.subject,
-                {'length': 'm', 'angle': 'rad'}[_kind(equations, columns[lengths[0]])],
+                {'length': 'm', 'angle': 'rad'}[kind],
                 size,
                 deviation=float(np.sqrt(variance)) / size,
                 deviations=float(np.sqrt(best.reduction / factor)),
-                step={columns[k]: float(change[k]) for k in own},
-                alternatives=alternatives,
+                step={k: float(change[columns.index(k)]) for k in best.unknowns},
+                alternatives=tuple(as_good),
             )
         )
         free += best.unknowns

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._poses import GROUND_NUMBER, Pose
+from kinpole_ros.linkage._body_poses import GROUND_NUMBER, BodyPoses
 from kinpole_ros.linkage.limits import JOINT_FRAMES
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -35,7 +35,7 @@ _MAX_GEAR_RATIO = 50
 _CENTERED_SIGMAS = 6.0
 
 
-class Joint(NamedTuple):
+class FoundJoint(NamedTuple):
     """
     A joint of two bodies, by number. The ground is GROUND_NUMBER.
 
@@ -65,7 +65,7 @@ class Joint(NamedTuple):
         return self.residual / self.expected if self.expected > 0 else np.inf
 
 
-class Rolling(NamedTuple):
+class FoundRolling(NamedTuple):
     """
     A wheel, the body `one`, that rolls without slip on a line or circle of `other`.
 
@@ -92,8 +92,8 @@ class Rolling(NamedTuple):
 
 
 def fit_pin(
-    first: Pose, second: Pose, numbers: tuple[int, int], strain: float = 0.0
-) -> tuple[Joint | None, bool]:
+    first: BodyPoses, second: BodyPoses, numbers: tuple[int, int], strain: float = 0.0
+) -> tuple[FoundJoint | None, bool]:
     """
     Fit the pin of two bodies, None where they have none; and whether they turn enough for first.
 
@@ -134,30 +134,30 @@ def fit_pin(
         return None, True
     deviation = max(residual, expected) * float(np.sqrt(1 / determinant / common.sum()))
     points = complex(on_one), complex(on_other)
-    return Joint('pin', *numbers, *points, (deviation, deviation), residual, expected), True
+    return FoundJoint('pin', *numbers, *points, (deviation, deviation), residual, expected), True
 
 
-def _turns(variance: float, first: Pose, second: Pose) -> bool:
+def _turns(variance: float, first: BodyPoses, second: BodyPoses) -> bool:
     """Whether two bodies turn against each other by more than noise."""
     noise = first.angle_variance + second.angle_variance
     return variance >= _MIN_TURN**2 * noise and variance >= 1e-8
 
 
-def _point_noise(first: Pose, second: Pose, on_one: complex, on_other: complex) -> float:
+def _point_noise(first: BodyPoses, second: BodyPoses, on_one: complex, on_other: complex) -> float:
     """Error per axis of the distance of two points, by the noise of the poses of their bodies."""
     variance = first.position_variance + abs(on_one) ** 2 * first.angle_variance / 2
     variance += second.position_variance + abs(on_other) ** 2 * second.angle_variance / 2
     return float(np.sqrt(variance))
 
 
-def _relative_motion(first: Pose, second: Pose) -> tuple[Complex, Real]:
+def _relative_motion(first: BodyPoses, second: BodyPoses) -> tuple[Complex, Real]:
     """Position and angle of the first body in the frame of the second, where both are seen."""
     common = first.seen & second.seen
     offset = first.position[common] - second.position[common]
     return np.exp(-1j * second.angle[common]) * offset, first.angle[common] - second.angle[common]
 
 
-def fit_slide(first: Pose, second: Pose, numbers: tuple[int, int]) -> Joint | None:
+def fit_slide(first: BodyPoses, second: BodyPoses, numbers: tuple[int, int]) -> FoundJoint | None:
     """
     Fit a slot, slide or trammel of the first body on the second, None where there is none.
 
@@ -201,10 +201,12 @@ def fit_slide(first: Pose, second: Pose, numbers: tuple[int, int]) -> Joint | No
     middle = normal * d + direction * float(np.median(along))
     deviations = deviation, error * float(np.sqrt(inverse[2, 2]))
     angle = float(np.angle(direction))
-    return Joint('slot', *numbers, point, middle, deviations, residual, expected, angle)
+    return FoundJoint('slot', *numbers, point, middle, deviations, residual, expected, angle)
 
 
-def _fit_prismatic(first: Pose, second: Pose, w: Complex, numbers: tuple[int, int]) -> Joint | None:
+def _fit_prismatic(
+    first: BodyPoses, second: BodyPoses, w: Complex, numbers: tuple[int, int]
+) -> FoundJoint | None:
     """Fit a slide of two bodies that do not turn against each other, by positions w (k,)."""
     middle = complex(w.mean())
     off = np.stack((w.real - middle.real, w.imag - middle.imag), axis=1)
@@ -218,17 +220,17 @@ def _fit_prismatic(first: Pose, second: Pose, w: Complex, numbers: tuple[int, in
         return None
     deviation = max(residual, expected) / float(np.sqrt(len(w)))
     angle, deviations = float(np.angle(direction)), (deviation, deviation)
-    return Joint('slide', *numbers, 0j, middle, deviations, residual, expected, angle)
+    return FoundJoint('slide', *numbers, 0j, middle, deviations, residual, expected, angle)
 
 
 def _trammel(
-    poses: tuple[Pose, Pose],
+    poses: tuple[BodyPoses, BodyPoses],
     numbers: tuple[int, int],
     rows: Real,
     solution: Real,
     residual: float,
     play: float,
-) -> Joint | None:
+) -> FoundJoint | None:
     """The trammel w = d - α u - β u*, by the `solution` (3, 2) for w of the `rows` u_x, u_y, 1."""
     of_x, of_y, d = (complex(*row) for row in solution)
     alpha, beta = -(of_x - 1j * of_y) / 2, -(of_x + 1j * of_y) / 2
@@ -239,10 +241,12 @@ def _trammel(
     deviation = max(residual, expected) * float(np.sqrt(inverse[0, 0] + inverse[1, 1])) / 2
     angle, deviations = float(np.angle(beta)), (deviation, deviation)
     points = complex(alpha), complex(d)
-    return Joint('trammel', *numbers, *points, deviations, residual, expected, angle, abs(beta))
+    return FoundJoint(
+        'trammel', *numbers, *points, deviations, residual, expected, angle, abs(beta)
+    )
 
 
-def is_mirrored_pair(pose: Pose, trammel: Joint) -> bool:
+def is_mirrored_pair(pose: BodyPoses, trammel: FoundJoint) -> bool:
     """
     Whether a trammel may be a pin of two markers with one coordinate exchanged.
 
@@ -253,7 +257,7 @@ def is_mirrored_pair(pose: Pose, trammel: Joint) -> bool:
     return trammel.kind == 'trammel' and len(pose.shape) == 2 and is_centered
 
 
-def fit_wheel(first: Pose, second: Pose, slot: Joint) -> Rolling | None:
+def fit_wheel(first: BodyPoses, second: BodyPoses, slot: FoundJoint) -> FoundRolling | None:
     """Fit a wheel whose hub is the point of the first body that moves along a slot."""
     w, theta = _relative_motion(first, second)
     direction = np.exp(1j * slot.along)
@@ -271,7 +275,7 @@ def fit_wheel(first: Pose, second: Pose, slot: Joint) -> Rolling | None:
     if rate > 0:
         direction = -direction
     deviation = max(residual, expected) / float(np.std(theta) * np.sqrt(len(theta)))
-    return Rolling(
+    return FoundRolling(
         slot.one,
         slot.other,
         slot.on_one,
@@ -288,11 +292,11 @@ def fit_wheel(first: Pose, second: Pose, slot: Joint) -> Rolling | None:
 
 
 def fit_gear(
-    poses: tuple[Pose, Pose, Pose],
+    poses: tuple[BodyPoses, BodyPoses, BodyPoses],
     numbers: tuple[int, int, int],
     pins: tuple[complex, complex, complex, complex],
     pin_deviation: float,
-) -> Rolling | None:
+) -> FoundRolling | None:
     """
     Fit a gear that rolls on another one, both pinned to an arm, by the ratio of their turns.
 
@@ -328,7 +332,7 @@ def fit_gear(
     deviation = np.hypot(deviation, 2**0.5 * pin_deviation / abs(1 - ratio))
     frames = np.arange(len(y))
     unsteady = float(np.std(y - np.polyval(np.polyfit(frames, y, 1), frames)))
-    return Rolling(
+    return FoundRolling(
         numbers[0],
         numbers[1],
         pins[0],

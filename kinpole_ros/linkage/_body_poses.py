@@ -21,7 +21,7 @@ _SHARED, _SHARED_RATIO = 1.3, 1.3
 _SAMPLED_FRAMES = 3000
 
 
-class Pose(NamedTuple):
+class BodyPoses(NamedTuple):
     """
     A body's motion over T frames, and its markers.
 
@@ -49,13 +49,13 @@ class Pose(NamedTuple):
         return np.isfinite(self.angle)
 
 
-def ground(frames: int) -> Pose:
+def ground(frames: int) -> BodyPoses:
     """The pose of the ground, which stands still."""
     zeros = np.zeros(frames)
-    return Pose(zeros + 0j, zeros, np.zeros(1, complex), 0.0, 0.0, 0.0)
+    return BodyPoses(zeros + 0j, zeros, np.zeros(1, complex), 0.0, 0.0, 0.0)
 
 
-def fit_body(tracks: Complex) -> Pose:
+def fit_body(tracks: Complex) -> BodyPoses:
     """
     Fit the motion of a body to its tracks (T, n), complex, NaN for none.
 
@@ -97,7 +97,7 @@ def fit_body(tracks: Complex) -> Pose:
     angle = np.full(len(tracks), np.nan)
     angle[valid] = np.unwrap(fit.angle[valid])
     variance = noise**2
-    return Pose(
+    return BodyPoses(
         np.where(valid, fit.position, np.nan),
         angle,
         shape,
@@ -107,12 +107,12 @@ def fit_body(tracks: Complex) -> Pose:
     )
 
 
-def _never_seen(tracks: Complex) -> Pose:
+def _never_seen(tracks: Complex) -> BodyPoses:
     """The pose of a body of which no frame of the tracks (T, n) has two markers that fit."""
     frames, count = tracks.shape
     nan = np.full(frames, np.nan)
     shape = np.full(count, complex(np.nan, np.nan))
-    return Pose(nan + 0j, nan, shape, 0.0, np.inf, np.inf)
+    return BodyPoses(nan + 0j, nan, shape, 0.0, np.inf, np.inf)
 
 
 def _is_flipped(angle: Real) -> np.ndarray:
@@ -125,7 +125,7 @@ def _is_flipped(angle: Real) -> np.ndarray:
     return flipped
 
 
-def off_body(pose: Pose, tracks: Complex, noise: float) -> tuple[Real, Complex]:
+def off_body(pose: BodyPoses, tracks: Complex, noise: float) -> tuple[Real, Complex]:
     """
     How far tracks (T, n) are from fixed on a body, in standard deviations, and where they are.
 
@@ -144,7 +144,7 @@ def off_body(pose: Pose, tracks: Complex, noise: float) -> tuple[Real, Complex]:
     return np.where(is_rare, np.inf, off), np.where(is_rare, complex(np.nan), position)
 
 
-def refine_groups(tracks: Complex, groups: Groups) -> tuple[Groups, list[Pose]]:
+def refine_groups(tracks: Complex, groups: Groups) -> tuple[Groups, list[BodyPoses]]:
     """
     Correct the bodies of tracks (T, N) by their motion, and fit their poses.
 
