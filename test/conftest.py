@@ -1,7 +1,11 @@
 """What several test files share: bags of scenes, made once, and the messages in a bag."""
 
+import base64
+import json
 import os
+import re
 import shutil
+import zlib
 from argparse import Namespace
 from array import array
 from collections.abc import Callable, Iterator, Mapping
@@ -179,6 +183,13 @@ def gappy_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 cls = message_class(message.type_name)
                 writer.write_raw('/markers', cls, message.data, message.log_time)
     return bag
+
+
+def data_of(page: Path) -> dict[str, Any]:
+    """The data in a page."""
+    (text,) = re.findall(r'<script id="data"[^>]*>([^<]*)</script>', page.read_text())
+    data: dict[str, Any] = json.loads(zlib.decompress(base64.b64decode(text)))
+    return data
 
 
 def browser_path() -> str:

@@ -628,12 +628,12 @@ def test_what_goes_to_a_device_is_no_file_written_twice(kinpole: Any) -> None:
     ],
 )
 def test_names_of_files_that_are_no_text_are_written_down_all_the_same(
-    kinpole: Any, tmp_path: Path, words: str
+    kinpole: Any, simulated: Bag, tmp_path: Path, words: str
 ) -> None:
     odd = os.fsdecode(b'\xff')
     scene, bag = tmp_path / f'scene{odd}.yaml', tmp_path / f'bag{odd}\n.mcap'
     scene.write_bytes((scenes_folder() / 'four_bar.yaml').read_bytes())
-    bag.write_bytes((ROOT / 'bags' / 'four_bar.mcap').read_bytes())
+    bag.write_bytes(simulated('four_bar', rate=100, duration=1.5, noise=1e-4).read_bytes())
     named = {'scene': scene, 'bag': bag, 'out': tmp_path / 'out', 'other': tmp_path / 'other'}
     said = kinpole(*[word.format(**named) for word in words.split()])
     assert 'Traceback' not in said.err

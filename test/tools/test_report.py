@@ -1,16 +1,14 @@
 """Reports: the figures in the page are those of the replay."""
 
-import base64
 import copy
-import json
 import os
 import re
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import data_of
 from test_layouts_of_trackers import openpose
 
 from kinpole_ros.bags import (
@@ -41,12 +39,6 @@ def blocks() -> list[Any]:
     found: list[Any] = []
     replay(BAG, load_settings(ROOT / 'config' / 'four_bar.yaml'), take=found.append)
     return found
-
-
-def data_of(four_bar_page: Path) -> dict[str, Any]:
-    (text,) = re.findall(r'<script id="data"[^>]*>([^<]*)</script>', four_bar_page.read_text())
-    data: dict[str, Any] = json.loads(zlib.decompress(base64.b64decode(text)))
-    return data
 
 
 def test_report_of_four_seconds_is_one_file_under_250_kB(four_bar_page) -> None:

@@ -1,18 +1,16 @@
 """`kinpole solve`: what it prints, writes and refuses."""
 
-import base64
 import csv
 import json
 import re
 import xml.etree.ElementTree as ET
-import zlib
 from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import options_of, title_of
+from conftest import data_of, options_of, title_of
 
 from kinpole_ros.mechanism import (
     SceneError,
@@ -450,15 +448,10 @@ def test_axes_do_not_show_rounding(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert acceleration.get_ylim() == (-0.2, 0.2)
 
 
-def page_data(page: Path) -> Any:
-    (text,) = re.findall(r'<script id="data"[^>]*>([^<]*)</script>', page.read_text())
-    return json.loads(zlib.decompress(base64.b64decode(text)))
-
-
 def test_the_page_has_the_motion_that_is_solved(tmp_path: Path) -> None:
     page = tmp_path / 'a.html'
     solve_scene(options_of('solve', 'double_pendulum', time='1', html=page))
-    data = page_data(page)
+    data = data_of(page)
     exact = load_scene('double_pendulum').motion(np.array(data['t']))['lower']
     (lower,) = [body for body in data['bodies'] if body['name'] == 'lower']
     np.testing.assert_allclose(lower['x'], exact.position[0].real, atol=1e-4)
@@ -467,7 +460,7 @@ def test_the_page_has_the_motion_that_is_solved(tmp_path: Path) -> None:
     assert {tuple(joint['bodies']) for joint in data['joints']} == {('upper',), ('lower', 'upper')}
     # One driver: over its range, at the rate it is driven at; backward too.
     solve_scene(options_of('solve', 'rolling_wheel', html=page))
-    data = page_data(page)
+    data = data_of(page)
     assert data['t'][-1] == pytest.approx(1.0)
     assert np.all(np.diff(data['bodies'][0]['angle']) < 0)
     # A wheel is a circle with a spoke.
@@ -487,7 +480,7 @@ def test_the_page_says_why_a_pole_does_not_exist(tmp_path: Path) -> None:
     drivers = [{'drive': 'crank', 'rate': 2.0}]
     scene.write_text(json.dumps({'bodies': bodies, 'joints': joints, 'drivers': drivers}))
     solve_scene(options_of('solve', scene, html=page))
-    driven, dwelling = page_data(page)['bodies']
+    driven, dwelling = data_of(page)['bodies']
     assert {why for _, _, why in driven['withheld']['icr']} == set()
     assert {why for _, _, why in driven['withheld']['centrode_curvature']} == {
         'the ICR stands still'
@@ -495,7 +488,7 @@ def test_the_page_says_why_a_pole_does_not_exist(tmp_path: Path) -> None:
     assert {why for _, _, why in dwelling['withheld']['icr']} == {'at rest'}
     # The rod of a slider-crank translates for an instant when the crank is at a right angle.
     solve_scene(options_of('solve', 'slider_crank', html=page))
-    (rod,) = [body for body in page_data(page)['bodies'] if body['name'] == 'rod']
+    (rod,) = [body for body in data_of(page)['bodies'] if body['name'] == 'rod']
     assert {why for _, _, why in rod['withheld']['icr']} == {'at infinity'}
 
 
@@ -745,8 +738,7 @@ def test_the_page_has_the_virtual_work(tmp_path: Path) -> None:
     for name in ('loader', 'four_bar'):
         page = tmp_path / f'{name}.html'
         lines = solve_scene(options_of('solve', name, html=page, work=name == 'loader'))
-        text = re.search(r'octet-stream">([^<]*)<', page.read_text())
-        work = json.loads(zlib.decompress(base64.b64decode(text[1])))['work']
+        work = data_of(page)['work']
         assert set(work) <= set(lines) and bool(work) == (name == 'loader')
 
 

@@ -34,20 +34,9 @@ _ELLIPSE_STEP = 0.02  # rad, for the direction of an ellipse
 _FOLDER = Path(__file__).parent / 'page'
 # In this order: each script uses those before it.
 _SCRIPTS = (
-    'data',
-    'drawing',
-    'motion',
-    'instant',
-    'stage',
-    'table',
-    'charts',
-    'polygons',
-    'input',
-    'live',
-    'solver',
-    'editor',
-    'page',
-)
+    'data', 'drawing', 'motion', 'instant', 'stage', 'table', 'charts', 'polygons', 'input', 'live',
+    'solver', 'editor', 'page',
+)  # fmt: skip
 # The page loads nothing; a live page reads its stream of events.
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
 

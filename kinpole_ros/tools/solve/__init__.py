@@ -10,6 +10,7 @@ import numpy as np
 
 from kinpole_ros.mechanism import SceneError, centrodes, load_scene, scene_text
 from kinpole_ros.tools.solve import _solution, _text
+from kinpole_ros.tools.solve._panels import Panel, write_drawing
 from kinpole_ros.tools.solve._pitch import write_pitch_curves
 from kinpole_ros.tools.solve._solution import SolvedScene
 from kinpole_ros.tools.solve._spreadsheet import write_table
@@ -132,12 +133,11 @@ class _Analysis:
             draw_solution(options.plot, self.motion, position, *extras)
             yield f'written to {options.plot}'
         if options.polygon:
-            from kinpole_ros.tools.solve._polygons import draw_polygons, polygon_lines
+            from kinpole_ros.tools.solve._polygons import polygon_lines, polygon_panels
 
             yield from polygon_lines(self.here)
-            with _solution.open_output(options.polygon) as part:
-                draw_polygons(part, _ending(options.polygon), self.here)
-            yield f'written to {options.polygon}'
+            title = 'velocity and acceleration polygons'
+            yield self._draw(options.polygon, title, polygon_panels(self.here))
         if options.decompose:
             from kinpole_ros.tools.solve import _decomposition
 
@@ -145,9 +145,14 @@ class _Analysis:
             start = self._former_position()
             body = _decomposition.decompose(text, start, self.here, self.motion)
             yield from _decomposition.decomposition_lines(body)
-            with _solution.open_output(file) as part:
-                _decomposition.draw_decomposition(part, _ending(file), body)
-            yield f'written to {file}'
+            title = f'motion of {body.name} as translation and rotation'
+            yield self._draw(file, title, _decomposition.decomposition_panels(body))
+
+    def _draw(self, file: str, title: str, panels: list[Panel]) -> str:
+        """Write panels as one drawing; return a line."""
+        with _solution.open_output(file) as part:
+            write_drawing(part, _ending(file), f'{self.here.scene.name}: {title}', panels)
+        return f'written to {file}'
 
     def _former_position(self) -> SolvedScene:
         """Return the position at time 0; if that is `here`, one an eighth of the range away."""

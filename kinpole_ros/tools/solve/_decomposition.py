@@ -4,14 +4,13 @@ Poisson's decomposition of the motion of a body into translation and rotation, f
 Equation numbers are those of seed 001 in docs/course_notes.md.
 """
 
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros import planar
 from kinpole_ros.mechanism import Poles, SceneError, poles, polygon
-from kinpole_ros.tools.solve._panels import Panel, round_down, write_drawing
+from kinpole_ros.tools.solve._panels import Panel, round_down
 from kinpole_ros.tools.solve._shapes import body_vector
 from kinpole_ros.tools.solve._solution import SolvedScene
 from kinpole_ros.tools.solve._text import Row, table_lines
@@ -129,15 +128,9 @@ def decomposition_lines(body: DecomposedBody) -> list[str]:
     return [*lines, '', *table_lines(['pole', 'x m, m/s', 'y m, m/s'], rows)]
 
 
-def draw_decomposition(path: Path, kind: str, body: DecomposedBody) -> None:
-    """Draw the displacements and velocities for both reference points, and the centrodes."""
-    title = f'{body.here.scene.name}: motion of {body.name} as translation and rotation'
-    write_drawing(path, kind, title, decomposition_panels(body))
-
-
 def decomposition_panels(body: DecomposedBody) -> list[Panel]:
     """Return two panels of displacements, two of velocities, and the centrodes below."""
-    panels = []
+    panels: list[Panel] = []
     for row, draw in enumerate((_draw_displacement, _draw_velocities)):
         for k in (0, 1):
             low = complex(k * _WIDTH, row * _HEIGHT)

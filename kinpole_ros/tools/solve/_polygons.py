@@ -1,13 +1,12 @@
 """The velocity and acceleration polygons of `kinpole solve --polygon`, and the linkage."""
 
 import re
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.mechanism import Polygon, SceneError, polygon
-from kinpole_ros.tools.solve._panels import Panel, write_drawing
+from kinpole_ros.tools.solve._panels import Panel
 from kinpole_ros.tools.solve._solution import SolvedScene
 from kinpole_ros.tools.solve._text import Row, table_lines
 
@@ -73,14 +72,8 @@ def polygon_lines(solution: SolvedScene) -> list[str]:
     return lines
 
 
-def draw_polygons(path: Path, kind: str, solution: SolvedScene) -> None:
-    """Draw the linkage and both polygons at the first position, to scale."""
-    title = f'{solution.scene.name}: velocity and acceleration polygons'
-    write_drawing(path, kind, title, polygon_panels(solution))
-
-
 def polygon_panels(solution: SolvedScene) -> list[Panel]:
-    """Return the panels of the linkage, the velocities and the accelerations."""
+    """Return panels, to scale, of linkage, velocities and accelerations at the first position."""
     edge, panels = 0.0, []
     for figure, width in zip(_polygons(solution), _WIDTHS, strict=True):
         low, high = complex(edge, 0), complex(edge + width, _HEIGHT)

@@ -1,16 +1,14 @@
 """The editor in the page of `kinpole solve --html`: its solver against ours, and its pointer."""
 
-import base64
-import json
 import re
-import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import options_of
+from conftest import data_of, options_of
 
 from kinpole_ros.mechanism import load_scene, scene_names, scene_text
 from kinpole_ros.tools.solve import solve_scene
@@ -50,13 +48,18 @@ def page(browser) -> Iterator[Any]:
     assert troubles == []
 
 
-def written(folder: Path, source: str, **more: Any) -> tuple[Path, dict[str, Any]]:
-    """The page of a scene, and the data in it."""
-    file = folder / 'scene.html'
-    solve_scene(options_of('solve', source, html=file, **more))
-    found = re.search(r'octet-stream">([^<]*)<', file.read_text())
-    assert found is not None
-    return file, json.loads(zlib.decompress(base64.b64decode(found[1])))
+@pytest.fixture(scope='module')
+def page_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """`page_of('four_bar')` is the page of that scene, made once."""
+    folder = tmp_path_factory.mktemp('pages')
+
+    @cache
+    def made(source: str) -> Path:
+        file = folder / f'{Path(source).stem}.html'
+        solve_scene(options_of('solve', source, html=file))
+        return file
+
+    return made
 
 
 def solved(page: Any, data: dict[str, Any], every: int = 1) -> np.ndarray:
@@ -113,16 +116,18 @@ VECTORS = [name for name in scene_names() if 'vectors:' in scene_text(name)]
 
 
 @pytest.mark.parametrize('name', [n for n in scene_names() if n not in VECTORS])
-def test_the_page_solves_every_scene_as_we_do(page, tmp_path: Path, name: str) -> None:
-    _, data = written(tmp_path, name)
+def test_the_page_solves_every_scene_as_we_do(page, page_of, tmp_path: Path, name: str) -> None:
+    data = data_of(page_of(name))
     found = solved(page, data)
     assert_alike(found, expected(name, data, found))
 
 
-def test_the_page_solves_belts_cams_and_geneva_drives_as_we_do(page, tmp_path: Path) -> None:
+def test_the_page_solves_belts_cams_and_geneva_drives_as_we_do(
+    page, page_of, tmp_path: Path
+) -> None:
     source = tmp_path / 'drives.yaml'
     source.write_text(DRIVES)
-    _, data = written(tmp_path, str(source))
+    data = data_of(page_of(str(source)))
     assert data['edit']['fixed'] == ['K', 'L', 'O', 'W']
     found = solved(page, data)
     assert_alike(found, expected(str(source), data, found))
@@ -191,9 +196,10 @@ def edited(page: Any, file: Path, instant: float) -> None:
 
 @pytest.mark.parametrize('name', ['four_bar', 'eight_bar', 'slider_crank'])
 def test_a_dragged_point_changes_rates_poles_and_centrodes_and_is_saved(
-    page, tmp_path: Path, name: str
+    page, page_of, tmp_path: Path, name: str
 ) -> None:
-    file, data = written(tmp_path, name)
+    file = page_of(name)
+    data = data_of(file)
     k = len(data['t']) // 3
     edited(page, file, data['t'][k])
     before, text = cells(page), scene_text(name)
@@ -223,8 +229,9 @@ def test_a_dragged_point_changes_rates_poles_and_centrodes_and_is_saved(
     assert page.locator('#undo').is_disabled()
 
 
-def test_the_saved_scene_moves_as_the_page_has_it(page, tmp_path: Path) -> None:
-    file, data = written(tmp_path, 'eight_bar')
+def test_the_saved_scene_moves_as_the_page_has_it(page, page_of, tmp_path: Path) -> None:
+    file = page_of('eight_bar')
+    data = data_of(file)
     edited(page, file, data['t'][180])
     for way in ((12, 4), (-5, 9), (3, -8)):
         drag(page, handles(page)[2], way)
@@ -248,8 +255,9 @@ def test_the_saved_scene_moves_as_the_page_has_it(page, tmp_path: Path) -> None:
     assert np.quantile(off[np.isfinite(off)], 0.9) < 1e-4
 
 
-def test_a_point_stays_where_the_loops_would_not_close(page, tmp_path: Path) -> None:
-    file, data = written(tmp_path, 'slider_crank')
+def test_a_point_stays_where_the_loops_would_not_close(page, page_of, tmp_path: Path) -> None:
+    file = page_of('slider_crank')
+    data = data_of(file)
     edited(page, file, data['t'][100])
     before = saved(page, tmp_path / 'before.yaml')
     # The piston, far off its line: beyond the reach of crank and rod.
@@ -261,10 +269,11 @@ def test_a_point_stays_where_the_loops_would_not_close(page, tmp_path: Path) -> 
     assert saved(page, tmp_path / 'after.yaml') == before
 
 
-def test_hubs_of_wheels_stay(page, tmp_path: Path) -> None:
+def test_hubs_of_wheels_stay(page, page_of, tmp_path: Path) -> None:
     source = tmp_path / 'drives.yaml'
     source.write_text(DRIVES)
-    file, data = written(tmp_path, str(source))
+    file = page_of(str(source))
+    data = data_of(file)
     assert data['edit']['fixed'] == ['K', 'L', 'O', 'W']
     edited(page, file, 0.3)
     page.mouse.move(0, 0)
@@ -273,8 +282,9 @@ def test_hubs_of_wheels_stay(page, tmp_path: Path) -> None:
     assert len(handles(page)) in (2, 3)
 
 
-def test_scenes_of_vectors_and_reports_have_no_editor(page, tmp_path: Path) -> None:
-    file, data = written(tmp_path, VECTORS[0])
+def test_scenes_of_vectors_and_reports_have_no_editor(page, page_of, tmp_path: Path) -> None:
+    file = page_of(VECTORS[0])
+    data = data_of(file)
     assert 'edit' not in data
     page.goto(file.as_uri())
     page.wait_for_selector('html[data-ready]')
@@ -282,10 +292,11 @@ def test_scenes_of_vectors_and_reports_have_no_editor(page, tmp_path: Path) -> N
     assert 'makeSolver' not in file.read_text()
 
 
-def test_belts_are_drawn_between_their_wheels(page, tmp_path: Path) -> None:
+def test_belts_are_drawn_between_their_wheels(page, page_of, tmp_path: Path) -> None:
     source = tmp_path / 'drives.yaml'
     source.write_text(DRIVES)
-    file, data = written(tmp_path, str(source))
+    file = page_of(str(source))
+    data = data_of(file)
     belt, rope = data['belts']
     assert belt['closed'] and not rope['closed']
     assert [end['radius'] for end in (*belt['ends'], *rope['ends'])] == [0.02, -0.05, 0.01, 0.0]

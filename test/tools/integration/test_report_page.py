@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, bodies_of
 from pages import BLUE, GREEN, RED, cell, colored, drawn
 
 from kinpole_ros import planar
@@ -17,7 +17,7 @@ from kinpole_ros.bags import (
 )
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.settings import Settings, load_settings
-from kinpole_ros.tools.report import _record_page, report, settings_for
+from kinpole_ros.tools.report import _record_page, report
 from kinpole_ros.tracking.reasons import SLOW_ICR
 
 
@@ -26,8 +26,8 @@ def long(tmp_path_factory) -> Path:
     """The report of seven bodies that swing 15 times in 30 s."""
     folder = tmp_path_factory.mktemp('long')
     bag, output = folder / 'eight.mcap', folder / 'eight.html'
-    simulate(load_scene('eight_bar'), bag, rate=50.0, duration=30.0, noise=1e-4)
-    report(bag, output, settings_for(Settings(derivative_order=1), 'eight_bar'))
+    simulate(load_scene('eight_bar'), bag, rate=25.0, duration=30.0, noise=1e-4)
+    report(bag, output, Settings(derivative_order=1, bodies=bodies_of('eight_bar')))
     return output
 
 

@@ -34,7 +34,7 @@ FILE_SIZE = 600_000
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """So many frames of a turning body that a replay can be stopped on its way."""
     path = tmp_path_factory.mktemp('long') / 'turning.mcap'
-    times = np.arange(20_000) * 0.005
+    times = np.arange(10_000) * 0.005
     corners = np.array([0.1, 0.1j, -0.1]) * np.exp(2j * np.sin(times))[:, None]
     points = np.stack((corners.real, corners.imag, np.zeros_like(corners.real)), axis=-1)
     with BagWriter(path) as writer:

@@ -168,26 +168,30 @@ def test_a_connection_that_is_cut_off_leaves_no_word_on_the_terminal(
 
 
 @pytest.fixture(scope='module')
-def estimates() -> list[Estimate]:
-    """What a node estimates of the four-bar."""
-    found: list[Estimate] = []
-    replay(BAG, load_settings(ROOT / 'config' / 'four_bar.yaml'), take=found.append)
-    return found
+def replayed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Estimate]]:
+    """A bag of results of the four-bar, in which nothing is for pages, and its estimates."""
+    bag, found = tmp_path_factory.mktemp('view') / 'replayed.mcap', []
+    replay(BAG, load_settings(ROOT / 'config' / 'four_bar.yaml'), bag, take=found.append)
+    return bag, found
 
 
 @pytest.fixture(scope='module')
-def results(estimates, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def estimates(replayed) -> list[Estimate]:
+    """What a node estimates of the four-bar."""
+    return replayed[1]
+
+
+@pytest.fixture(scope='module')
+def results(replayed) -> Path:
     """What a node sends to pages, and its diagnostics, as a bag."""
-    output = tmp_path_factory.mktemp('view') / 'results.mcap'
-    replayed = output.with_name('replayed.mcap')
-    settings = load_settings(ROOT / 'config' / 'four_bar.yaml')
-    replay(BAG, settings, replayed)
+    bag, estimates = replayed
+    output = bag.with_name('results.mcap')
     made = [
         (stamp, f'/kinpole/{VIEW}', String, message(view_of(block[k], XY)))
         for block in estimates
         for k, stamp in enumerate(block.stamp.tolist())
     ]
-    others = read_messages(replayed, ['/diagnostics', '/kinpole/visualization'])
+    others = read_messages(bag, ['/diagnostics', '/kinpole/visualization'])
     made += [(m.log_time, m.topic, m.type_name, m.data) for m in others]
     with BagWriter(output) as writer:
         for log_time, topic, kind, data in sorted(made, key=lambda row: row[0]):
@@ -391,17 +395,12 @@ def sent_to_pages(results: Path) -> list[bytes]:
     return [message.data for message in read_messages(results, [f'/kinpole/{VIEW}'])]
 
 
-@pytest.fixture(scope='module')
-def replayed(results) -> Path:
-    """A bag of results, in which nothing is for pages."""
-    return results.with_name('replayed.mcap')
-
-
-def test_a_bag_of_results_is_shown_by_its_topic_state(estimates, replayed) -> None:
+def test_a_bag_of_results_is_shown_by_its_topic_state(replayed) -> None:
+    bag, estimates = replayed
     watcher = Scripted(topic=STATE)
     live, told = live_of(watcher)
     (state, *_), (diagnostics, *_) = (
-        [message.data for message in read_messages(replayed, [topic])][-1:]
+        [message.data for message in read_messages(bag, [topic])][-1:]
         for topic in (f'/kinpole/{STATE}', '/diagnostics')
     )
     watcher.newest[f'/kinpole/{STATE}'].append(Arrived(state, 0))
@@ -561,7 +560,7 @@ def test_page_shows_a_bag_of_results_that_is_played(browser, replayed, watcher) 
         closing.callback(view.kill)
         assert view.stdout is not None
         (address,) = re.findall(r'http://\S+', view.stdout.readline())
-        with played(replayed):
+        with played(replayed[0]):
             page = closing.enter_context(opened(browser, address))
             page.wait_for_selector('html[data-ready]')
             await_motion(page)

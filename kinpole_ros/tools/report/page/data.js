@@ -124,6 +124,13 @@ function arm(body, k, [u, v]) {
   return [c * u - s * v, s * u + c * v];
 }
 
+// A point [x, y] of the plane in the frame of a body at instant k.
+function inBody(body, k, [x, y]) {
+  const [u, v] = [x - body.x[k], y - body.y[k]];
+  const [c, s] = [Math.cos(body.angle[k]), Math.sin(body.angle[k])];
+  return [c * u + s * v, c * v - s * u];
+}
+
 // The position and the velocity of a point of a body at instant k.
 function pointAt(body, k, point) {
   const [x, y] = arm(body, k, point);

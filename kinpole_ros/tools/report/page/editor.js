@@ -27,15 +27,10 @@ function makeEditor({ data, page, stage, redraw, play }) {
   }
 
   // Moves the point of this name in all bodies that have one, as a pin does.
-  function movePoint(name, [x, y]) {
+  function movePoint(name, at) {
     for (const point of edit.points.filter((one) => one[1] === name)) {
       const body = data.bodies[point[0]];
-      if (!body) [point[2], point[3]] = [x, y];
-      else {
-        const [dx, dy] = [x - body.x[page.k], y - body.y[page.k]];
-        const [c, s] = [Math.cos(body.angle[page.k]), Math.sin(body.angle[page.k])];
-        [point[2], point[3]] = [c * dx + s * dy, c * dy - s * dx];
-      }
+      [point[2], point[3]] = body ? inBody(body, page.k, at) : at;
     }
   }
 
@@ -86,7 +81,6 @@ function makeEditor({ data, page, stage, redraw, play }) {
     values.forEach((row, k) => solver.values[k].set(row));
   }
 
-  const showState = (text) => { byId('state').textContent = text; };
   const isEditing = () => editButton.ariaPressed === 'true';
 
   // The name of the nearest point that may be moved.

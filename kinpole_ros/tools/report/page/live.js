@@ -49,8 +49,6 @@ function watch() {
     };
   }
 
-  const showState = (text) => { byId('state').textContent = text; };
-
   function onRig(rig) {
     if (rig.waiting) {
       byId('about').textContent = rig.waiting;

@@ -8,19 +8,12 @@ function drawnPoints(data, body, outline = body.outlines[0]) {
   for (const joint of data.joints) {
     const end = joint.bodies.indexOf(body.name);
     if (end < 0) continue;
-    const point = joint.bodies.length > 1 ? joint.at[end] : inBody(body, joint.at[0]);
-    if (point) points.push(point);
+    // A pin on the ground is at rest in the frame of its body.
+    const known = body.x.findIndex((value) => isFinite(value));
+    if (joint.bodies.length > 1) points.push(joint.at[end]);
+    else if (known >= 0) points.push(inBody(body, known, joint.at[0]));
   }
   return points;
-}
-
-// A pin on the ground in the frame of its body.
-function inBody(body, [x, y]) {
-  const k = body.x.findIndex((value) => isFinite(value));
-  if (k < 0) return null;
-  const [u, v] = [x - body.x[k], y - body.y[k]];
-  const [c, s] = [Math.cos(body.angle[k]), Math.sin(body.angle[k])];
-  return [c * u + s * v, c * v - s * u];
 }
 
 function* sampledInstants(data) {

@@ -188,6 +188,7 @@ function layerIcon(layer) {
   return template.content;
 }
 
+const showState = (text) => { byId('state').textContent = text; };
 const showError = (text) => byId('title').after(tag('p', text, { id: 'trouble' }));
 
 async function start() {
