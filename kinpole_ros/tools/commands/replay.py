@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
@@ -201,15 +202,16 @@ def batch(options: argparse.Namespace) -> int:
         --tls-ca ca.pem --tls-cert me.pem --tls-key me.key
     """
     from kinpole_ros.bags import BagError
-    from kinpole_ros.bags.batch import KINDS, TlsFiles, is_open_to_all, listed_bags
+    from kinpole_ros.bags.batch import KINDS, Cluster, listed_bags
     from kinpole_ros.bags.batch import batch as replay_bags
 
     if options.workers is not None and options.workers < 1:
         raise BagError(f'--workers is {options.workers}; it must be 1 or more')
     if options.workers is not None and options.scheduler is not None:
         raise BagError('--workers is for this machine alone; leave it out with --scheduler')
-    tls = TlsFiles(options.tls_ca, options.tls_cert, options.tls_key)
-    if options.scheduler is None and tls != TlsFiles():
+    tls = options.tls_ca, options.tls_cert, options.tls_key
+    cluster = Cluster(options.scheduler, *tls) if options.scheduler is not None else None
+    if cluster is None and any(path is not None for path in tls):
         raise BagError('--tls-ca, --tls-cert and --tls-key are for a cluster; give --scheduler too')
     if options.parquet and options.scheduler is None and find_spec('pyarrow') is None:
         raise BagError(f'--parquet needs pyarrow; fix: {install_command("parquet")}, or use --csv')
@@ -217,9 +219,11 @@ def batch(options: argparse.Namespace) -> int:
     if not bags:
         raise BagError('no bags are named; give some, or a file that names them by --list')
     settings = settings_of(options)
+    if options.topic:
+        settings = replace(settings, marker_topic=options.topic)
     summary = f'{options.output}/summary.csv'
     check_outputs([options.list, options.config, settings.scene], [('--output', summary, '')])
-    if options.scheduler is not None and is_open_to_all(options.scheduler):
+    if cluster is not None and cluster.is_open_to_all:
         print(
             f'kinpole batch: anyone who reaches {one_line(options.scheduler)} can run code on its '
             'workers; fix: start it with TLS and give its tls:// address (see docs/security.md)',
@@ -231,13 +235,11 @@ def batch(options: argparse.Namespace) -> int:
             bags,
             options.output,
             settings,
-            options.topic,
             kinds,
-            options.scheduler,
+            cluster,
             options.workers,
             progress,
             _print_errors_of,
-            tls,
         )
     failed = sum(bool(row['error']) for row in rows)
     truncated = sum(bool(row.get('truncated')) for row in rows)
