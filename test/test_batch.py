@@ -25,7 +25,7 @@ import kinpole_ros.bags.batch as module
 from kinpole_ros.bags import BagError
 from kinpole_ros.bags import replay as replay_one
 from kinpole_ros.bags._replay import replay_into
-from kinpole_ros.bags.batch import _folder, _results, _workers, batch
+from kinpole_ros.bags.batch import Cluster, _folder, _results, _workers, batch
 from kinpole_ros.bags.batch._results import Job, finished, replay_bag
 from kinpole_ros.files import _writing, as_cell
 from kinpole_ros.settings import Settings
@@ -334,7 +334,7 @@ def in_a_process(
 ) -> dict[int, dict[str, Any]]:
     """Rows of jobs, whose settings are the functions to call in place of a replay."""
     rows: dict[int, dict[str, Any]] = {}
-    jobs = [Job(f'{k}.mcap', 'memory://', SETTINGS, None, []) for k in range(len(replays))]
+    jobs = [Job(f'{k}.mcap', 'memory://', SETTINGS, []) for k in range(len(replays))]
     numbered = [replace(job, kinds=[replay]) for job, replay in zip(jobs, replays, strict=True)]
     with mock.patch.object(_workers, '_replay', call_kind):
         _workers.replay_in_processes(numbered, 1, rows.__setitem__, share)
@@ -491,7 +491,7 @@ def test_a_fault_of_ours_costs_only_its_bag(
 ) -> None:
     bag, out = bag_and_folder(simulated, tmp_path)
     monkeypatch.setattr(_results, 'replay_into', lambda *_: 1 / 0)
-    row = replay_bag(Job(bag, out, SETTINGS, None, ['csv']))
+    row = replay_bag(Job(bag, out, SETTINGS, ['csv']))
     assert row == {'bag': bag, 'error': 'ZeroDivisionError: division by zero'}
 
 
@@ -504,27 +504,27 @@ def test_results_are_made_anew_when_bag_settings_or_scene_change(
     scene = tmp_path / 'mine.yaml'
     scene.write_text((ROOT / 'config' / 'scenes' / 'four_bar.yaml').read_text())
     settings = replace(SETTINGS, bodies=bodies_of('four_bar'), scene=str(scene))
-    row = replay_bag(Job(bag, out, settings, None, ['csv']))
+    row = replay_bag(Job(bag, out, settings, ['csv']))
     assert row['error'] == ''
 
     def there(*given: Any) -> bool:
         return finished(Job(bag, out, *given)) == row
 
-    assert there(settings, None, ['csv'])
-    assert not there(settings, None, ['csv', 'mcap'])
-    assert not there(settings, '/other', ['csv'])
-    assert not there(replace(settings, window=0.3), None, ['csv'])
+    assert there(settings, ['csv'])
+    assert not there(settings, ['csv', 'mcap'])
+    assert not there(replace(settings, marker_topic='/other'), ['csv'])
+    assert not there(replace(settings, window=0.3), ['csv'])
     with scene.open('a') as file:
         file.write('# changed\n')
-    assert not there(settings, None, ['csv'])
-    replay_bag(Job(bag, out, settings, None, ['csv']))
-    assert there(settings, None, ['csv'])
+    assert not there(settings, ['csv'])
+    replay_bag(Job(bag, out, settings, ['csv']))
+    assert there(settings, ['csv'])
     os.utime(bag, ns=(0, 0))
-    assert not there(settings, None, ['csv'])
-    replay_bag(Job(bag, out, settings, None, ['csv']))
+    assert not there(settings, ['csv'])
+    replay_bag(Job(bag, out, settings, ['csv']))
     for text in ('', '[]', '{"made_of": 1}', '{"made_of": [], "row": 5}'):
         next(out.glob('*.json')).write_text(text)
-        assert not there(settings, None, ['csv'])
+        assert not there(settings, ['csv'])
 
 
 def bag_and_folder(simulated: Simulated, tmp_path: Path) -> tuple[str, Path]:
@@ -538,15 +538,15 @@ def bag_and_folder(simulated: Simulated, tmp_path: Path) -> tuple[str, Path]:
 def test_results_of_other_settings_are_none_of_these(simulated: Simulated, tmp_path: Path) -> None:
     bag, out = bag_and_folder(simulated, tmp_path)
     other = replace(SETTINGS, window=0.3)
-    replay_bag(Job(bag, out, SETTINGS, None, ['csv']))
-    row = replay_bag(Job(bag, out, other, None, ['mcap']))
+    replay_bag(Job(bag, out, SETTINGS, ['csv']))
+    row = replay_bag(Job(bag, out, other, ['mcap']))
     # The table is there, but of settings that are no longer.
     assert row['results'].endswith('.mcap')
-    assert finished(Job(bag, out, other, None, ['csv'])) is None
-    assert finished(Job(bag, out, other, None, ['mcap'])) == row
-    row = replay_bag(Job(bag, out, other, None, ['csv']))
+    assert finished(Job(bag, out, other, ['csv'])) is None
+    assert finished(Job(bag, out, other, ['mcap'])) == row
+    row = replay_bag(Job(bag, out, other, ['csv']))
     assert [name[-4:] for name in row['results'].split()] == ['mcap', '.csv']
-    assert finished(Job(bag, out, other, None, ['csv', 'mcap'])) == row
+    assert finished(Job(bag, out, other, ['csv', 'mcap'])) == row
     replay_one(bag, other, csv=tmp_path / 'one.csv')
     assert next(out.glob('*.csv')).read_bytes() == (tmp_path / 'one.csv').read_bytes()
 
@@ -555,13 +555,13 @@ def test_results_that_are_exchanged_in_part_are_not_finished(
     simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bag, out = bag_and_folder(simulated, tmp_path)
-    row = replay_bag(Job(bag, out, SETTINGS, None, ['csv', 'mcap']))
-    assert finished(Job(bag, out, SETTINGS, None, ['csv', 'mcap'])) == row
+    row = replay_bag(Job(bag, out, SETTINGS, ['csv', 'mcap']))
+    assert finished(Job(bag, out, SETTINGS, ['csv', 'mcap'])) == row
     with monkeypatch.context() as broken:
         # A stop between the names, as a kill would have it, has no error of ours.
         broken.setattr(_results, 'write_text', lambda *_: 1 / 0)
-        replay_bag(Job(bag, out, replace(SETTINGS, window=0.3), None, ['csv', 'mcap']))
-    assert finished(Job(bag, out, SETTINGS, None, ['csv', 'mcap'])) is None
+        replay_bag(Job(bag, out, replace(SETTINGS, window=0.3), ['csv', 'mcap']))
+    assert finished(Job(bag, out, SETTINGS, ['csv', 'mcap'])) is None
 
 
 def test_runs_into_one_folder_take_turns_at_a_bag(
@@ -578,7 +578,7 @@ def test_runs_into_one_folder_take_turns_at_a_bag(
         return replay_into(*args, **options)
 
     def one_run() -> None:
-        rows.append(replay_bag(Job(bag, out, SETTINGS, None, ['csv'])))
+        rows.append(replay_bag(Job(bag, out, SETTINGS, ['csv'])))
 
     monkeypatch.setattr(_results, 'replay_into', replay_when_told)
     runs = [threading.Thread(target=one_run) for _ in range(2)]
@@ -588,7 +588,7 @@ def test_runs_into_one_folder_take_turns_at_a_bag(
     # One that is stopped now does not clean up after the one at work.
     with (
         pytest.raises(BlockingIOError),
-        _results.alone(Job(bag, out, SETTINGS, None, []), wait=False),
+        _results.alone(Job(bag, out, SETTINGS, []), wait=False),
     ):
         pass
     go.set()
@@ -602,7 +602,7 @@ def test_runs_into_one_folder_take_turns_at_a_bag(
 def test_a_bag_of_a_long_name_has_results(simulated: Simulated, tmp_path: Path) -> None:
     bag = link(simulated('cardan', rate=100, duration=0.6), tmp_path / f'{"x" * 250}.mcap')[0]
     (tmp_path / 'out').mkdir()
-    assert replay_bag(Job(str(bag), tmp_path / 'out', SETTINGS, None, ['parquet']))['error'] == ''
+    assert replay_bag(Job(str(bag), tmp_path / 'out', SETTINGS, ['parquet']))['error'] == ''
 
 
 def test_what_cannot_be_used_is_one_line(
@@ -664,7 +664,7 @@ def test_without_dask_bags_are_replayed_one_after_another(
     with pytest.raises(
         BagError, match=r'^--scheduler needs Dask; fix: pip install dask distributed'
     ):
-        batch([bag], tmp_path / 'there', SETTINGS, scheduler='tls://x:1')
+        batch([bag], tmp_path / 'there', SETTINGS, cluster=Cluster('tls://x:1'))
 
 
 def test_what_makes_results_worse_is_reported_and_kept_in_the_summary(
@@ -743,12 +743,11 @@ def test_progress_goes_by_bytes_within_bags_and_over_what_is_left(
     assert (told[0], told[-1]) == (0.0, 1.0)  # what was finished before is none of it
 
     told.clear()
-    progress = module._Progress(told.append)
-    progress.begin([300, 100])
-    progress.take(0, 0.5)
-    progress.take(0, 1.0)
-    progress.take(0, 0.9)  # told before the end, arrived after it
-    progress.take(1, 1.0)
+    share = module._share_of_all([300, 100], told.append, threading.Lock())
+    share(0, 0.5)
+    share(0, 1.0)
+    share(0, 0.9)  # told before the end, arrived after it
+    share(1, 1.0)
     assert told == [0.0, 0.375, 0.75, 1.0]
 
 

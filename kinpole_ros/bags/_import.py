@@ -13,6 +13,7 @@ from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.bags.formats import UNITS, Options, Points, listed, read_points, shown
 from kinpole_ros.messages import INPUT_TYPES, TF, marker_arrays, poses_data
 
+_FRAME = 'world'
 _BLOCK_BYTES = 1 << 20  # of messages in memory at a time
 _LONGEST = 2.0**31  # s; the seconds of a ROS stamp are an int32
 
@@ -67,14 +68,12 @@ def import_points(
     rate: float | None = None,
     scale: float | None = None,
     y_down: bool | None = None,
-    topic: str = '/markers',
-    frame_id: str = 'world',
     progress: Progress | None = None,
     format: str = 'auto',
     likelihood: float | None = None,
 ) -> Imported:
     """
-    Write the points of a file to a bag, as visualization_msgs/MarkerArray.
+    Write the points of a file to a bag, as visualization_msgs/MarkerArray on /markers.
 
     A marker that was not seen in a frame is not in its message; a frame without markers becomes an
     empty array. Poses go to /tf, too. Log times are the stamps.
@@ -93,8 +92,6 @@ def import_points(
         Length of the file's unit, m; without it, as the file says.
     y_down : bool, optional
         Whether y points down; without it, as the file says.
-    topic, frame_id : str
-        Of the messages.
     progress : callable, optional
         Called with the fraction of frames written, at most some 200 times.
     format : str
@@ -122,7 +119,7 @@ def import_points(
         raise _incomplete(path, name, read, used_scale, rate)
     poses = _scale(path, read, used_scale, read.y_down if y_down is None else y_down)
     stamps, stamp_notes = _stamps(path, read, rate)
-    _write(output, topic, frame_id, replace(read, poses=poses), stamps, progress)
+    _write(output, replace(read, poses=poses), stamps, progress)
     return _describe(name, read, stamps, used_scale, stamp_notes)
 
 
@@ -199,14 +196,7 @@ def _incomplete(
     return BagError(f'{path} ({name}) {" and ".join(faults)}; fix: {"; and ".join(fixes)}')
 
 
-def _write(
-    output: Path,
-    topic: str,
-    frame_id: str,
-    read: Points,
-    stamps: np.ndarray,
-    progress: Progress | None,
-) -> None:
+def _write(output: Path, read: Points, stamps: np.ndarray, progress: Progress | None) -> None:
     # Some 300 bytes a marker, and at most some 200 calls of `progress`.
     rows = max(1, min(math.ceil(len(stamps) / 200), _BLOCK_BYTES // (300 * len(read.names) + 1)))
     due = 0.0
@@ -214,11 +204,11 @@ def _write(
         for start in range(0, len(stamps), rows):
             block = slice(start, start + rows)
             times = stamps[block].tolist()
-            data = marker_arrays(stamps[block], frame_id, read.names, read.points[block])
-            columns = [(topic, INPUT_TYPES['marker_array'], times, data)]
+            data = marker_arrays(stamps[block], _FRAME, read.names, read.points[block])
+            columns = [('/markers', INPUT_TYPES['marker_array'], times, data)]
             if read.poses is not None:
                 tf = [
-                    poses_data('tf', stamp, frame_id, read.bodies, poses)
+                    poses_data('tf', stamp, _FRAME, read.bodies, poses)
                     for stamp, poses in zip(times, read.poses[block], strict=True)
                 ]
                 columns.append((TF, INPUT_TYPES['tf'], times, tf))

@@ -83,16 +83,18 @@ def read_frames(
         raise BagError(
             f'{bag}: no message on {name} can be read{reason}; fix: name another with --topic'
         )
-    if seconds is None:
-        return frames, name
+    return frames if seconds is None else _first_part(frames, seconds), name
+
+
+def _first_part(frames: list[MarkerFrames], seconds: float) -> list[MarkerFrames]:
+    """Return the frames until one is later than the first by more than `seconds`, by stamps."""
     start = frames[0].stamps[0]
     shortened = []
-    for group_frames in frames:
-        late = group_frames.stamps - start > seconds * _SECOND
-        count = int(np.argmax(late)) if late.any() else len(late)
-        if count:
-            shortened.append(part_of(group_frames, slice(count)))
-    return shortened, name
+    for group in frames:
+        late = group.stamps - start > seconds * _SECOND
+        if count := int(np.argmax(late)) if late.any() else len(late):
+            shortened.append(part_of(group, slice(count)))
+    return shortened
 
 
 def frame_blocks(

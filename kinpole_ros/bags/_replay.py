@@ -97,7 +97,6 @@ def replay_into(
     bag: str | Path,
     settings: Settings,
     files: Mapping[str, Path],
-    topic: str | None = None,
     progress: Progress | None = None,
 ) -> Replayed:
     """
@@ -105,7 +104,7 @@ def replay_into(
 
     Files are written where they are, while `replay` moves them there when they are complete.
     """
-    source = input_topic(bag, settings, topic)
+    source = input_topic(bag, settings, None)
     return _Replaying(bag, settings, source).run(files, files, progress, None)
 
 

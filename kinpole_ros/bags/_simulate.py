@@ -5,7 +5,7 @@ On request they are as bad as those of real rigs: late stamps, a tilted plane, o
 without names in random order.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError, in_place_of
 from kinpole_ros.bags._marker_frames import NODE_NAME
-from kinpole_ros.bags._replay import result_columns
+from kinpole_ros.bags._replay import Column, result_columns
 from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.messages import (
     INPUT_TYPES,
@@ -98,8 +98,8 @@ class SimulationOptions:
     scale: float = 1.0
     unlabeled: bool = False
 
-    def check(self) -> None:
-        """Raise BagError for a value out of range."""
+    def check(self, scene: 'Scene') -> None:
+        """Raise BagError for a value out of range, or a scene without markers."""
         frames, types = self.rate * self.duration, ', '.join(INPUT_TYPES)
         for name, value, allowed, is_allowed in (
             ('rate', self.rate, 'more than 0 Hz, and 1e9 Hz at most', 0 < self.rate <= 1e9),
@@ -119,6 +119,11 @@ class SimulationOptions:
         if self.unlabeled and self.message in POSE_TYPES:
             raise BagError(
                 f'--unlabeled is of markers, and --message {self.message} of poses; leave out one'
+            )
+        if not scene.markers:
+            raise BagError(
+                f'scene {scene.name} has no markers to be seen; add them, as markers: '
+                '{BODY: {m1: [0, 0], m2: [0.1, 0]}}'
             )
 
 
@@ -158,12 +163,7 @@ def simulate(
 
     """
     spoil = SimulationOptions(**options)
-    spoil.check()
-    if not scene.markers:
-        raise BagError(
-            f'scene {scene.name} has no markers to be seen; add them, as markers: '
-            '{BODY: {m1: [0, 0], m2: [0.1, 0]}}'
-        )
+    spoil.check(scene)
     generator = np.random.default_rng(spoil.seed)
     # These have numbers of their own: to spoil a bag one way changes nothing else in it.
     delays, heights, orders = np.random.default_rng((spoil.seed, 1)).spawn(3)
@@ -172,48 +172,34 @@ def simulate(
     # The motion is that of whole ns too.
     motion = scene.motion((captured - captured[0]) * 1e-9)
     rotation = _x_rotation(np.deg2rad(spoil.tilt))
-    points = _marker_points(scene, motion, spoil, generator, heights)
-    if spoil.tilt:
-        points = points @ rotation.T
-    poses = _poses(scene, points, spoil, rotation) if spoil.message in POSE_TYPES else None
-    points *= spoil.scale
-    names = [name for body in bodies for name in scene.marker_names[body]]
-    if spoil.unlabeled:
-        order = orders.permuted(np.tile(np.arange(len(names)), (count, 1)), axis=1)
-        points = np.take_along_axis(points, order[..., None], axis=1)
+    names, seen = _seen(scene, motion, spoil, (generator, heights, orders), rotation)
     truth = _exact_arrays(scene, motion)
-    outputs = [
-        row
-        for row in result_outputs(bodies, 'xy')
-        if row.message_type in _DOUBLES and not row.topic.endswith('/deviation')
-    ]
-    topic = '/tf' if spoil.message == 'tf' else '/markers'
     with in_place_of(output) as part_file, BagWriter(part_file, name=output) as writer:
         for first in range(0, count, _BLOCK_FRAMES):
             part = slice(first, min(first + _BLOCK_FRAMES, count))
-            times = stamps[part].tolist()
-            if poses is None:
-                messages = [
-                    serialize_message(_marker_message(spoil, stamp, names, frame_points))
-                    for stamp, frame_points in zip(times, points[part], strict=True)
-                ]
-            else:
-                messages = [
-                    poses_data(spoil.message, stamp, _FRAME, bodies, frame_poses)
-                    for stamp, frame_poses in zip(times, poses[part], strict=True)
-                ]
+            messages = _messages(spoil, stamps[part], names, seen[part])
             exact = {name: array[..., part, :] for name, array in truth.items()}
             estimate = Estimate.of_arrays({'stamp': stamps[part], **exact}, _FRAME, bodies)
-            columns = result_columns(outputs, estimate, f'/{NODE_NAME}/truth', stamps[part])
-            if spoil.tilt:
-                columns = (
-                    (name, kind, at, _rotate_messages(kind, data, rotation))
-                    for name, kind, at, data in columns
-                )
-            writer.write_many([(topic, INPUT_TYPES[spoil.message], times, messages), *columns])
+            topic = '/tf' if spoil.message == 'tf' else '/markers'
+            column = topic, INPUT_TYPES[spoil.message], stamps[part].tolist(), messages
+            writer.write_many([column, *_truth_columns(estimate, rotation)])
             if progress is not None:
                 progress(part.stop / count)
     return count
+
+
+def _truth_columns(estimate: Estimate, rotation: np.ndarray) -> Iterator[Column]:
+    """Yield the messages of the exact motion, rotated by `rotation` (3, 3), about x."""
+    outputs = [
+        row
+        for row in result_outputs(estimate.bodies, 'xy')
+        if row.message_type in _DOUBLES and not row.topic.endswith('/deviation')
+    ]
+    is_tilted = bool((rotation != np.eye(3)).any())
+    for name, kind, times, data in result_columns(
+        outputs, estimate, f'/{NODE_NAME}/truth', estimate.stamp
+    ):
+        yield name, kind, times, _rotate_messages(kind, data, rotation) if is_tilted else data
 
 
 def _capture_times(
@@ -239,6 +225,32 @@ def _increasing(stamps: np.ndarray) -> np.ndarray:
     """Delay stamps (T,), ns, such that each is later than those before it."""
     count = np.arange(len(stamps))
     return np.asarray(np.maximum.accumulate(stamps - count) + count)
+
+
+def _seen(
+    scene: 'Scene',
+    motion: Any,
+    spoil: SimulationOptions,
+    generators: tuple[np.random.Generator, np.random.Generator, np.random.Generator],
+    rotation: np.ndarray,
+) -> tuple[Sequence[str], np.ndarray]:
+    """
+    Return names and points of markers (T, n, 3), or names and poses of bodies (T, B, 7).
+
+    `generators` are of the noise in the plane, of that along its normal and of the order of points.
+    """
+    generator, heights, orders = generators
+    points = _marker_points(scene, motion, spoil, generator, heights)
+    if spoil.tilt:
+        points = points @ rotation.T
+    if spoil.message in POSE_TYPES:
+        return tuple(scene.markers), _poses(scene, points, spoil, rotation)
+    points *= spoil.scale
+    if spoil.unlabeled:
+        order = np.tile(np.arange(points.shape[1]), (len(points), 1))
+        order = orders.permuted(order, axis=1)
+        points = np.take_along_axis(points, order[..., None], axis=1)
+    return [name for body in scene.markers for name in scene.marker_names[body]], points
 
 
 def _marker_points(
@@ -285,14 +297,21 @@ def _exact_arrays(scene: 'Scene', motion: Any) -> dict[str, np.ndarray]:
     }
 
 
-def _marker_message(
-    spoil: SimulationOptions, stamp: int, names: list[str], points: np.ndarray
-) -> Any:
-    """Return a message of the markers (n, 3); without names only of those that are not missing."""
-    if spoil.unlabeled:
-        points = points[np.isfinite(points[:, 0])]
-        names = [''] * len(points)
-    return to_message(spoil.message, stamp, _FRAME, names, points)
+def _messages(
+    spoil: SimulationOptions, stamps: np.ndarray, names: Sequence[str], seen: np.ndarray
+) -> list[bytes]:
+    """Return messages of what `_seen` returns; without names only of markers not missing."""
+    messages = []
+    for stamp, values in zip(stamps.tolist(), seen, strict=True):
+        if spoil.message in POSE_TYPES:
+            messages.append(poses_data(spoil.message, stamp, _FRAME, names, values))
+            continue
+        if spoil.unlabeled:
+            values = values[np.isfinite(values[:, 0])]
+            names = [''] * len(values)
+        message = to_message(spoil.message, stamp, _FRAME, names, values)
+        messages.append(serialize_message(message))
+    return messages
 
 
 def _poses(

@@ -78,18 +78,7 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
     lines += result.misnamed
     if tilt := tilt_fault(result.space, settings.plane):
         lines.append(tilt)
-    for b, (body, off) in enumerate(result.rigidity_residual.items()):
-        unit = unit_fault(float(result.space.size[b]), settings.scale)
-        wrong = unit, shape_fault(b, off, result.causes[body], result.space)
-        lines += [f'{body}: {text}' for text in wrong if text]
-    lines += [
-        f'{body}: {SMOOTHED}'
-        for body in result.noise_underestimated
-        if not result.rigidity_residual[body]
-    ]
-    for body, erring in result.erring.items():
-        lines += [f'{body}: {fault}' for fault in marker_faults(erring, result.noise[body])]
-    lines += [f'{body}: {wrong_pose_fault(count)}' for body, count in result.wrong.items() if count]
+    lines += _body_warnings(result, settings)
     # Without any results the last line says why.
     for body, outage in result.outages.items() if result.estimates else ():
         name = f'{body}: ' if body else ''
@@ -105,6 +94,24 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
             )
     if not result.estimates:
         lines.append(_no_results(result, settings))
+    return lines
+
+
+def _body_warnings(result: Replayed, settings: Settings) -> list[str]:
+    """Return what is wrong with the shapes, the noise and the poses of bodies."""
+    lines = []
+    for b, (body, off) in enumerate(result.rigidity_residual.items()):
+        unit = unit_fault(float(result.space.size[b]), settings.scale)
+        wrong = unit, shape_fault(b, off, result.causes[body], result.space)
+        lines += [f'{body}: {text}' for text in wrong if text]
+    lines += [
+        f'{body}: {SMOOTHED}'
+        for body in result.noise_underestimated
+        if not result.rigidity_residual[body]
+    ]
+    for body, erring in result.erring.items():
+        lines += [f'{body}: {fault}' for fault in marker_faults(erring, result.noise[body])]
+    lines += [f'{body}: {wrong_pose_fault(count)}' for body, count in result.wrong.items() if count]
     return lines
 
 

@@ -55,13 +55,12 @@ def test_times_points_and_names(tmp_path):
 
 
 def test_scale_and_y_down(tmp_path):
-    (_, markers), *_ = import_text(
-        tmp_path, 't,a_x,a_y,a_z\n1,10,20,30\n', scale=0.1, y_down=True, topic='/m', frame_id='lab'
-    )
+    text = 't,a_x,a_y,a_z\n1,10,20,30\n'
+    (_, markers), *_ = import_text(tmp_path, text, scale=0.1, y_down=True)
     assert markers['a'] == pytest.approx((1.0, -2.0, 3.0))
     (message,) = read_messages(tmp_path / 'out.mcap')
-    assert message.topic == '/m'
-    assert deserialize_message(message.data, MarkerArray).markers[0].header.frame_id == 'lab'
+    assert message.topic == '/markers'
+    assert deserialize_message(message.data, MarkerArray).markers[0].header.frame_id == 'world'
 
 
 def test_missing_cells_are_missing_markers_and_all_missing_an_empty_array(tmp_path):

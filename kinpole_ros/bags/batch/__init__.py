@@ -18,10 +18,9 @@ from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._folder import ResultFolder, absolute, row_in_folder
 from kinpole_ros.bags.batch._results import KINDS, Job, Row, bag_size, is_result
 from kinpole_ros.bags.batch._workers import (
+    Cluster,
     Share,
     Take,
-    TlsFiles,
-    is_open_to_all,
     replay_here,
     replay_in_processes,
     replay_on_cluster,
@@ -30,7 +29,7 @@ from kinpole_ros.files import read_limited
 from kinpole_ros.packages import install_command
 from kinpole_ros.settings import Settings
 
-__all__ = ['KINDS', 'TlsFiles', 'batch', 'is_open_to_all', 'listed_bags']
+__all__ = ['KINDS', 'Cluster', 'batch', 'listed_bags']
 
 _MOST_LIST_BYTES = 64 << 20  # a hundred thousand paths of 600
 
@@ -75,13 +74,11 @@ def batch(
     bags: Sequence[str | Path],
     output: str | Path,
     settings: Settings,
-    topic: str | None = None,
     kinds: Sequence[str] = ('mcap',),
-    scheduler: str | None = None,
+    cluster: Cluster | None = None,
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
     report: Callable[[Row], None] | None = None,
-    tls: TlsFiles | None = None,
 ) -> list[Row]:
     """
     Replay bags into a folder, and write summary.csv there.
@@ -92,81 +89,41 @@ def batch(
     Parameters
     ----------
     bags : sequence of str or Path
-        Files, folders, or URLs of any store that fsspec knows, which are fetched to the disk of the
-        worker.
+        Files, folders, or URLs of any store that fsspec knows, which the worker fetches.
     output : str or Path
         A folder or the URL of one. Results are called after the bag and a number made of its whole
         path. Those of more than 10,000 bags lie in subfolders named by two digits.
     settings : Settings
         The parameters, for all bags.
-    topic : str, optional
-        The topic of the markers, instead of the settings' one.
     kinds : sequence of str
         The results of each bag: 'mcap', 'csv', 'parquet'.
-    scheduler : str, optional
-        The address of a Dask scheduler whose workers have this package and see the same files.
+    cluster : Cluster, optional
+        A Dask cluster whose workers have this package and see the same files.
     workers : int, optional
-        Without a scheduler, the number of processes here, which nobody else can reach; the number
+        Without a cluster, the number of processes here, which nobody else can reach; the number
         of cores by default. Without Dask, bags are replayed in this process.
     progress : callable, optional
         Called with the share done of what was not finished before, by bytes.
     report : callable, optional
         Called with each row as it comes.
-    tls : TlsFiles, optional
-        For a scheduler at tls://, where Dask's configuration does not name them.
 
     Returns
     -------
     list of dict
-        A row for each bag, in the order of `bags`, without results of earlier runs among them: the
-        bag and its results, frames, estimates, the span of time, noise, resets, what was
-        unreadable, the share of instants with each pole, where the bag was cut off ('truncated'),
-        bodies never estimated ('unknown'), and why it failed ('error').
+        A row of the summary for each bag, in the order of `bags`, without results of earlier runs
+        among them. 'error' says why a bag failed, 'truncated' where it was cut off, 'unknown'
+        which bodies were never estimated.
 
     Raises
     ------
     BagError
         If there is no worker, or the output cannot be written.
-
     """
-    paths = list(dict.fromkeys(map(absolute, bags)))
     folder = ResultFolder(output)
-    root = folder.root
-    if isinstance(root, Path):
-        paths = [path for path in paths if _store.is_url(path) or not is_result(path, root)]
-    if not paths:
-        raise BagError(f'all bags named are results of earlier runs in {root}; name others')
-    is_bag = isinstance(root, Path) and str(root) in paths
-    if 'mcap' in kinds and is_bag and not (Path(root) / 'metadata.yaml').exists():
-        raise BagError(
-            f'{root} is a bag to be replayed, and results would become a part of it, which is '
-            'all .mcap files of its folder; name another folder for the results'
-        )
-    if settings.scene and Path(settings.scene).is_file():
-        settings = replace(settings, scene=os.path.abspath(settings.scene))
-    kinds = [kind for kind in KINDS if kind in kinds]
-    folder.prepare(len(paths))
-    jobs = [folder.job(path, settings, topic, kinds) for path in paths]
+    jobs = _jobs(folder, bags, settings, kinds)
     rows: dict[str, Row] = {}
-    bar = _Progress(progress)
-
-    def add(job: Job, row: Row) -> None:
-        rows[job.bag] = row
-        if report is not None:
-            with bar.lock:
-                report(row)
-
-    def take(number: int, row: Row) -> None:
-        bar.take(number, 1.0)
-        add(waiting[number], row_in_folder(waiting[number], row))
-
     try:
-        for job in jobs:
-            if (row := folder.finished(job)) is not None:
-                add(job, row)
-        if waiting := [job for job in jobs if job.bag not in rows]:
-            bar.begin([bag_size(job.bag) for job in waiting])
-            _run(waiting, scheduler, workers, tls, take, bar.take)
+        _add_rows(rows, folder, jobs, cluster, workers, progress, report)
     finally:
         # Bags that were finished while we were being stopped count too.
         listed = [rows.get(job.bag) or folder.finished(job) for job in jobs]
@@ -175,18 +132,71 @@ def batch(
     return summary
 
 
-def _run(
+def _jobs(
+    folder: ResultFolder, bags: Sequence[str | Path], settings: Settings, kinds: Sequence[str]
+) -> list[Job]:
+    """Return a job for each bag, and prepare the folder for their results."""
+    paths = _bags_to_replay(bags, folder.root, kinds)
+    if settings.scene and Path(settings.scene).is_file():
+        settings = replace(settings, scene=os.path.abspath(settings.scene))
+    folder.prepare(len(paths))
+    kinds = [kind for kind in KINDS if kind in kinds]
+    return [folder.job(path, settings, kinds) for path in paths]
+
+
+def _bags_to_replay(
+    bags: Sequence[str | Path], root: Path | str, kinds: Sequence[str]
+) -> list[str]:
+    """Return the names of bags, once each, without the results of earlier runs."""
+    paths = list(dict.fromkeys(map(absolute, bags)))
+    if isinstance(root, str):
+        return paths
+    paths = [path for path in paths if _store.is_url(path) or not is_result(path, root)]
+    if not paths:
+        raise BagError(f'all bags named are results of earlier runs in {root}; name others')
+    if 'mcap' in kinds and str(root) in paths and not (root / 'metadata.yaml').exists():
+        raise BagError(
+            f'{root} is a bag to be replayed, and results would become a part of it, which is '
+            'all .mcap files of its folder; name another folder for the results'
+        )
+    return paths
+
+
+def _add_rows(
+    rows: dict[str, Row],
+    folder: ResultFolder,
     jobs: list[Job],
-    scheduler: str | None,
+    cluster: Cluster | None,
     workers: int | None,
-    tls: TlsFiles | None,
-    take: Take,
-    share: Share,
+    progress: Callable[[float], None] | None,
+    report: Callable[[Row], None] | None,
 ) -> None:
-    """Replay the bags on a cluster or here, and call `take` with the row of each as it comes."""
-    if scheduler is not None:
-        replay_on_cluster(jobs, scheduler, tls, take, share)
-        return
+    """Add the rows of bags that are finished, and of the others as they come."""
+    lock = threading.Lock()  # of `progress` and `report`, which are called in several threads
+
+    def add(job: Job, row: Row) -> None:
+        rows[job.bag] = row
+        if report is not None:
+            with lock:
+                report(row)
+
+    def take(number: int, row: Row) -> None:
+        share(number, 1.0)
+        add(waiting[number], row_in_folder(waiting[number], row))
+
+    for job in jobs:
+        if (row := folder.finished(job)) is not None:
+            add(job, row)
+    if waiting := [job for job in jobs if job.bag not in rows]:
+        share = _share_of_all([bag_size(job.bag) for job in waiting], progress, lock)
+        if cluster is None:
+            _replay_on_this_machine(waiting, workers, take, share)
+        else:
+            replay_on_cluster(waiting, cluster, take, share)
+
+
+def _replay_on_this_machine(jobs: list[Job], workers: int | None, take: Take, share: Share) -> None:
+    """Replay the bags in processes, or in this one where it must be."""
     count = min(workers or os.cpu_count() or 1, len(jobs))
     has_dask = find_spec('dask') is not None
     if count > 1 and not has_dask:
@@ -202,27 +212,23 @@ def _run(
         replay_here(jobs, take, share)
 
 
-class _Progress:
-    """
-    The share done of all bags by bytes, from the share done of each.
+def _share_of_all(
+    sizes: list[int], progress: Callable[[float], None] | None, lock: threading.Lock
+) -> Share:
+    """Return a function of the share done of one bag that reports that of all, by bytes."""
+    done, done_of_all, total = [0] * len(sizes), 0, sum(sizes)
+    if progress is not None:
+        progress(0.0)
 
-    Shares come in other threads, which hold the `lock` while they report.
-    """
-
-    def __init__(self, progress: Callable[[float], None] | None) -> None:
-        self.lock = threading.Lock()
-        self._progress = progress or (lambda share: None)
-
-    def begin(self, sizes: list[int]) -> None:
-        self._sizes, self._total = sizes, sum(sizes)
-        self._done, self._sum = [0] * len(sizes), 0
-        self._progress(0.0)
-
-    def take(self, number: int, share: float) -> None:
-        with self.lock:
-            done = int(share * self._sizes[number])
+    def share(number: int, fraction: float) -> None:
+        nonlocal done_of_all
+        size = int(fraction * sizes[number])
+        with lock:
             # A share of a bag may arrive after its end.
-            if done > self._done[number]:
-                self._sum += done - self._done[number]
-                self._done[number] = done
-                self._progress(self._sum / self._total)
+            if size > done[number]:
+                done_of_all += size - done[number]
+                done[number] = size
+                if progress is not None:
+                    progress(done_of_all / total)
+
+    return share

@@ -46,14 +46,14 @@ class ResultFolder:
             self.root.mkdir(parents=True, exist_ok=True)
             TemporaryFile(dir=self.root).close()
 
-    def job(self, bag: str, settings: Settings, topic: str | None, kinds: Sequence[str]) -> Job:
+    def job(self, bag: str, settings: Settings, kinds: Sequence[str]) -> Job:
         """Return the job of a bag, whose results stay in the subfolder where they are."""
         name = result_name(bag)
         shard = name[-10:-8]
         shard, other_shard = (shard, '') if self._is_sharded else ('', shard)
         if self._exists(other_shard, name) and not self._exists(shard, name):
             shard = other_shard
-        return Job(bag, self.root, settings, topic, kinds, shard)
+        return Job(bag, self.root, settings, kinds, shard)
 
     def _exists(self, shard: str, name: str) -> bool:
         if self._stored is not None:

@@ -49,7 +49,6 @@ class Job:
     bag: str
     root: Path | str  # of all results: a folder, or a URL where it is text
     settings: Settings
-    topic: str | None
     kinds: Sequence[str]
     shard: str = ''  # folder in the root; '' for none
 
@@ -79,7 +78,7 @@ class Job:
         else:
             stats = ((file.name, file.stat()) for file in bag_files(self.bag))
             files = [(name, stat.st_size, stat.st_mtime_ns) for name, stat in stats]
-        content = repr((__version__, self.topic, self.settings, files)).encode()
+        content = repr((__version__, self.settings, files)).encode()
         scene = Path(self.settings.scene)
         if self.settings.scene and scene.is_file():
             content += read_limited(scene, MOST_YAML)
@@ -114,7 +113,7 @@ def _make(job: Job, folder: Path, progress: Callable[[float], None] | None) -> R
     fingerprint = job.fingerprint()
     is_url = _store.is_url(job.bag)
     with _store.fetched(job.bag) if is_url else nullcontext(job.bag) as source:
-        outcome = replay_into(source, job.settings, job.files(folder), job.topic, progress)
+        outcome = replay_into(source, job.settings, job.files(folder), progress)
     return _name_results(job, folder, fingerprint, outcome)
 
 

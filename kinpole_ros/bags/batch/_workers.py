@@ -190,51 +190,39 @@ def _interrupts_blocked() -> Iterator[None]:
 
 
 @dataclass(frozen=True)
-class TlsFiles:
+class Cluster:
     """
-    PEM files by which this machine and a Dask cluster identify each other.
+    A Dask cluster, and PEM files by which this machine and the cluster identify each other.
 
     Attributes
     ----------
+    scheduler : str
+        The address of its scheduler.
     ca, certificate, key : str or None
-        Paths; None for those in Dask's own configuration (distributed.comm.tls).
+        Paths, for tls://; None for those in Dask's own configuration (distributed.comm.tls).
 
     """
 
+    scheduler: str
     ca: str | None = None
     certificate: str | None = None
     key: str | None = None
 
+    @property
+    def is_open_to_all(self) -> bool:
+        """Return whether anyone who reaches the scheduler can run code on its workers."""
+        protocol, separator, _ = self.scheduler.partition('://')
+        return not separator or protocol not in _TLS
 
-def is_open_to_all(scheduler: str) -> bool:
+
+def replay_on_cluster(jobs: Sequence[Job], cluster: Cluster, take: Take, share: Share) -> None:
     """
-    Return whether anyone who reaches a scheduler can run code on its workers.
-
-    Parameters
-    ----------
-    scheduler : str
-        The address of a Dask scheduler.
-
-    Returns
-    -------
-    bool
-        Whether it is not one of TLS.
-
-    """
-    protocol, separator, _ = scheduler.partition('://')
-    return not separator or protocol not in _TLS
-
-
-def replay_on_cluster(
-    jobs: Sequence[Job], scheduler: str, tls: TlsFiles | None, take: Take, share: Share
-) -> None:
-    """
-    Replay the bags on a Dask cluster, by the address of its scheduler.
+    Replay the bags on a Dask cluster.
 
     Bags that have begun go on when the connection ends, those that wait are given up. Raises
     BagError when there is no Dask, no scheduler that answers, or no worker.
     """
-    with _client(scheduler, tls) as client:
+    with _client(cluster) as client:
         from distributed import as_completed
 
         topic = f'{_TOPIC}-{uuid.uuid4().hex}'  # other batches may use the same cluster
@@ -287,7 +275,7 @@ def _warning_without_workers(client: Any) -> Iterator[None]:
 
 
 @contextmanager
-def _client(scheduler: str, tls: TlsFiles | None) -> Iterator[Any]:
+def _client(cluster: Cluster) -> Iterator[Any]:
     """Connect to a cluster; raises BagError where that fails, or the scheduler ends."""
     try:
         from distributed import Client, Security
@@ -295,15 +283,15 @@ def _client(scheduler: str, tls: TlsFiles | None) -> Iterator[Any]:
     except ImportError:
         fix = install_command('cluster')
         raise BagError(f'--scheduler needs Dask; fix: {fix}') from None
-    security = None  # all is in Dask's configuration
-    if tls is not None and tls != TlsFiles():
-        files = {
-            'tls_ca_file': tls.ca,
-            'tls_client_cert': tls.certificate,
-            'tls_client_key': tls.key,
-        }
-        given = {name: path for name, path in files.items() if path is not None}
-        security = Security(require_encryption=True, **given)
+    scheduler = cluster.scheduler
+    files = {
+        'tls_ca_file': cluster.ca,
+        'tls_client_cert': cluster.certificate,
+        'tls_client_key': cluster.key,
+    }
+    given = {name: path for name, path in files.items() if path is not None}
+    # Without any, all is in Dask's configuration.
+    security = Security(require_encryption=True, **given) if given else None
     for name in ('distributed', 'distributed.client', 'tornado.application'):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:

@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from kinpole_ros.tools.commands._output_files import check_outputs
 from kinpole_ros.tools.commands._terminal import UsageError, print_error, progress_bar
 
 if TYPE_CHECKING:
-    from kinpole_ros.bags.batch import TlsFiles
+    from kinpole_ros.bags.batch import Cluster
     from kinpole_ros.linkage.positions import PositionReport
     from kinpole_ros.settings import Settings
 
@@ -196,17 +197,19 @@ def batch(options: argparse.Namespace) -> int:
         --tls-ca ca.pem --tls-cert me.pem --tls-key me.key
     """
     from kinpole_ros.bags import BagError
-    from kinpole_ros.bags.batch import KINDS, is_open_to_all, listed_bags
+    from kinpole_ros.bags.batch import KINDS, listed_bags
     from kinpole_ros.bags.batch import batch as replay_bags
 
-    tls = _checked_tls(options)
+    cluster = _checked_cluster(options)
     bags = [*options.bags, *(listed_bags(options.list) if options.list else [])]
     if not bags:
         raise BagError('no bags are named; give some, or a file that names them by --list')
     settings = settings_of(options)
+    if options.topic:
+        settings = replace(settings, marker_topic=options.topic)
     summary = f'{options.output}/summary.csv'
     check_outputs([options.list, options.config, settings.scene], [('--output', summary, '')])
-    if options.scheduler is not None and is_open_to_all(options.scheduler):
+    if cluster is not None and cluster.is_open_to_all:
         print_error(
             'batch',
             f'anyone who reaches {options.scheduler} can run code on its workers; fix: start it '
@@ -218,34 +221,32 @@ def batch(options: argparse.Namespace) -> int:
             bags,
             options.output,
             settings,
-            options.topic,
             kinds,
-            options.scheduler,
+            cluster,
             options.workers,
             progress,
             _print_errors_of,
-            tls,
         )
     _print_totals(rows, settings)
     print(f'written to {options.output}, with a table over all in {summary}')
     return 2 if any(map(_is_faulty, rows)) else 0
 
 
-def _checked_tls(options: argparse.Namespace) -> 'TlsFiles':
-    """Return the certificates of a cluster; raise BagError for options that exclude each other."""
+def _checked_cluster(options: argparse.Namespace) -> 'Cluster | None':
+    """Return the cluster, if any; raise BagError for options that exclude each other."""
     from kinpole_ros.bags import BagError
-    from kinpole_ros.bags.batch import TlsFiles
+    from kinpole_ros.bags.batch import Cluster
 
     if options.workers is not None and options.workers < 1:
         raise BagError(f'--workers is {options.workers}; it must be 1 or more')
     if options.workers is not None and options.scheduler is not None:
         raise BagError('--workers is for this machine alone; leave it out with --scheduler')
-    tls = TlsFiles(options.tls_ca, options.tls_cert, options.tls_key)
-    if options.scheduler is None and tls != TlsFiles():
+    tls = options.tls_ca, options.tls_cert, options.tls_key
+    if options.scheduler is None and any(path is not None for path in tls):
         raise BagError('--tls-ca, --tls-cert and --tls-key are for a cluster; give --scheduler too')
     if options.parquet and options.scheduler is None and find_spec('pyarrow') is None:
         raise BagError(f'--parquet needs pyarrow; fix: {install_command("parquet")}, or use --csv')
-    return tls
+    return Cluster(options.scheduler, *tls) if options.scheduler is not None else None
 
 
 def _print_errors_of(row: dict[str, Any]) -> None:
