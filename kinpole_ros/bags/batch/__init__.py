@@ -16,7 +16,7 @@ from pathlib import Path
 from kinpole_ros.bags import BagError
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._folder import ResultFolder, absolute, row_in_folder
-from kinpole_ros.bags.batch._results import KINDS, Job, Row, bag_size, is_result
+from kinpole_ros.bags.batch._jobs import KINDS, Job, Row, bag_size, is_result
 from kinpole_ros.bags.batch._workers import (
     Cluster,
     Share,
@@ -120,7 +120,7 @@ def batch(
         If there is no worker, or the output cannot be written.
     """
     folder = ResultFolder(output)
-    jobs = _jobs(folder, bags, settings, kinds)
+    jobs = _make_jobs(folder, bags, settings, kinds)
     rows: dict[str, Row] = {}
     try:
         _add_rows(rows, folder, jobs, cluster, workers, progress, report)
@@ -132,7 +132,7 @@ def batch(
     return summary
 
 
-def _jobs(
+def _make_jobs(
     folder: ResultFolder, bags: Sequence[str | Path], settings: Settings, kinds: Sequence[str]
 ) -> list[Job]:
     """Return a job for each bag, and prepare the folder for their results."""

@@ -22,7 +22,7 @@ from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
 from kinpole_ros.bags import BagError
-from kinpole_ros.bags.batch._results import Job, Row, alone, replay_bag
+from kinpole_ros.bags.batch._jobs import Job, Row, alone, replay_bag
 from kinpole_ros.packages import install_command
 
 # Called with the number of a job, and with its row or with the share of it that is done.

@@ -14,22 +14,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from mcap.writer import MCAP0_MAGIC
 
+from kinpole_ros import messages
+from kinpole_ros.bags._bag_reader import read_messages, types_and_definitions
 from kinpole_ros.bags._channels import BagMessage
 from kinpole_ros.bags._files import ROS1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
 from kinpole_ros.bags._marker_frames import read_frames
-from kinpole_ros.bags._reader import read_messages, types_and_definitions
 from kinpole_ros.bags._storages import ros1_messages, ros1_topics
 from kinpole_ros.bags.formats._file import File, Format, Options, Points
 from kinpole_ros.bags.formats._sheet import check_cells, check_names, number_names, shown
-from kinpole_ros.messages import (
-    MARKER_TYPES,
-    ROS_TYPE_NAMES,
-    MessageError,
-    fields,
-    message_class,
-    octets,
-    read_markers,
-)
 
 _SECOND = 1_000_000_000  # ns
 _LARGEST_MESSAGE = 1 << 22  # bytes; as objects these take 20 times as much
@@ -41,7 +33,7 @@ _KINDS = {
     **dict.fromkeys(('PoseStamped', 'PoseWithCovarianceStamped', 'TransformStamped'), 'pose'),
     **dict.fromkeys(('TFMessage', 'tfMessage'), 'tf'),
 }
-_MARKERS = {name.replace('/msg/', '/'): key for key, name in ROS_TYPE_NAMES.items()}
+_MARKERS = {name.replace('/msg/', '/'): key for key, name in messages.ROS_TYPE_NAMES.items()}
 _IN_MM = ('vicon_bridge/Markers',)  # by no convention of ROS
 # Those that bags of before ROS 2 Iron do not define.
 _MESSAGES = {
@@ -394,9 +386,9 @@ def _observations(
     """Yield the markers or poses in the decoded content of a message."""
     kind = _kind(message.type_name)
     if kind == 'markers':
-        with suppress(MessageError):
-            cls = MARKER_TYPES[_MARKERS[_short_type(message.type_name)]]
-            frames = read_markers(_convert(content, cls))
+        with suppress(messages.MessageError):
+            cls = messages.MARKER_TYPES[_MARKERS[_short_type(message.type_name)]]
+            frames = messages.read_markers(_convert(content, cls))
             if frames.identities:
                 stamp, values = int(frames.stamps[0]), frames.points.ravel().tolist()
                 yield _Observation('', frames.identities, stamp, values)
@@ -409,7 +401,7 @@ def _observations(
         stamp = (group[0] if kind == 'tf' else content).header.stamp
         nanoseconds = int(stamp.sec) * _SECOND + int(stamp.nanosec)
         if not 0 <= nanoseconds < 2**31 * _SECOND:
-            raise MessageError(f'its stamp is {stamp.sec} s')
+            raise messages.MessageError(f'its stamp is {stamp.sec} s')
         notes: list[str] = []
         names = [topic if kind == 'pose' else _name(one, k) for k, one in enumerate(group)]
         names = number_names(file.path, names, notes)
@@ -444,16 +436,16 @@ def _coordinates(item: Any) -> list[float]:
 def _convert(message: Any, cls: type) -> Any:
     """Convert a message to a class of ours; the fields that it lacks have defaults."""
     values = {}
-    for name, kind in fields(cls).items():
+    for name, kind in messages.fields(cls).items():
         value = getattr(message, name, None)
         if value is None:
             continue
         base = kind.partition('[')[0]
         if '/' in base:
-            convert = partial(_convert, cls=message_class(base))
+            convert = partial(_convert, cls=messages.message_class(base))
             value = [convert(one) for one in value] if '[' in kind else convert(value)
         elif kind == 'uint8[]':
-            value = octets(bytes(value))
+            value = messages.octets(bytes(value))
         values[name] = value
     return cls(**values)
 

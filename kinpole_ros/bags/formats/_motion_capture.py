@@ -29,39 +29,22 @@ from dataclasses import replace
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import (
-    File,
-    Format,
-    Options,
-    Points,
-    count_notes,
-    frame_times,
-)
-from kinpole_ros.bags.formats._sheet import (
-    Sheet,
-    check_cells,
-    check_names,
-    number_in,
-    number_names,
-    number_or_inf,
-    shown,
-    whole_numbers,
-)
+from kinpole_ros.bags.formats import _file, _sheet
 
 
 def _read_frames(
-    sheet: Sheet,
+    sheet: _sheet.Sheet,
     columns: dict[str, list[int]],
     first: int,
     title: str = 'Frame',
     end: int | None = None,
-) -> Points:
+) -> _file.Points:
     """Read the markers in these columns, without times; frame numbers are in the first column."""
-    check_names(sheet.path, list(columns))
+    _sheet.check_names(sheet.path, list(columns))
     points, numbers = sheet.points(columns, first, end, (0, title))
     lines = sheet.lines[first:end]
-    frames = whole_numbers(sheet.path, numbers, lines, title)
-    return Points(list(columns), points, frames, None, '', lines=lines)
+    frames = _sheet.whole_numbers(sheet.path, numbers, lines, title)
+    return _file.Points(list(columns), points, frames, None, '', lines=lines)
 
 
 # Motive
@@ -69,11 +52,11 @@ def _read_frames(
 _KINDS = ('Rigid Body', 'Rigid Body Marker', 'Marker', 'Bone', 'Bone Marker')
 
 
-def _is_motive(file: File) -> bool:
+def _is_motive(file: _file.File) -> bool:
     return file.is_sheet and file.sheet.cell(0, 0) == 'Format Version'
 
 
-def _row_with(sheet: Sheet, titles: Sequence[str], columns: range) -> int | None:
+def _row_with(sheet: _sheet.Sheet, titles: Sequence[str], columns: range) -> int | None:
     """Return the first row of the head that has one of these titles in one of these columns."""
     for row in range(1, min(12, len(sheet))):
         if any(sheet.cell(row, column) in titles for column in columns):
@@ -81,7 +64,7 @@ def _row_with(sheet: Sheet, titles: Sequence[str], columns: range) -> int | None
     return None
 
 
-def _read_motive(file: File, options: Options) -> Points:
+def _read_motive(file: _file.File, options: _file.Options) -> _file.Points:
     sheet, path = file.sheet, file.path
     fix = 'export the take again, with its header'
     first = sheet.row(0)
@@ -105,22 +88,22 @@ def _read_motive(file: File, options: Options) -> Points:
         # The rotation of a body is in front of its position.
         columns = {name: row[4:] for name, row in bodies.items()}
     else:
-        kinds = shown(', '.join(filter(None, dict.fromkeys(sheet.row(types)[2:]))) or 'none')
+        kinds = _sheet.shown(', '.join(filter(None, dict.fromkeys(sheet.row(types)[2:]))) or 'none')
         raise BagError(
             f'{path} has no columns of type Marker, only {kinds}, which are not measured; '
             'fix: export the take again, with markers'
         )
     points = _read_frames(sheet, columns, axes + 1)
     claim = about.get('Total Exported Frames') or about.get('Total Frames in Take', '')
-    file.notes += count_notes(path, claim, len(points.frames))
-    rate = number_in(about.get('Export Frame Rate') or about.get('Capture Frame Rate', ''))
+    file.notes += _file.count_notes(path, claim, len(points.frames))
+    rate = _sheet.number_in(about.get('Export Frame Rate') or about.get('Capture Frame Rate', ''))
     times = None
     time_title = sheet.cell(axes, 1)
     if options.rate is None and time_title.startswith('Time'):
         times = sheet.column(1, axes + 1, time_title)
     return replace(
         points,
-        times=frame_times(file, points.frames, rate, times),
+        times=_file.frame_times(file, points.frames, rate, times),
         unit=about.get('Length Units', ''),
         time_column='Time (Seconds)',
         bodies=list(bodies),
@@ -128,7 +111,7 @@ def _read_motive(file: File, options: Options) -> Points:
     )
 
 
-def _body_columns(sheet: Sheet, types: int, titles: int, axes: int) -> dict[str, list[int]]:
+def _body_columns(sheet: _sheet.Sheet, types: int, titles: int, axes: int) -> dict[str, list[int]]:
     """Find columns X, Y, Z, W of the rotation and X, Y, Z of the position of each rigid body."""
     columns: dict[str, dict[str, list[int]]] = {}
     for column in range(2, len(sheet.row(axes))):
@@ -142,7 +125,7 @@ def _body_columns(sheet: Sheet, types: int, titles: int, axes: int) -> dict[str,
     return {name: row for name, row in rows.items() if len(row) == 7}
 
 
-def _read_motive_poses(sheet: Sheet, bodies: dict[str, list[int]], first: int) -> np.ndarray:
+def _read_motive_poses(sheet: _sheet.Sheet, bodies: dict[str, list[int]], first: int) -> np.ndarray:
     """Read poses (T, B, 7); a body that was not seen has no numbers, or only zeros."""
     columns = [column for row in bodies.values() for column in (*row[4:], *row[:4])]
     titles = [f'{name} {number}' for name in bodies for number in range(1, 8)]
@@ -151,7 +134,7 @@ def _read_motive_poses(sheet: Sheet, bodies: dict[str, list[int]], first: int) -
     return poses
 
 
-MOTIVE = Format(
+MOTIVE = _file.Format(
     'motive',
     'OptiTrack Motive .csv',
     'Format Version,1.23,Capture Frame Rate,120,Length Units,Meters\n,Type,Marker,Marker,Marker\n'
@@ -169,12 +152,12 @@ _SECTION = 'Trajectories'
 _VICON_FIX = 'export trajectories as ASCII from Nexus again'
 
 
-def _is_vicon(file: File) -> bool:
+def _is_vicon(file: _file.File) -> bool:
     has_title = file.is_sheet and _SECTION.encode() in file.data
     return has_title and _section_row(file.sheet) is not None
 
 
-def _section_row(sheet: Sheet) -> int | None:
+def _section_row(sheet: _sheet.Sheet) -> int | None:
     """Return the row in which trajectories begin."""
     titles: deque[str] = deque(maxlen=3)  # the first cells of the rows before
     for index, row in enumerate(sheet.rows()):
@@ -185,7 +168,7 @@ def _section_row(sheet: Sheet) -> int | None:
     return None
 
 
-def _read_vicon(file: File, options: Options) -> Points:
+def _read_vicon(file: _file.File, options: _file.Options) -> _file.Points:
     sheet, path = file.sheet, file.path
     row = _section_row(sheet)
     if row is None:
@@ -198,17 +181,17 @@ def _read_vicon(file: File, options: Options) -> Points:
     if len(found_units) > 1:
         raise BagError(
             f'{path}, line {sheet.lines[units]}: several units, '
-            f'{shown(" ".join(sorted(found_units)))}; fix: {_VICON_FIX}'
+            f'{_sheet.shown(" ".join(sorted(found_units)))}; fix: {_VICON_FIX}'
         )
     # Spreadsheets leave a line of commas between sections.
     numbers = enumerate(sheet.texts(0, first), first)
     end = next((index for index, cell in numbers if not cell.isdecimal()), len(sheet))
     points = _read_frames(sheet, markers, first, end=end)
-    times = frame_times(file, points.frames, number_in(sheet.cell(row + 1, 0)))
+    times = _file.frame_times(file, points.frames, _sheet.number_in(sheet.cell(row + 1, 0)))
     return replace(points, times=times, unit=found_units.pop())
 
 
-VICON = Format(
+VICON = _file.Format(
     'vicon',
     'Vicon Nexus .csv',
     'Trajectories\n100\n,,Rig:tip,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm\n1,0,125.1,250.2,3.3',
@@ -227,11 +210,11 @@ _DETERMINANT_TOLERANCE = 0.01  # of a rotation matrix, whose elements have 5 dig
 _QUALISYS_FIX = 'export 3D or 6D data as .tsv, with its header'
 
 
-def _is_qualisys(file: File) -> bool:
+def _is_qualisys(file: _file.File) -> bool:
     return file.is_sheet and file.sheet.cell(0, 0) in _KEYS
 
 
-def _read_qualisys(file: File, options: Options) -> Points:
+def _read_qualisys(file: _file.File, options: _file.Options) -> _file.Points:
     sheet, path = file.sheet, file.path
     about, first = _read_qualisys_head(sheet)
     key = next((key for key in _WIDTHS if any(about.get(key, []))), None)
@@ -244,11 +227,11 @@ def _read_qualisys(file: File, options: Options) -> Points:
     while not titles[-1]:
         titles.pop()
     titles = [title or f'{number}' for number, title in enumerate(titles, start=1)]
-    names = number_names(path, titles, file.notes)
+    names = _sheet.number_names(path, titles, file.notes)
     begin, width = _data_columns(sheet, first, key, len(names))
     lines = sheet.lines[first:]
     if width > 3:
-        check_cells(path, 20 * len(lines) * len(names))
+        _sheet.check_cells(path, 20 * len(lines) * len(names))
     components = [*'xyz', *map(str, range(4, width + 1))]
     titles = ['Frame', *(f'{name} {component}' for name in names for component in components)]
     columns = [0 if begin else None, *range(begin, begin + width * len(names))]
@@ -256,21 +239,21 @@ def _read_qualisys(file: File, options: Options) -> Points:
     values = numbers[:, 1:].reshape(len(lines), len(names), width)
     frames, times = np.arange(len(lines)), None
     if begin:
-        frames = whole_numbers(path, numbers[:, 0], lines, 'Frame')
+        frames = _sheet.whole_numbers(path, numbers[:, 0], lines, 'Frame')
         times = sheet.column(1, first, 'Time') if options.rate is None else None
     poses = _to_poses(values) if width > 3 else None
     points = values[..., :3]
     # A marker that was not seen is three zeros.
     points[~points.any(axis=-1) if poses is None else np.isnan(poses[..., 0])] = np.nan
-    file.notes += count_notes(path, ''.join(about.get('NO_OF_FRAMES', [])), len(lines))
+    file.notes += _file.count_notes(path, ''.join(about.get('NO_OF_FRAMES', [])), len(lines))
     count = about.get('NO_OF_MARKERS' if width == 3 else 'NO_OF_BODIES', [])
-    file.notes += count_notes(path, ''.join(count), len(names), 'names')
-    rate = number_in(''.join(about.get('FREQUENCY', [])))
-    return Points(
+    file.notes += _file.count_notes(path, ''.join(count), len(names), 'names')
+    rate = _sheet.number_in(''.join(about.get('FREQUENCY', [])))
+    return _file.Points(
         names,
         points,
         frames,
-        frame_times(file, frames, rate, times),
+        _file.frame_times(file, frames, rate, times),
         'mm',
         lines=lines,
         bodies=[] if poses is None else names,
@@ -278,7 +261,7 @@ def _read_qualisys(file: File, options: Options) -> Points:
     )
 
 
-def _read_qualisys_head(sheet: Sheet) -> tuple[dict[str, list[str]], int]:
+def _read_qualisys_head(sheet: _sheet.Sheet) -> tuple[dict[str, list[str]], int]:
     """Read values by key, and the row at which frames begin."""
     about: dict[str, list[str]] = {}
     row = 0
@@ -290,7 +273,7 @@ def _read_qualisys_head(sheet: Sheet) -> tuple[dict[str, list[str]], int]:
     return about, row + is_titles
 
 
-def _data_columns(sheet: Sheet, first: int, key: str, count: int) -> tuple[int, int]:
+def _data_columns(sheet: _sheet.Sheet, first: int, key: str, count: int) -> tuple[int, int]:
     """Return the column at which `count` markers or bodies begin, and the numbers of each."""
     cells = len(sheet.row(first))
     for width in _WIDTHS[key]:
@@ -357,7 +340,7 @@ def _to_quaternions(rotations: np.ndarray) -> np.ndarray:
     return quaternions * np.where(quaternions[:, 3:] < 0, -1.0, 1.0)
 
 
-QUALISYS = Format(
+QUALISYS = _file.Format(
     'qualisys',
     'Qualisys .tsv, 3D or 6D',
     'NO_OF_FRAMES\t513\nFREQUENCY\t256\nDATA_INCLUDED\t3D\nMARKER_NAMES\ttip\n125.1\t250.2\t3.3',
@@ -372,36 +355,38 @@ QUALISYS = Format(
 _TRC_FIX = 'export it again as .trc'
 
 
-def _is_trc(file: File) -> bool:
+def _is_trc(file: _file.File) -> bool:
     return file.is_sheet and file.sheet.cell(0, 0).startswith('PathFileType')
 
 
-def _read_trc(file: File, options: Options) -> Points:
+def _read_trc(file: _file.File, options: _file.Options) -> _file.Points:
     sheet, path = file.sheet, file.path
     about = _trc_head(sheet)
     titles = next((r for r in range(1, 5) if sheet.cell(r, 0).lower() in ('frame#', 'frame')), None)
     if titles is None:
         raise BagError(f'{path} has no line with Frame# and names of markers; fix: {_TRC_FIX}')
     first = titles + 1
-    while first < len(sheet) and not math.isfinite(number_or_inf(sheet.cell(first, 0))):
+    while first < len(sheet) and not math.isfinite(_sheet.number_or_inf(sheet.cell(first, 0))):
         first += 1
         if first > titles + 3:
             raise BagError(f'{path}, line {sheet.lines[first - 1]}: no frames; fix: {_TRC_FIX}')
     points = _read_frames(sheet, _trc_columns(sheet, titles, first), first, 'Frame#')
     times = sheet.column(1, first, 'Time') if options.rate is None else None
-    file.notes += count_notes(path, about.get('NumFrames', ''), len(points.frames))
-    file.notes += count_notes(path, about.get('NumMarkers', ''), len(points.names), 'markers')
+    file.notes += _file.count_notes(path, about.get('NumFrames', ''), len(points.frames))
+    file.notes += _file.count_notes(path, about.get('NumMarkers', ''), len(points.names), 'markers')
     return replace(
         points,
-        times=frame_times(file, points.frames, number_in(about.get('DataRate', '')), times),
+        times=_file.frame_times(
+            file, points.frames, _sheet.number_in(about.get('DataRate', '')), times
+        ),
         unit=about.get('Units', ''),
     )
 
 
-def _trc_head(sheet: Sheet) -> dict[str, str]:
+def _trc_head(sheet: _sheet.Sheet) -> dict[str, str]:
     """Return values by key. The unit is the one that is no number; others may be tabs apart."""
     keys, values = ([cell for cell in sheet.row(row) if cell] for row in (1, 2))
-    is_number = [math.isfinite(number_or_inf(value.replace(',', '.'))) for value in values]
+    is_number = [math.isfinite(_sheet.number_or_inf(value.replace(',', '.'))) for value in values]
     numbers = [value for value, is_one in zip(values, is_number, strict=True) if is_one]
     number_keys = [key for key in keys if key != 'Units']
     about = dict(zip(sheet.row(1), sheet.row(2), strict=False))
@@ -411,11 +396,11 @@ def _trc_head(sheet: Sheet) -> dict[str, str]:
     return about
 
 
-def _trc_columns(sheet: Sheet, titles: int, first: int) -> dict[str, list[int]]:
+def _trc_columns(sheet: _sheet.Sheet, titles: int, first: int) -> dict[str, list[int]]:
     """Find the three columns of each marker, from the row of names and the first row of frames."""
     header = sheet.row(titles)
     columns = [column for column in range(2, len(header)) if header[column]]
-    names = number_names(sheet.path, [header[column] for column in columns], sheet.notes)
+    names = _sheet.number_names(sheet.path, [header[column] for column in columns], sheet.notes)
     if any((column - 2) % 3 for column in columns):
         columns = list(range(2, 2 + 3 * len(columns), 3))
         cells = len(sheet.row(first))
@@ -429,7 +414,7 @@ def _trc_columns(sheet: Sheet, titles: int, first: int) -> dict[str, list[int]]:
     }
 
 
-TRC = Format(
+TRC = _file.Format(
     'trc',
     'OpenSim, Cortex .trc',
     'PathFileType\t4\t(X/Y/Z)\trun.trc\nDataRate\t...\tUnits\n100.0\t...\tmm\n'

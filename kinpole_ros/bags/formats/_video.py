@@ -25,16 +25,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
+from kinpole_ros.bags.formats import _sheet
 from kinpole_ros.bags.formats._file import File, Format, Options, Points
-from kinpole_ros.bags.formats._sheet import (
-    MOST_CELLS,
-    Sheet,
-    check_cells,
-    check_names,
-    number_names,
-    number_or_inf,
-    shown,
-)
 
 # Kinovea
 
@@ -88,31 +80,32 @@ def _read_kinovea(file: File, options: Options) -> Points:
         thing if objects.count(thing) == 1 else name.replace('/', '.'): axes
         for thing, (name, axes) in zip(objects, columns.items(), strict=True)
     }
-    check_names(sheet.path, list(columns))
+    _sheet.check_names(sheet.path, list(columns))
     points, numbers = sheet.points(columns, 1, number=(0, 'Time'))
     frames, times, fault = _clock(sheet, numbers)
     lines = sheet.lines[1:]
     return Points(list(columns), points, frames, times, '', lines=lines, no_times=fault)
 
 
-def _kinovea_columns(sheet: Sheet, header: Sequence[str]) -> dict[str, list[int]]:
+def _kinovea_columns(sheet: _sheet.Sheet, header: Sequence[str]) -> dict[str, list[int]]:
     """Find columns X and Y by OBJECT/POINT."""
     columns: dict[str, list[int]] = {}
     for column, title in enumerate(header[:-1]):
         if match := _X.fullmatch(title):
             if header[column + 1].lower() != f'{match[1]}/y'.lower():
                 raise BagError(
-                    f'{sheet.path}: {shown(title)} has no Y behind it; fix: {_EXPORT_AGAIN}'
+                    f'{sheet.path}: {_sheet.shown(title)} has no Y behind it; fix: {_EXPORT_AGAIN}'
                 )
             if match[1] in columns:
                 raise BagError(
-                    f"{sheet.path}: '{shown(match[1])}' is there twice; fix: rename one in Kinovea"
+                    f"{sheet.path}: '{_sheet.shown(match[1])}' is there twice; "
+                    'fix: rename one in Kinovea'
                 )
             columns[match[1]] = [column, column + 1]
     return columns
 
 
-def _read_angles(sheet: Sheet, angles: dict[str, int]) -> Points:
+def _read_angles(sheet: _sheet.Sheet, angles: dict[str, int]) -> Points:
     """Make a body at the origin of each angle, which is in degrees unless its name says rad."""
     frames, times, fault = _clock(sheet, sheet.column(0, 1, 'Time'))
     poses = np.zeros((len(frames), len(angles), 7))
@@ -135,7 +128,7 @@ def _read_angles(sheet: Sheet, angles: dict[str, int]) -> Points:
     )
 
 
-def _clock(sheet: Sheet, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, str]:
+def _clock(sheet: _sheet.Sheet, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, str]:
     """Return numbers of frames and their times, s, or why there are none, from the column Time."""
     steps = np.diff(numbers)
     step = float(steps.min(initial=np.inf))
@@ -204,7 +197,7 @@ def _excel_trajectories(file: File) -> tuple[list[_Trajectory], str]:
 
 def _append_row(file: File, trajectory: _Trajectory, cells: list[str], where: str) -> None:
     """Append a row, of a time and positions, to a trajectory."""
-    numbers = [number_or_inf(cell.replace(',', '.')) for cell in cells[1:]]
+    numbers = [_sheet.number_or_inf(cell.replace(',', '.')) for cell in cells[1:]]
     if (
         not numbers
         or len(numbers) % 2
@@ -212,7 +205,7 @@ def _append_row(file: File, trajectory: _Trajectory, cells: list[str], where: st
         or (trajectory.positions and len(numbers) != len(trajectory.positions[0]))
     ):
         raise BagError(
-            f"{file.path}, {where}: '{shown(' '.join(cells))}' is not t, x and y; "
+            f"{file.path}, {where}: '{_sheet.shown(' '.join(cells))}' is not t, x and y; "
             f'fix: {_EXPORT_AGAIN}'
         )
     trajectory.times.append(cells[0])
@@ -228,7 +221,7 @@ def _seconds(time: str) -> float:
         return math.inf
     total = 0.0
     for text in fields:
-        total = 60 * total + number_or_inf(text)
+        total = 60 * total + _sheet.number_or_inf(text)
     return total
 
 
@@ -241,12 +234,12 @@ def _points_of_trajectories(
     Times are often rounded to hundredths of a second, so that frames may seem to share one.
     """
     path = file.path
-    check_names(path, trajectories)
+    _sheet.check_names(path, trajectories)
     names = []
     for k, one in enumerate(trajectories, start=1):
         name, count = one.name or f'track {k}', len(one.positions[0]) // 2
         names += [name] if count == 1 else [f'{name}.{point}' for point in range(1, 1 + count)]
-    names = number_names(path, names, file.notes)
+    names = _sheet.number_names(path, names, file.notes)
     times = [np.array([_seconds(time) for time in one.times]) for one in trajectories]
     steps = np.concatenate([np.diff(row) for row in times])
     if not (np.isfinite(np.concatenate(times)).all() and steps.min(initial=0.0) >= 0):
@@ -254,7 +247,7 @@ def _points_of_trajectories(
     start = min(row[0] for row in times)
     step = float(np.median(steps[steps > 0])) if steps.any() else 1.0
     interval = float(steps.sum() / max(1.0, np.rint(steps / step).sum())) or step
-    if max(row[-1] for row in times) - start > interval * MOST_CELLS:
+    if max(row[-1] for row in times) - start > interval * _sheet.MOST_CELLS:
         raise BagError(f'{path}: its times are too far from each other; fix: {_EXPORT_AGAIN}')
     numbers = [
         np.rint((row[0] - start) / interval)
@@ -262,7 +255,7 @@ def _points_of_trajectories(
         for row in times
     ]
     frames = np.unique(np.concatenate(numbers)).astype(np.int64)
-    check_cells(path, 3 * len(frames) * len(names))
+    _sheet.check_cells(path, 3 * len(frames) * len(names))
     points = np.full((len(frames), len(names), 3), np.nan)
     instants = start + frames * interval
     is_rounded = any(':' in time for one in trajectories for time in one.times)
@@ -304,7 +297,7 @@ def _is_tracker(file: File) -> bool:
     return _PROJECT in file.head or (file.is_sheet and _titles_row(file.sheet) is not None)
 
 
-def _titles_row(sheet: Sheet) -> int | None:
+def _titles_row(sheet: _sheet.Sheet) -> int | None:
     """Return the row with the titles of columns, if this is such a file."""
     row = 2 if sheet.cell(0, 0) == _MULTI else 1
     titles = {match['name'] for cell in sheet.row(row) if (match := _TITLE.fullmatch(cell))}
@@ -331,18 +324,18 @@ def _read_tracker(file: File, options: Options) -> Points:
             continue
         if axes.setdefault(name, {}).setdefault(match['name'], column) != column:
             raise BagError(
-                f"{line}: '{shown(name)}' has {match['name']} twice; fix: {_EXPORT_TRACKS}"
+                f"{line}: '{_sheet.shown(name)}' has {match['name']} twice; fix: {_EXPORT_TRACKS}"
             )
         units.add(match['unit'] or '')
     for name, columns in axes.items():
         if len(columns) < 2 or not name:
-            raise BagError(f"{line}: '{shown(name)}' lacks x or y; fix: {_EXPORT_TRACKS}")
+            raise BagError(f"{line}: '{_sheet.shown(name)}' lacks x or y; fix: {_EXPORT_TRACKS}")
     if len(units) > 1:
         raise BagError(
-            f'{line}: columns are in {shown(" and ".join(sorted(units)))}; '
+            f'{line}: columns are in {_sheet.shown(" and ".join(sorted(units)))}; '
             'fix: export all in one unit'
         )
-    check_names(path, list(axes))
+    _sheet.check_names(path, list(axes))
     number = None
     if options.rate is None:
         number = [match['name'] if match else '' for match in titles].index('t'), 't'
@@ -369,9 +362,9 @@ def _read_project(file: File) -> Points:
         if track := _numbers_by_frame(file, item, {'x': math.nan, 'y': math.nan}):
             names.append(name or f'track {len(tracks) + 1}')
             tracks.append(track)
-    names = number_names(file.path, names, file.notes)
+    names = _sheet.number_names(file.path, names, file.notes)
     frames = np.array(sorted({number for track in tracks for number in track}), np.int64)
-    check_cells(file.path, 3 * len(frames) * len(names))
+    _sheet.check_cells(file.path, 3 * len(frames) * len(names))
     points = np.full((len(frames), len(names), 3), np.nan)
     for k, track in enumerate(tracks):
         rows = np.searchsorted(frames, list(track))
@@ -408,11 +401,11 @@ def _numbers_by_frame(
     numbers_by_frame = {}
     for row in (row for data in item if data.get('name') == 'framedata' for row in data):
         index = row.get('name', '')[1:-1]
-        values = {e.get('name'): number_or_inf(e.text or '') for e in row.iter('property')}
+        values = {e.get('name'): _sheet.number_or_inf(e.text or '') for e in row.iter('property')}
         numbers = [values.get(key, default) for key, default in defaults.items()]
         if not (index.isdecimal() and len(index) < 10 and np.isfinite(numbers).all()):
             raise BagError(
-                f"{file.path}: frame '{shown(index)}' has no {next(iter(defaults))}; "
+                f"{file.path}: frame '{_sheet.shown(index)}' has no {next(iter(defaults))}; "
                 'fix: save it again'
             )
         if 0.0 in numbers[3:]:
@@ -423,7 +416,7 @@ def _numbers_by_frame(
 
 def _first_number(root: Element, name: str) -> float:
     texts = (e.text or '' for e in root.iter('property') if e.get('name') == name)
-    return next(map(number_or_inf, texts), 0.0)
+    return next(map(_sheet.number_or_inf, texts), 0.0)
 
 
 TRACKER = Format(
