@@ -128,12 +128,8 @@ class BagWriter:
         """
         Write the messages of several topics, in order of log time.
 
-        Parameters
-        ----------
-        columns
-            Topic, type, log times (ns) and CDR data. Messages of equal log times come in the order
-            of the columns.
-
+        `columns` are topic, type, log times (ns) and CDR data. Messages of equal log times come in
+        the order of the columns.
         """
         messages: list[tuple[int, _Topic, bytes]] = []
         for topic, message_type, log_times, data in columns:

@@ -36,22 +36,10 @@ _MOST_LIST_BYTES = 64 << 20  # a hundred thousand paths of 600
 
 def listed_bags(path: str | Path) -> list[str]:
     """
-    Return the bags that a file names.
+    Return the bags that a text names, one in each line; empty lines and those with # name none.
 
-    Parameters
-    ----------
-    path : str or Path
-        A text with a bag in each line; empty lines and those that begin with # name none.
-
-    Returns
-    -------
-    list of str
-
-    Raises
-    ------
-    BagError
-        If it cannot be read or names none, or names an address that leads to another one.
-
+    Raises BagError if it cannot be read or names none, or names an address that leads to another
+    one.
     """
     try:
         lines = os.fsdecode(read_limited(path, _MOST_LIST_BYTES)).split('\n')

@@ -194,16 +194,10 @@ class Cluster:
     """
     A Dask cluster, and PEM files by which this machine and the cluster identify each other.
 
-    Attributes
-    ----------
-    scheduler : str
-        The address of its scheduler.
-    ca, certificate, key : str or None
-        Paths, for tls://; None for those in Dask's own configuration (distributed.comm.tls).
-
+    Files that are None are those in Dask's own configuration (distributed.comm.tls).
     """
 
-    scheduler: str
+    scheduler: str  # the address
     ca: str | None = None
     certificate: str | None = None
     key: str | None = None

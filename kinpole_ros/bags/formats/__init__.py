@@ -57,28 +57,10 @@ def read_points(
     path: str | Path, name: str = 'auto', options: Options | None = None
 ) -> tuple[str, Points]:
     """
-    Read the points of a file.
+    Read the points of a file, or of a folder of OpenPose or rosbag2.
 
-    Parameters
-    ----------
-    path : str or Path
-        A file, or a folder of OpenPose or rosbag2.
-    name : str
-        A key of `FORMATS`, or 'auto'.
-    options : Options, optional
-        Rate and likelihood, where the user gave them.
-
-    Returns
-    -------
-    name : str
-        The key of the format.
-    points : Points
-
-    Raises
-    ------
-    BagError
-        If the format is unknown, or the file is not as its program writes it.
-
+    Returns the key of its format in `FORMATS`, which is found where `name` is 'auto', and the
+    points. Raises BagError if the format is unknown, or the file is not as its program writes it.
     """
     if name != 'auto' and name not in FORMATS:
         raise BagError(f"format '{shown(name)}' is unknown; fix: auto, {', '.join(FORMATS)}")

@@ -291,17 +291,9 @@ class Sheet:
         """
         Return points (T, n, 3) of rows first to end, and numbers (T,) of another column.
 
-        Parameters
-        ----------
-        columns
-            Those of x, y and maybe z by the name of each marker. A z without column is 0, and NaN
-            where x or y is.
-        first, end
-            Rows.
-        number
-            Index and name of the other column.
-        separator
-            Between the name of a marker and the axis, where a message names a column.
+        `columns` are those of x, y and maybe z by the name of each marker; a z without column is 0,
+        and NaN where x or y is. `number` is the index and name of the other column. The separator
+        stands between the name of a marker and the axis, where a message names a column.
         """
         sources: list[int | None] = [None if number is None else number[0]]
         titles = ['' if number is None else number[1]]
