@@ -15,7 +15,7 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats import _file
-from kinpole_ros.bags.formats._sheet import check_cells, number_names
+from kinpole_ros.bags.formats._cells import check_cells, number_names
 
 _BLOCK = 512
 _INTEL, _DEC, _MIPS = 84, 85, 86  # how a file says which processor its numbers are of

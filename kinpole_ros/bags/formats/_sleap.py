@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats import _hdf, _sheet
+from kinpole_ros.bags.formats import _cells, _hdf
 from kinpole_ros.bags.formats._file import File, Format, Options, Points
 
 # Axes of arrays in an .h5, by the names that a file may give.
@@ -40,7 +40,7 @@ def _read_sleap(file: File, options: Options) -> Points:
     header = sheet.row(0)
     columns = {name: column for column, name in reversed(list(enumerate(header)))}
     nodes = [name[:-2] for name in header if name.endswith('.x') and f'{name[:-2]}.y' in columns]
-    _sheet.check_names(path, nodes)
+    _cells.check_names(path, nodes)
     numbers = sheet.column(columns['frame_idx'], 1, 'frame_idx')
     if len(numbers) == 0 or not (np.abs(numbers) < 2**53).all():
         raise BagError(f'{path}: frame_idx is missing or empty; fix: export the analysis CSV again')
@@ -50,12 +50,12 @@ def _read_sleap(file: File, options: Options) -> Points:
     tracks = sheet.texts(columns['track'], 1) if 'track' in columns else repeat('', len(numbers))
     for row, name in enumerate(tracks):
         instances[row] = animals.setdefault(name, len(animals))
-        if len(animals) * len(nodes) > _sheet.MOST_COLUMNS:
+        if len(animals) * len(nodes) > _cells.MOST_COLUMNS:
             raise BagError(
-                f'{path}: more than {_sheet.MOST_COLUMNS} nodes in all tracks; '
+                f'{path}: more than {_cells.MOST_COLUMNS} nodes in all tracks; '
                 'fix: export fewer tracks'
             )
-    _sheet.check_cells(path, 3 * len(frames) * len(animals) * len(nodes))
+    _cells.check_cells(path, 3 * len(frames) * len(animals) * len(nodes))
     pairs, counts = np.unique(
         np.stack((frames[rows], instances), axis=1), axis=0, return_counts=True
     )
@@ -63,7 +63,7 @@ def _read_sleap(file: File, options: Options) -> Points:
         frame, animal = pairs[int(counts.argmax())]
         raise BagError(
             f'{path}: frame {frame} has {counts.max()} instances of track '
-            f"'{_sheet.shown(list(animals)[animal])}', which nothing distinguishes; fix: track "
+            f"'{_cells.shown(list(animals)[animal])}', which nothing distinguishes; fix: track "
             'them in SLEAP first, or export one instance a frame'
         )
     points = np.full((len(frames), len(animals), len(nodes), 3), np.nan)
@@ -90,7 +90,7 @@ def _read_sleap_hdf(file: File, content: Any, options: Options) -> Points:
     """Read an analysis .h5; scores (tracks, nodes, frames) count where a likelihood is given."""
     nodes, animals = (_read_texts(file, content, name) for name in ('node_names', 'track_names'))
     tracks = _hdf.hdf_item(file, content, 'tracks', _SLEAP_FIX)
-    _sheet.check_cells(file.path, 2 * tracks.size)
+    _cells.check_cells(file.path, 2 * tracks.size)
     order = _sleap_axes(file, content, tracks, len(nodes), len(animals))
     values = np.asarray(tracks[:], np.float64).transpose([order.index(c) for c in 'ftnx'])
     points = np.zeros((*values.shape[:3], 3))
@@ -103,7 +103,7 @@ def _read_sleap_hdf(file: File, content: Any, options: Options) -> Points:
         scores = scores.transpose([order.index(c) for c in 'ftn'])
         points[~(scores >= options.likelihood)] = np.nan
     animals = animals or [f'track_{k}' for k in range(values.shape[1])]
-    names = _sheet.number_names(file.path, _point_names(animals, nodes), file.notes)
+    names = _cells.number_names(file.path, _point_names(animals, nodes), file.notes)
     points[np.isnan(points).any(axis=-1)] = np.nan
     frames = np.arange(len(points))
     return Points(names, points.reshape(len(frames), -1, 3), frames, None, 'px', y_down=True)
@@ -146,7 +146,7 @@ def _sleap_axes(file: File, content: Any, tracks: Any, nodes: int, animals: int)
 
 def _read_texts(file: File, content: Any, name: str) -> list[str]:
     item = _hdf.hdf_item(file, content, name, _SLEAP_FIX)
-    if item.size > _sheet.MOST_COLUMNS or item.dtype.itemsize * item.size > _hdf.MOST_NAME_BYTES:
+    if item.size > _cells.MOST_COLUMNS or item.dtype.itemsize * item.size > _hdf.MOST_NAME_BYTES:
         raise ValueError('names that are not')
     texts, size = [], 0
     for number in range(item.size):
