@@ -25,8 +25,8 @@ import kinpole_ros.bags.batch as module
 from kinpole_ros.bags import BagError
 from kinpole_ros.bags import replay as replay_one
 from kinpole_ros.bags._replay import replay_into
-from kinpole_ros.bags.batch import Cluster, _folder, _results, _workers, batch
-from kinpole_ros.bags.batch._results import Job, finished, replay_bag
+from kinpole_ros.bags.batch import Cluster, _folder, _jobs, _workers, batch
+from kinpole_ros.bags.batch._jobs import Job, finished, replay_bag
 from kinpole_ros.files import _writing, as_cell
 from kinpole_ros.settings import Settings
 from kinpole_ros.tools.cli import main
@@ -490,7 +490,7 @@ def test_a_fault_of_ours_costs_only_its_bag(
     simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bag, out = bag_and_folder(simulated, tmp_path)
-    monkeypatch.setattr(_results, 'replay_into', lambda *_: 1 / 0)
+    monkeypatch.setattr(_jobs, 'replay_into', lambda *_: 1 / 0)
     row = replay_bag(Job(bag, out, SETTINGS, ['csv']))
     assert row == {'bag': bag, 'error': 'ZeroDivisionError: division by zero'}
 
@@ -559,7 +559,7 @@ def test_results_that_are_exchanged_in_part_are_not_finished(
     assert finished(Job(bag, out, SETTINGS, ['csv', 'mcap'])) == row
     with monkeypatch.context() as broken:
         # A stop between the names, as a kill would have it, has no error of ours.
-        broken.setattr(_results, 'write_text', lambda *_: 1 / 0)
+        broken.setattr(_jobs, 'write_text', lambda *_: 1 / 0)
         replay_bag(Job(bag, out, replace(SETTINGS, window=0.3), ['csv', 'mcap']))
     assert finished(Job(bag, out, SETTINGS, ['csv', 'mcap'])) is None
 
@@ -580,7 +580,7 @@ def test_runs_into_one_folder_take_turns_at_a_bag(
     def one_run() -> None:
         rows.append(replay_bag(Job(bag, out, SETTINGS, ['csv'])))
 
-    monkeypatch.setattr(_results, 'replay_into', replay_when_told)
+    monkeypatch.setattr(_jobs, 'replay_into', replay_when_told)
     runs = [threading.Thread(target=one_run) for _ in range(2)]
     for run_ in runs:
         run_.start()
@@ -588,7 +588,7 @@ def test_runs_into_one_folder_take_turns_at_a_bag(
     # One that is stopped now does not clean up after the one at work.
     with (
         pytest.raises(BlockingIOError),
-        _results.alone(Job(bag, out, SETTINGS, []), wait=False),
+        _jobs.alone(Job(bag, out, SETTINGS, []), wait=False),
     ):
         pass
     go.set()

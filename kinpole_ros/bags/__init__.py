@@ -1,5 +1,7 @@
 """MCAP bags in rosbag2's conventions, in and out, and files of tracked points into them."""
 
+from kinpole_ros.bags._bag_reader import read_blocks, read_messages, topics
+from kinpole_ros.bags._bag_writer import BagWriter
 from kinpole_ros.bags._channels import BagMessage
 from kinpole_ros.bags._definition import definition, message_class
 from kinpole_ros.bags._files import (
@@ -12,12 +14,10 @@ from kinpole_ros.bags._files import (
 )
 from kinpole_ros.bags._import import Imported, import_points
 from kinpole_ros.bags._marker_frames import NODE_NAME, read_frames
-from kinpole_ros.bags._reader import read_blocks, read_messages, topics
 from kinpole_ros.bags._replay import replay
 from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._simulate import simulate
 from kinpole_ros.bags._warnings import assumed_body, warnings_of
-from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.messages import type_name
 
 __all__ = [

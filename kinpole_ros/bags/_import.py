@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from kinpole_ros.bags._bag_reader import Progress
+from kinpole_ros.bags._bag_writer import BagWriter
 from kinpole_ros.bags._files import BagError, in_place_of
-from kinpole_ros.bags._reader import Progress
-from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.bags.formats import UNITS, Options, Points, listed, read_points, shown
 from kinpole_ros.messages import INPUT_TYPES, TF, marker_arrays, poses_data
 

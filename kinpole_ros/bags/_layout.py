@@ -21,14 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from kinpole_ros.bags._channels import (
-    HEAD,
-    LARGEST,
-    LARGEST_CHUNK,
-    MESSAGE,
-    largest,
-    parse_description,
-)
+from kinpole_ros.bags import _channels
 from kinpole_ros.bags._files import BagError, Unpacked
 
 NEVER = 2**64  # later than any log time
@@ -56,7 +49,7 @@ class Span:
 
 
 @dataclass
-class Layout:
+class FileLayout:
     """The spans of a file in file order, and what the file says of itself."""
 
     size: int  # bytes, unpacked, that can be read
@@ -83,11 +76,11 @@ class Layout:
         return topics if is_complete else {}
 
 
-def lay_out(path: Path, file: BinaryIO) -> Layout:
+def lay_out(path: Path, file: BinaryIO) -> FileLayout:
     """Return the layout of an open file."""
     disk_size = path.stat().st_size
     raw = getattr(file, 'raw', None)
-    layout = Layout(_FARTHEST if isinstance(raw, Unpacked) else disk_size)
+    layout = FileLayout(_FARTHEST if isinstance(raw, Unpacked) else disk_size)
     try:
         _scan(file, layout, disk_size)
     except ValueError as error:
@@ -97,23 +90,25 @@ def lay_out(path: Path, file: BinaryIO) -> Layout:
     return layout
 
 
-def _scan(file: BinaryIO, layout: Layout, disk_size: int) -> None:
+def _scan(file: BinaryIO, layout: FileLayout, disk_size: int) -> None:
     """Go forward from record to record; raises ValueError at one that cannot be."""
-    limit, most = layout.size, largest(disk_size)
+    limit, most = layout.size, _channels.largest(disk_size)
     # Progress is reported after each run, so a file has 200 or more of them.
     run_bytes = min(_RUN_BYTES, disk_size // 200)
     offset = len(MCAP0_MAGIC)
     while offset <= limit:
         file.seek(offset)
-        head = file.read(HEAD.size + MESSAGE.size)
-        if len(head) < HEAD.size:
+        head = file.read(_channels.HEAD.size + _channels.MESSAGE.size)
+        if len(head) < _channels.HEAD.size:
             break
-        opcode, length = HEAD.unpack_from(head)
+        opcode, length = _channels.HEAD.unpack_from(head)
         layout.size = offset
         if opcode == 0:  # no record has this, but a disk may leave a run of zeros
             raise ValueError('zeros in place of a record')
         if opcode == Opcode.MESSAGE_INDEX and layout.spans and layout.spans[-1].is_chunk:
-            layout.spans[-1].channels.add(int.from_bytes(head[HEAD.size : HEAD.size + 2], 'little'))
+            layout.spans[-1].channels.add(
+                int.from_bytes(head[_channels.HEAD.size : _channels.HEAD.size + 2], 'little')
+            )
         elif opcode in _SPAN_OPCODES:
             if length > most:
                 raise ValueError(f'a record that claims {length} bytes')
@@ -122,12 +117,12 @@ def _scan(file: BinaryIO, layout: Layout, disk_size: int) -> None:
                 break
             _append(layout.spans, span, run_bytes)
         if length <= most and (offset > layout.data_end or opcode in _CLAIMS):
-            file.seek(offset + HEAD.size)
+            file.seek(offset + _channels.HEAD.size)
             with suppress(Exception):  # a damaged one says nothing
                 _add_summary(layout, opcode, file.read(length))
         if opcode == Opcode.DATA_END:
             layout.data_end = offset
-        offset += HEAD.size + length
+        offset += _channels.HEAD.size + length
         if opcode == Opcode.FOOTER and offset <= limit:
             file.seek(offset)
             magic = file.read(2 * len(MCAP0_MAGIC))
@@ -144,17 +139,17 @@ def _scan(file: BinaryIO, layout: Layout, disk_size: int) -> None:
     layout.trouble = f'is cut off at byte {layout.size}'
 
 
-def _add_summary(layout: Layout, opcode: int, body: bytes) -> None:
+def _add_summary(layout: FileLayout, opcode: int, body: bytes) -> None:
     """Add a record that describes the file."""
     if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-        layout.summary.append(parse_description(opcode, body))
+        layout.summary.append(_channels.parse_description(opcode, body))
     elif opcode == Opcode.STATISTICS:
         layout.statistics = Statistics.read(ReadDataStream(BytesIO(body)))
     elif opcode == Opcode.DATA_END:
         layout.data_checksum = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
 
 
-def is_data_changed(file: BinaryIO, layout: Layout) -> bool:
+def is_data_changed(file: BinaryIO, layout: FileLayout) -> bool:
     """Return whether the data are not those of their checksum, where there is one."""
     if not layout.data_checksum:
         return False
@@ -168,15 +163,15 @@ def is_data_changed(file: BinaryIO, layout: Layout) -> bool:
 
 def _span(head: bytes, offset: int) -> Span | None:
     """Return the span of one record; None where the file ends before its time."""
-    opcode, length = HEAD.unpack_from(head)
+    opcode, length = _channels.HEAD.unpack_from(head)
     time = NEVER
     if opcode in (Opcode.CHUNK, Opcode.MESSAGE):
         # The log time of a message follows its channel and sequence number.
-        start = HEAD.size + (6 if opcode == Opcode.MESSAGE else 0)
+        start = _channels.HEAD.size + (6 if opcode == Opcode.MESSAGE else 0)
         if len(head) < start + _TIME.size:
             return None
         (time,) = _TIME.unpack_from(head, start)
-    return Span(offset, HEAD.size + length, opcode == Opcode.CHUNK, time)
+    return Span(offset, _channels.HEAD.size + length, opcode == Opcode.CHUNK, time)
 
 
 def _append(spans: list[Span], span: Span, run_bytes: int) -> None:
@@ -189,23 +184,23 @@ def _append(spans: list[Span], span: Span, run_bytes: int) -> None:
         spans.append(span)
 
 
-def read_span(file: BinaryIO, span: Span, layout: Layout) -> bytes:
+def read_span(file: BinaryIO, span: Span, layout: FileLayout) -> bytes:
     """Return the records in a span, as far as the file goes."""
-    if span.length > LARGEST:
+    if span.length > _channels.LARGEST:
         raise ValueError(f'a record that claims {span.length} bytes')
-    if span.is_chunk and LARGEST_CHUNK < span.length <= layout.size - span.offset:
+    if span.is_chunk and _channels.LARGEST_CHUNK < span.length <= layout.size - span.offset:
         raise _too_large(file, span)
     file.seek(span.offset)
     record = file.read(min(span.length, layout.size - span.offset))
     if not span.is_chunk:
         return record
     # Read this way, the data of a chunk that is cut are as short as the file leaves them.
-    chunk = Chunk.read(ReadDataStream(BytesIO(record[HEAD.size :])))
+    chunk = Chunk.read(ReadDataStream(BytesIO(record[_channels.HEAD.size :])))
     size = chunk.uncompressed_size
-    if size > largest(len(chunk.data)):
+    if size > _channels.largest(len(chunk.data)):
         raise ValueError(f'a chunk that claims to be {size} bytes unpacked')
     # One byte more shows a claim that is too small, or a chunk that is too large.
-    most = min(size, LARGEST_CHUNK) + 1
+    most = min(size, _channels.LARGEST_CHUNK) + 1
     if chunk.compression == 'zstd':
         content = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(most)
     elif chunk.compression == 'lz4':
@@ -217,7 +212,7 @@ def read_span(file: BinaryIO, span: Span, layout: Layout) -> bytes:
             f'{file.name}: chunks are compressed with {chunk.compression!r}; '
             f'fix: `mcap compress {file.name} -o NEW.mcap`'
         )
-    if len(content) > LARGEST_CHUNK:
+    if len(content) > _channels.LARGEST_CHUNK:
         raise _too_large(file, span)
     if len(record) == span.length:
         if len(content) != size:
@@ -241,6 +236,7 @@ def unpack_lz4(data: bytes, most: int) -> bytes:
 
 def _too_large(file: BinaryIO, span: Span) -> BagError:
     return BagError(
-        f'{file.name}: the chunk at byte {span.offset} is larger than {LARGEST_CHUNK >> 20} MiB '
-        f'unpacked; fix: `mcap compress {file.name} -o NEW.mcap`, which makes chunks of 4 MiB'
+        f'{file.name}: the chunk at byte {span.offset} is larger than '
+        f'{_channels.LARGEST_CHUNK >> 20} MiB unpacked; fix: `mcap compress {file.name} '
+        '-o NEW.mcap`, which makes chunks of 4 MiB'
     )

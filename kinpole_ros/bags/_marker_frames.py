@@ -6,17 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from kinpole_ros import messages
+from kinpole_ros.bags._bag_reader import Progress, read_blocks, topics
 from kinpole_ros.bags._files import BagError, Truncated
-from kinpole_ros.bags._reader import Progress, read_blocks, topics
-from kinpole_ros.messages import (
-    INPUT_TYPE_NAMES,
-    ROS_TYPE_NAMES,
-    MarkerReader,
-    MessageError,
-    PoseReader,
-    kind_of,
-    marker_reader,
-)
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 
@@ -66,7 +58,7 @@ def read_frames(
     name, kind = _marker_topic(bag, topic)
     frames: list[MarkerFrames] = []
     problem = ''
-    reader = marker_reader(kind, identity)
+    reader = messages.marker_reader(kind, identity)
     for group, _, error in frame_blocks(bag, name, kind, reader, progress):
         if isinstance(error, Truncated):
             if report is not None:
@@ -101,16 +93,16 @@ def frame_blocks(
     bag: str | Path,
     topic: str,
     kind: str,
-    reader: MarkerReader | PoseReader,
+    reader: messages.MarkerReader | messages.PoseReader,
     progress: Progress | None,
-) -> Iterator[tuple[list[MarkerFrames], np.ndarray, BagError | MessageError | None]]:
+) -> Iterator[tuple[list[MarkerFrames], np.ndarray, BagError | messages.MessageError | None]]:
     """
     Yield the frames of a bag with the log times (T,), ns, of their messages, or an error, in order.
 
     Those of messages of several layouts, as where markers come and go, are several `MarkerFrames`.
     """
     blocks = read_blocks(bag, [topic], progress)
-    no_times, type_name = np.zeros(0, np.int64), INPUT_TYPE_NAMES[kind]
+    no_times, type_name = np.zeros(0, np.int64), messages.INPUT_TYPE_NAMES[kind]
     while True:
         try:
             block = next(blocks, None)
@@ -126,11 +118,13 @@ def frame_blocks(
                     f'{topic} has messages of {message.type_name} among those of {type_name}; see '
                     'that each type has a topic of its own'
                 )
-                yield [], no_times, MessageError(problem)
+                yield [], no_times, messages.MessageError(problem)
         block = [message for message in block if message.type_name == type_name]
         log_times = np.array([message.log_time for message in block], np.int64)
         results = reader.read_numbered([message.data for message in block])
-        for is_error, group in groupby(results, lambda pair: isinstance(pair[0], MessageError)):
+        for is_error, group in groupby(
+            results, lambda pair: isinstance(pair[0], messages.MessageError)
+        ):
             items, numbers = zip(*group, strict=True)
             if is_error:
                 yield from (([], no_times, error) for error in items)
@@ -140,7 +134,7 @@ def frame_blocks(
 
 def _marker_topic(bag: str | Path, topic: str | None) -> tuple[str, str]:
     """Return the full name of a topic of markers and the short name of its type."""
-    kinds = {ros: kind for kind, ros in ROS_TYPE_NAMES.items()}
+    kinds = {ros: kind for kind, ros in messages.ROS_TYPE_NAMES.items()}
     types = topics(bag)
     candidates = {name: kinds[kind] for name, kind in types.items() if kind in kinds}
     name = topic if topic is None or topic.startswith('/') else f'/{topic}'
@@ -165,14 +159,14 @@ def input_topic(bag: str | Path, settings: Settings, topic: str | None) -> tuple
     elif not name.startswith('/'):
         name = f'/{name}'
     types = topics(bag)
-    input_types = set(INPUT_TYPE_NAMES.values())
+    input_types = set(messages.INPUT_TYPE_NAMES.values())
     if name not in types:
         # Topics of other types are listed only where there are no others.
         listed = {t: kind for t, kind in types.items() if kind in input_types} or types
         text = ', '.join(f'{t} ({kind})' for t, kind in sorted(listed.items())) or 'no topics'
         raise BagError(f'{bag}: no topic {name}; it holds {text}; name one with --topic')
     marker_type, type_name = settings.marker_type, types[name]
-    kind = kind_of(type_name, marker_type)
+    kind = messages.kind_of(type_name, marker_type)
     if kind is not None:
         return name, kind
     if type_name not in input_types:
@@ -181,11 +175,11 @@ def input_topic(bag: str | Path, settings: Settings, topic: str | None) -> tuple
             f'{", ".join(sorted(input_types))}; fix: name another with --topic, or have '
             f'`kinpole import {bag} --output NEW.mcap` read messages of trackers'
         )
-    kinds = [one for one, ros in INPUT_TYPE_NAMES.items() if ros == type_name]
-    if kind_of(type_name):
+    kinds = [one for one, ros in messages.INPUT_TYPE_NAMES.items() if ros == type_name]
+    if messages.kind_of(type_name):
         kinds.append('auto')
     raise BagError(
         f'{bag}: topic {name} is {type_name}, but the parameter marker_type is {marker_type}; set '
         f'it to {" or ".join(kinds)}'
-        f'{"" if kind_of(type_name) else ", and name the frame of each body"}'
+        f'{"" if messages.kind_of(type_name) else ", and name the frame of each body"}'
     )

@@ -12,22 +12,14 @@ from typing import TypeAlias
 
 import numpy as np
 
+from kinpole_ros import messages
 from kinpole_ros.bags import _replayed
+from kinpole_ros.bags._bag_reader import Progress
+from kinpole_ros.bags._bag_writer import BagWriter
 from kinpole_ros.bags._files import BagError, Truncated, bag_files, in_place_of
 from kinpole_ros.bags._marker_frames import NODE_NAME, frame_blocks, input_topic
-from kinpole_ros.bags._reader import Progress
 from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._tables import TABLES
-from kinpole_ros.bags._writer import BagWriter
-from kinpole_ros.messages import (
-    DiagnosticArray,
-    DiagnosticsMaker,
-    Output,
-    PoseReader,
-    outputs_of,
-    reader_of,
-    serialize_message,
-)
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
@@ -167,10 +159,12 @@ class _Replaying:
             theory = load_theory(settings)
             self._positions = Positions(theory.scene, theory.matches)
         self._tracker = Tracker(settings)
-        self._reader = reader_of(self._kind, settings)
-        self._outputs = outputs_of(settings, theory)
+        self._reader = messages.reader_of(self._kind, settings)
+        self._outputs = messages.outputs_of(settings, theory)
         compare = theory.comparison() if theory else None
-        self._diagnostics = _PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, compare, self._topic))
+        self._diagnostics = _PeriodicDiagnostics(
+            messages.DiagnosticsMaker(NODE_NAME, compare, self._topic)
+        )
         self._outcome = _replayed.begin(settings, self._tracker)
         self._space_stamp = 0  # ns, at which the outcome has how the motion lies in space
 
@@ -208,7 +202,9 @@ class _Replaying:
                         self._positions.append(estimate)
                     for add in takers:
                         add(estimate)
-            if isinstance(self._reader, PoseReader) and (problem := self._reader.unseen_names()):
+            if isinstance(self._reader, messages.PoseReader) and (
+                problem := self._reader.unseen_names()
+            ):
                 outcome.misnamed.append(problem)
             self._check_frames()
         outcome.concatenated = _unlisted_files(self._bag)
@@ -221,7 +217,7 @@ class _Replaying:
         """Have all topics in the bag of results, also those without messages."""
         for output in self._outputs:
             writer.add_topic(output.under(f'/{NODE_NAME}'), output.message_type)
-        writer.add_topic('/diagnostics', DiagnosticArray)
+        writer.add_topic('/diagnostics', messages.DiagnosticArray)
 
     def _add_error(self, error: Exception) -> None:
         if isinstance(error, Truncated):
@@ -275,7 +271,7 @@ class _Replaying:
 
 
 def result_columns(
-    outputs: list[Output], estimate: Estimate, prefix: str, log_times: np.ndarray
+    outputs: list[messages.Output], estimate: Estimate, prefix: str, log_times: np.ndarray
 ) -> Iterator[Column]:
     """Yield the messages of T instants under `prefix`, logged at `log_times` (T,), ns."""
     for output in outputs:
@@ -291,7 +287,7 @@ class _PeriodicDiagnostics:
     `trouble` are faults of the input for the next diagnostics, as `DiagnosticsMaker` takes them.
     """
 
-    def __init__(self, maker: DiagnosticsMaker) -> None:
+    def __init__(self, maker: messages.DiagnosticsMaker) -> None:
         self.trouble: dict[str, str] = {}
         self._maker = maker
         self._last_stamp: int | None = None  # of the last diagnostics
@@ -299,7 +295,7 @@ class _PeriodicDiagnostics:
         self._undescribed: Estimate | None = None
         # Diagnostics of this block: the number of their frame, and a function that makes them from
         # the estimate then.
-        self._begun: list[tuple[int, Callable[[Estimate | None], DiagnosticArray]]] = []
+        self._begun: list[tuple[int, Callable[[Estimate | None], messages.DiagnosticArray]]] = []
 
     def split(self, blocks: Iterable[MarkerFrames], tracker: Tracker) -> Iterator[MarkerFrames]:
         """
@@ -337,11 +333,11 @@ class _PeriodicDiagnostics:
                 count_due = int(np.searchsorted(estimate.due, number, side='right'))
                 if count_due and estimate.due[count_due - 1] > previous_number:
                     newest = estimate[count_due - 1]
-            data.append(serialize_message(finish(newest)))
+            data.append(messages.serialize_message(finish(newest)))
             previous_number = number
         times = [int(log_times[number]) for number, _ in self._begun]
         self._begun = []
         # An estimate has one instant at least.
         if estimates and estimates[-1].due[-1] > previous_number:
             self._undescribed = estimates[-1][-1]
-        return '/diagnostics', DiagnosticArray, times, data
+        return '/diagnostics', messages.DiagnosticArray, times, data

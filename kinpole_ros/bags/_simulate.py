@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kinpole_ros.bags._bag_writer import BagWriter
 from kinpole_ros.bags._files import BagError, in_place_of
 from kinpole_ros.bags._marker_frames import NODE_NAME
 from kinpole_ros.bags._replay import Column, result_columns
-from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.messages import (
     INPUT_TYPES,
     message_class,

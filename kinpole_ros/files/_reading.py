@@ -18,25 +18,7 @@ MOST_OF_A_LINE = 1000  # characters: some lines of a terminal
 
 
 def open_regular(path: str | Path) -> BinaryIO:
-    """
-    Open a regular file.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-
-    Returns
-    -------
-    BinaryIO
-        Open for reading.
-
-    Raises
-    ------
-    OSError
-        Also for a path that is no regular file.
-
-    """
+    """Open a regular file for reading; raises OSError, also for a path that is none."""
     # A device may do something when it is opened.
     _check(os.stat(path), path)
     file = open(path, 'rb', opener=_open_without_waiting)  # noqa: SIM115 - the caller closes it
@@ -61,26 +43,7 @@ def _check(about: os.stat_result, path: str | Path) -> None:
 
 
 def read_limited(path: str | Path, most: int) -> bytes:
-    """
-    Read a regular file.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    most : int
-        Limit of its size, bytes.
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    OSError
-        Also for a file that is larger.
-
-    """
+    """Read a regular file of at most so many bytes; raises OSError, also for a larger one."""
     with open_regular(path) as file:
         content = file.read(most + 1)
     if len(content) > most:

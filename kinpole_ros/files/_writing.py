@@ -26,25 +26,10 @@ _FORMULA = ('=', '+', '-', '@', '\t', '\r')
 
 def lock(file: IO[Any], wait: bool) -> bool:
     """
-    Lock a file until it is closed.
+    Lock an open file until it is closed, and return whether it is locked.
 
-    Parameters
-    ----------
-    file
-        An open file.
-    wait : bool
-        Whether to wait until nobody else has locked it.
-
-    Returns
-    -------
-    bool
-        Whether it is locked: on a file system without locks nothing is.
-
-    Raises
-    ------
-    BlockingIOError
-        If another process has locked it, and not to `wait`.
-
+    On a file system without locks nothing is. Raises BlockingIOError if another process has locked
+    it, and this one is not to `wait`.
     """
     while True:
         try:
@@ -73,23 +58,9 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     Give a path to write a file to, which replaces another one when the block ends.
 
     Where the block fails, nothing changes. A process that is killed leaves `NAME.….part`, which the
-    next one that writes the file removes.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file to be replaced, or made with its folders. One that is no regular file, as
-        /dev/stdout, is written directly.
-
-    Yields
-    ------
-    Path
-
-    Raises
-    ------
-    OSError
-        If `path` cannot be written, at the beginning where that can be known.
-
+    next one that writes the file removes. Folders above it are made. One that is no regular file,
+    as /dev/stdout, is written directly. Raises OSError if it cannot be written, at the beginning
+    where that can be known.
     """
     # The target of a link is replaced, not the link.
     target = Path(os.path.realpath(path))

@@ -52,25 +52,10 @@ class Loader(_Base):
 
 def load_yaml(text: str | bytes, loader: type[Loader] = Loader) -> Any:
     """
-    Return the content of a text in YAML.
+    Return the content of a text in YAML: mappings, lists, texts and what else the loader makes.
 
-    Parameters
-    ----------
-    text : str or bytes
-        At most `MOST_YAML` bytes.
-    loader : type
-        A subclass of `Loader`.
-
-    Returns
-    -------
-    Any
-        Mappings, lists, texts and what else the loader makes.
-
-    Raises
-    ------
-    yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError
-        Where the text is damaged, or exceeds a limit.
-
+    Raises YAMLError, ValueError, LookupError, TypeError or AttributeError where the text is
+    damaged, or exceeds a limit.
     """
     size = len(text.encode() if isinstance(text, str) else text)
     if size > MOST_YAML:

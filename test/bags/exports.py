@@ -14,7 +14,7 @@ import pytest
 from test_formats import c3d_file
 from test_layouts_of_trackers import kinovea_sheet, tracker_project_of
 
-from kinpole_ros.bags._writer import BagWriter
+from kinpole_ros.bags._bag_writer import BagWriter
 from kinpole_ros.bags.formats._file import UNITS
 from kinpole_ros.messages import INPUT_TYPES, marker_arrays
 

@@ -150,7 +150,7 @@ def test_memory_stays_bounded_by_chunks_not_by_the_file(tmp_path):
 @pytest.mark.parametrize('compression', list(CompressionType))
 def test_a_chunk_too_large_for_the_memory_is_refused_by_name(tmp_path, compression, monkeypatch):
     largest = 1 << 21
-    monkeypatch.setattr('kinpole_ros.bags._layout.LARGEST_CHUNK', largest)
+    monkeypatch.setattr('kinpole_ros.bags._channels.LARGEST_CHUNK', largest)
     path = tmp_path / 'run.mcap'
     for count in (1, 200):  # of 20 kB
         write_bag(str(path), range(count), compression, chunk_size=1 << 30, size=20_000)

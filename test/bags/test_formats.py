@@ -666,7 +666,7 @@ def test_tracks_of_sleap_that_would_need_a_frame_each_are_refused(tmp_path):
 
 
 def test_more_cells_than_are_held_are_refused_while_reading(tmp_path, monkeypatch):
-    monkeypatch.setattr('kinpole_ros.bags.formats._sheet.MOST_CELLS', 1000)
+    monkeypatch.setattr('kinpole_ros.bags.formats._cells.MOST_CELLS', 1000)
     with pytest.raises(BagError, match='more than 1000 cells; fix: cut it into parts'):
         bring(tmp_path, 't,a_x,a_y\n' + '1,2,3\n' * 300)
 

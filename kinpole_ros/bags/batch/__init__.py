@@ -16,7 +16,7 @@ from pathlib import Path
 from kinpole_ros.bags import BagError
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._folder import ResultFolder, absolute, row_in_folder
-from kinpole_ros.bags.batch._results import KINDS, Job, Row, bag_size, is_result
+from kinpole_ros.bags.batch._jobs import KINDS, Job, Row, bag_size, is_result
 from kinpole_ros.bags.batch._workers import (
     Cluster,
     Share,
@@ -36,22 +36,10 @@ _MOST_LIST_BYTES = 64 << 20  # a hundred thousand paths of 600
 
 def listed_bags(path: str | Path) -> list[str]:
     """
-    Return the bags that a file names.
+    Return the bags that a text names, one in each line; empty lines and those with # name none.
 
-    Parameters
-    ----------
-    path : str or Path
-        A text with a bag in each line; empty lines and those that begin with # name none.
-
-    Returns
-    -------
-    list of str
-
-    Raises
-    ------
-    BagError
-        If it cannot be read or names none, or names an address that leads to another one.
-
+    Raises BagError if it cannot be read or names none, or names an address that leads to another
+    one.
     """
     try:
         lines = os.fsdecode(read_limited(path, _MOST_LIST_BYTES)).split('\n')
@@ -120,7 +108,7 @@ def batch(
         If there is no worker, or the output cannot be written.
     """
     folder = ResultFolder(output)
-    jobs = _jobs(folder, bags, settings, kinds)
+    jobs = _make_jobs(folder, bags, settings, kinds)
     rows: dict[str, Row] = {}
     try:
         _add_rows(rows, folder, jobs, cluster, workers, progress, report)
@@ -132,7 +120,7 @@ def batch(
     return summary
 
 
-def _jobs(
+def _make_jobs(
     folder: ResultFolder, bags: Sequence[str | Path], settings: Settings, kinds: Sequence[str]
 ) -> list[Job]:
     """Return a job for each bag, and prepare the folder for their results."""

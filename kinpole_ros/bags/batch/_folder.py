@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 
 from kinpole_ros.bags._files import write_errors
 from kinpole_ros.bags.batch import _store
-from kinpole_ros.bags.batch._results import Job, Row, finished, result_name, write_text
+from kinpole_ros.bags.batch._jobs import Job, Row, finished, result_name, write_text
 from kinpole_ros.files import as_cell
 from kinpole_ros.settings import Settings
 

@@ -22,7 +22,7 @@ from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
 from kinpole_ros.bags import BagError
-from kinpole_ros.bags.batch._results import Job, Row, alone, replay_bag
+from kinpole_ros.bags.batch._jobs import Job, Row, alone, replay_bag
 from kinpole_ros.packages import install_command
 
 # Called with the number of a job, and with its row or with the share of it that is done.
@@ -194,16 +194,10 @@ class Cluster:
     """
     A Dask cluster, and PEM files by which this machine and the cluster identify each other.
 
-    Attributes
-    ----------
-    scheduler : str
-        The address of its scheduler.
-    ca, certificate, key : str or None
-        Paths, for tls://; None for those in Dask's own configuration (distributed.comm.tls).
-
+    Files that are None are those in Dask's own configuration (distributed.comm.tls).
     """
 
-    scheduler: str
+    scheduler: str  # the address
     ca: str | None = None
     certificate: str | None = None
     key: str | None = None

@@ -13,6 +13,7 @@ import numpy as np
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats._bag import BAG
 from kinpole_ros.bags.formats._c3d import C3D
+from kinpole_ros.bags.formats._cells import listed, shown
 from kinpole_ros.bags.formats._deeplabcut import DEEPLABCUT
 from kinpole_ros.bags.formats._file import (
     UNITS,
@@ -24,11 +25,12 @@ from kinpole_ros.bags.formats._file import (
     without_stand_ins,
 )
 from kinpole_ros.bags.formats._keypoints import KEYPOINTS
-from kinpole_ros.bags.formats._motion_capture import MOTIVE, QUALISYS, TRC, VICON
-from kinpole_ros.bags.formats._sheet import listed, shown
+from kinpole_ros.bags.formats._kinovea import KINOVEA
+from kinpole_ros.bags.formats._motion_capture import MOTIVE, TRC, VICON
+from kinpole_ros.bags.formats._open_source_physics import TRACKER
+from kinpole_ros.bags.formats._qualisys import QUALISYS
 from kinpole_ros.bags.formats._sleap import SLEAP
 from kinpole_ros.bags.formats._table import ANIPOSE, TABLE, header_row
-from kinpole_ros.bags.formats._video import KINOVEA, TRACKER
 
 __all__ = ['FORMATS', 'UNITS', 'Options', 'Points', 'listed', 'read_points', 'shown']
 
@@ -57,28 +59,10 @@ def read_points(
     path: str | Path, name: str = 'auto', options: Options | None = None
 ) -> tuple[str, Points]:
     """
-    Read the points of a file.
+    Read the points of a file, or of a folder of OpenPose or rosbag2.
 
-    Parameters
-    ----------
-    path : str or Path
-        A file, or a folder of OpenPose or rosbag2.
-    name : str
-        A key of `FORMATS`, or 'auto'.
-    options : Options, optional
-        Rate and likelihood, where the user gave them.
-
-    Returns
-    -------
-    name : str
-        The key of the format.
-    points : Points
-
-    Raises
-    ------
-    BagError
-        If the format is unknown, or the file is not as its program writes it.
-
+    Returns the key of its format in `FORMATS`, which is found where `name` is 'auto', and the
+    points. Raises BagError if the format is unknown, or the file is not as its program writes it.
     """
     if name != 'auto' and name not in FORMATS:
         raise BagError(f"format '{shown(name)}' is unknown; fix: auto, {', '.join(FORMATS)}")

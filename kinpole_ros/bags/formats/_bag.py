@@ -14,34 +14,27 @@ from typing import Any, NamedTuple
 import numpy as np
 from mcap.writer import MCAP0_MAGIC
 
+from kinpole_ros import messages
+from kinpole_ros.bags._bag_reader import read_messages, types_and_definitions
 from kinpole_ros.bags._channels import BagMessage
 from kinpole_ros.bags._files import ROS1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
 from kinpole_ros.bags._marker_frames import read_frames
-from kinpole_ros.bags._reader import read_messages, types_and_definitions
 from kinpole_ros.bags._storages import ros1_messages, ros1_topics
+from kinpole_ros.bags.formats import _series
+from kinpole_ros.bags.formats._cells import check_cells, check_names, number_names, shown
 from kinpole_ros.bags.formats._file import File, Format, Options, Points
-from kinpole_ros.bags.formats._sheet import check_cells, check_names, number_names, shown
-from kinpole_ros.messages import (
-    MARKER_TYPES,
-    ROS_TYPE_NAMES,
-    MessageError,
-    fields,
-    message_class,
-    octets,
-    read_markers,
-)
 
 _SECOND = 1_000_000_000  # ns
 _LARGEST_MESSAGE = 1 << 22  # bytes; as objects these take 20 times as much
-_SAME_RATE = 0.02  # of two trackers, whose clocks may differ
-_SAME_FRAME = 0.25  # share of the interval of a topic within which stamps are of one frame
 # Kinds of types by name: a list of markers or bodies, one body, or frames of bodies.
 _KINDS = {
     **dict.fromkeys(('Markers', 'RigidBodies', 'NamedPoseArray'), 'tracker'),
     **dict.fromkeys(('PoseStamped', 'PoseWithCovarianceStamped', 'TransformStamped'), 'pose'),
     **dict.fromkeys(('TFMessage', 'tfMessage'), 'tf'),
 }
-_MARKERS = {ROS_TYPE_NAMES[kind].replace('/msg/', '/'): kind for kind in MARKER_TYPES}
+_MARKERS = {
+    messages.ROS_TYPE_NAMES[kind].replace('/msg/', '/'): kind for kind in messages.MARKER_TYPES
+}
 _IN_MM = ('vicon_bridge/Markers',)  # by no convention of ROS
 # Those that bags of before ROS 2 Iron do not define.
 _MESSAGES = {
@@ -58,10 +51,6 @@ _MESSAGES = {
 }
 
 
-# Intervals that a stamp may be before the latest one of its source: messages overtake each other.
-_MOST_BACK = 20
-
-
 class _Observation(NamedTuple):
     """Markers or poses of one source in a message."""
 
@@ -69,16 +58,6 @@ class _Observation(NamedTuple):
     names: tuple[str, ...]
     stamp: int  # ns
     values: list[float]  # 3 for each marker, or 7 for each body
-
-
-class _Series(NamedTuple):
-    """Markers or poses in T messages of one layout, of one source."""
-
-    source: str
-    names: tuple[str, ...]
-    stamps: np.ndarray  # (T,), ns
-    log_times: np.ndarray  # or other numbers that rise with the order of arrival
-    values: np.ndarray  # (T, n, 3), points, or (T, n, 7), with quaternions x, y, z, w
 
 
 def _recognizes(file: File) -> bool:
@@ -100,7 +79,7 @@ def _read(file: File, options: Options) -> Points:
         series = []
         for one in frames:
             order = np.arange(count, count + len(one.stamps)) if has_stamps else one.stamps
-            series.append(_Series('', one.identities, one.stamps, order, one.points))
+            series.append(_series.Series('', one.identities, one.stamps, order, one.points))
             count += len(one.stamps)
     else:
         series = _read_series(
@@ -109,10 +88,10 @@ def _read(file: File, options: Options) -> Points:
     if not any(part.stamps.any() for part in series):
         file.notes.append(f'{file.path} has no stamps in its messages: log times are taken')
         series = [part._replace(stamps=part.log_times) for part in series]
-    series = _first_pass(file, series)
-    _check_clocks(file, series)
-    stamps, rows = _group_into_frames(series)
-    markers, bodies = (_number_columns(series, width) for width in (3, 7))
+    series = _series.first_pass(file, series)
+    _series.check_clocks(file, series)
+    stamps, rows = _series.group_into_frames(series)
+    markers, bodies = (_series.number_columns(series, width) for width in (3, 7))
     names = list(markers or bodies)
     check_names(file.path, names)
     check_cells(file.path, len(stamps) * (3 * len(names) + 7 * len(bodies)))
@@ -136,104 +115,6 @@ def _read(file: File, options: Options) -> Points:
         bodies=list(bodies),
         poses=poses if bodies else None,
     )
-
-
-def _first_pass(file: File, series: list[_Series]) -> list[_Series]:
-    """Leave out what came after stamps jumped back, as those of a bag played in a loop do."""
-    end, note = np.inf, ''
-    for source in dict.fromkeys(part.source for part in series):
-        parts = [part for part in series if part.source == source]
-        arrival = np.concatenate([part.log_times for part in parts])
-        order = np.argsort(arrival, kind='stable')
-        stamps = np.concatenate([part.stamps for part in parts])[order]
-        back = np.maximum.accumulate(stamps) - stamps
-        steps = np.diff(np.unique(stamps))
-        late = back > _MOST_BACK * np.median(steps) if len(steps) else np.zeros(len(back), bool)
-        if late.any() and arrival[order][first := int(late.argmax())] < end:
-            end = arrival[order][first]
-            note = (
-                f'{file.path}: stamps jump back by {back[first] / _SECOND:.3g} s after message '
-                f'{first}{f" of {shown(source)}" if source else ""}, as in a bag that was played '
-                'in a loop; the messages before that are read'
-            )
-    if not note:
-        return series
-    file.notes.append(note)
-    kept = [(part, part.log_times < end) for part in series]
-    return [
-        part._replace(stamps=part.stamps[k], log_times=part.log_times[k], values=part.values[k])
-        for part, k in kept
-        if k.any()
-    ]
-
-
-def _check_clocks(file: File, series: list[_Series]) -> None:
-    """
-    Raise BagError where sources that came together are stamped at other times: by two clocks.
-
-    Note sources of other rates: frames lack what did not come with them.
-    """
-    spans, steps = {}, {}
-    for part in sorted(series, key=lambda part: len(part.stamps)):  # the longest of a source counts
-        stamps = np.sort(part.stamps)
-        spans[part.source] = stamps[0], stamps[-1], part.log_times.min(), part.log_times.max()
-        if len(stamps) > 1 and (step := float(np.median(np.diff(stamps)))) > 0:
-            steps[part.source] = step
-    (one, first), *others = spans.items()
-    for other, span in others:
-        came_together = first[2] < span[3] and span[2] < first[3]
-        if came_together and (first[1] < span[0] or span[1] < first[0]):
-            cause = 'by two clocks' if first[1] and span[1] else 'one of them with 0'
-            apart = abs(int(span[0]) - int(first[0])) / _SECOND
-            raise BagError(
-                f'{file.path}: {shown(one)} and {shown(other)} came together, and are stamped '
-                f'{apart:.6g} s apart, {cause}; fix: stamp both by one clock, or record each in a '
-                'bag of its own'
-            )
-    if steps and max(steps.values()) > (1 + _SAME_RATE) * min(steps.values()):
-        ends = min(steps, key=steps.__getitem__), max(steps, key=steps.__getitem__)
-        rates = ' and '.join(f'{shown(one)} at {_SECOND / steps[one]:.4g} Hz' for one in ends)
-        file.notes.append(
-            f'{file.path}: {rates}: frames lack what did not come with them, and stamps may be '
-            'uneven; fix: record each in a bag of its own, or set both to one rate'
-        )
-
-
-def _number_columns(series: list[_Series], width: int) -> dict[str, int]:
-    """Number the markers, which have 3 values each, or the bodies, which have 7."""
-    layouts = (part.names for part in series if part.values.shape[-1] == width)
-    names = dict.fromkeys(name for layout in dict.fromkeys(layouts) for name in layout)
-    return {name: column for column, name in enumerate(names)}
-
-
-def _group_into_frames(series: list[_Series]) -> tuple[np.ndarray, list[np.ndarray]]:
-    """
-    Put messages into frames: the stamps of these, and the frame of each message of each series.
-
-    A frame has one message of each source, none later than a share of the shortest interval.
-    """
-    stamps = np.concatenate([part.stamps for part in series])
-    sources = list(dict.fromkeys(part.source for part in series))
-    if len(sources) == 1:
-        frame_stamps, rows = np.unique(stamps, return_inverse=True)
-    else:
-        number = np.repeat(
-            [sources.index(p.source) for p in series], [len(p.stamps) for p in series]
-        )
-        steps = [np.diff(np.unique(stamps[number == k])) for k in range(len(sources))]
-        most = _SAME_FRAME * min((float(np.median(step)) for step in steps if len(step)), default=0)
-        starts: list[int] = []
-        rows = np.empty(len(stamps), np.intp)
-        members: set[int] = set()
-        for event in np.argsort(stamps, kind='stable').tolist():
-            late = int(stamps[event]) - starts[-1] if starts else 0
-            if not starts or late > most or (late and int(number[event]) in members):
-                starts.append(int(stamps[event]))
-                members.clear()
-            members.add(int(number[event]))
-            rows[event] = len(starts) - 1
-        frame_stamps = np.array(starts, np.int64)
-    return frame_stamps, np.split(rows, np.cumsum([len(part.stamps) for part in series])[:-1])
 
 
 def _kind(type_name: str) -> str | None:
@@ -325,7 +206,7 @@ def _make_decoder(
 
 def _read_series(
     file: File, topics: list[str], decode: Callable[[BagMessage], Any]
-) -> list[_Series]:
+) -> list[_series.Series]:
     """Read the messages of these topics; those that cannot be read are left out, and noted."""
     names = _shorten_topics(topics)
     columns: dict[tuple[Any, ...], tuple[array[int], array[int], array[float]]] = {}
@@ -361,7 +242,7 @@ def _read_series(
     if fault:
         file.notes.append(f'{file.path}: {left_out}')
     return [
-        _Series(
+        _series.Series(
             source,
             markers,
             np.frombuffer(stamps, np.int64),
@@ -394,9 +275,9 @@ def _observations(
     """Yield the markers or poses in the decoded content of a message."""
     kind = _kind(message.type_name)
     if kind == 'markers':
-        with suppress(MessageError):
-            cls = MARKER_TYPES[_MARKERS[_short_type(message.type_name)]]
-            frames = read_markers(_convert(content, cls))
+        with suppress(messages.MessageError):
+            cls = messages.MARKER_TYPES[_MARKERS[_short_type(message.type_name)]]
+            frames = messages.read_markers(_convert(content, cls))
             if frames.identities:
                 stamp, values = int(frames.stamps[0]), frames.points.ravel().tolist()
                 yield _Observation('', frames.identities, stamp, values)
@@ -409,7 +290,7 @@ def _observations(
         stamp = (group[0] if kind == 'tf' else content).header.stamp
         nanoseconds = int(stamp.sec) * _SECOND + int(stamp.nanosec)
         if not 0 <= nanoseconds < 2**31 * _SECOND:
-            raise MessageError(f'its stamp is {stamp.sec} s')
+            raise messages.MessageError(f'its stamp is {stamp.sec} s')
         notes: list[str] = []
         names = [topic if kind == 'pose' else _name(one, k) for k, one in enumerate(group)]
         names = number_names(file.path, names, notes)
@@ -444,16 +325,16 @@ def _coordinates(item: Any) -> list[float]:
 def _convert(message: Any, cls: type) -> Any:
     """Convert a message to a class of ours; the fields that it lacks have defaults."""
     values = {}
-    for name, kind in fields(cls).items():
+    for name, kind in messages.fields(cls).items():
         value = getattr(message, name, None)
         if value is None:
             continue
         base = kind.partition('[')[0]
         if '/' in base:
-            convert = partial(_convert, cls=message_class(base))
+            convert = partial(_convert, cls=messages.message_class(base))
             value = [convert(one) for one in value] if '[' in kind else convert(value)
         elif kind == 'uint8[]':
-            value = octets(bytes(value))
+            value = messages.octets(bytes(value))
         values[name] = value
     return cls(**values)
 

@@ -14,16 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import (
-    SAME_RATE,
-    File,
-    Format,
-    Options,
-    Points,
-    count_notes,
-    frame_times,
-)
-from kinpole_ros.bags.formats._sheet import check_cells, number_names
+from kinpole_ros.bags.formats import _file
+from kinpole_ros.bags.formats._cells import check_cells, number_names
 
 _BLOCK = 512
 _INTEL, _DEC, _MIPS = 84, 85, 86  # how a file says which processor its numbers are of
@@ -53,12 +45,12 @@ class _Parameter(NamedTuple):
     data: bytes
 
 
-def _recognizes(file: File) -> bool:
+def _recognizes(file: _file.File) -> bool:
     # The number of the block of parameters, then the key of the format.
     return not file.is_text and len(file.head) >= _BLOCK and file.head[1] == 0x50
 
 
-def _read(file: File, options: Options) -> Points:
+def _read(file: _file.File, options: _file.Options) -> _file.Points:
     try:
         processor = file.data[_BLOCK * (file.data[0] - 1) + 3]
         header = _read_header(file.data, processor)
@@ -79,7 +71,7 @@ def _read(file: File, options: Options) -> Points:
         others = ' and '.join(name for name in _OTHERS if any(numbers(f'{name}:USED')))
         only = f', only {others.lower()} data, which are not read' if others else ''
         raise BagError(f'{file.path} has no points{only}; fix: export positions of markers, too')
-    if header.rate > 0 and abs(rate / header.rate - 1.0) > SAME_RATE:
+    if header.rate > 0 and abs(rate / header.rate - 1.0) > _file.SAME_RATE:
         file.notes.append(
             f'{file.path} has {rate:.6g} Hz as its parameter and {header.rate:.6g} Hz in its '
             'header: the former is taken; fix: give --rate if it is wrong'
@@ -106,8 +98,8 @@ def _read(file: File, options: Options) -> Points:
     points = values[:, indices, :3].astype(float) * (1.0 if scale < 0 else scale)
     points[values[:, indices, 3] < 0] = np.nan
     unit = next(iter(_read_labels(parameters, 'POINT:UNITS')), '')
-    times = frame_times(file, frames, rate)
-    return Points(names, points, frames, times, unit)
+    times = _file.frame_times(file, frames, rate)
+    return _file.Points(names, points, frames, times, unit)
 
 
 def _read_header(data: bytes, processor: int) -> _Header:
@@ -184,7 +176,7 @@ def _read_labels(parameters: dict[str, _Parameter], parameter: str) -> list[str]
 
 
 def _frame_range(
-    file: File, header: _Header, numbers: Callable[[str], list[float]]
+    file: _file.File, header: _Header, numbers: Callable[[str], list[float]]
 ) -> tuple[int, int]:
     """Return the first frame number and the number of frames; parameters hold large counts."""
     first, count = header.first, (header.last - header.first + 1) % 65536
@@ -198,11 +190,13 @@ def _frame_range(
     largest = int(max(count for count in counts if np.isfinite(count)))
     # A count that does not fit in 16 bits may be cut to them.
     for other in sorted({one for one in counts if one % 65536 != largest % 65536}):
-        file.notes += count_notes(file.path, f'{other:.0f}', largest)
+        file.notes += _file.count_notes(file.path, f'{other:.0f}', largest)
     return first, largest
 
 
-def _with_point_count(file: File, header: _Header, used: int, scale: float, frames: int) -> _Header:
+def _with_point_count(
+    file: _file.File, header: _Header, used: int, scale: float, frames: int
+) -> _Header:
     """Return the header with that count of points by which frames fill most of the file."""
     if used == header.points:
         return header
@@ -219,7 +213,7 @@ def _with_point_count(file: File, header: _Header, used: int, scale: float, fram
 
 
 def _read_frames(
-    file: File, header: _Header, processor: int, scale: float, claimed: int
+    file: _file.File, header: _Header, processor: int, scale: float, claimed: int
 ) -> np.ndarray:
     """Read the points (T, n, 4) of all frames as the file has them: x, y, z and a residual."""
     check_cells(file.path, 4 * header.points * claimed)
@@ -261,4 +255,4 @@ def _frames_before_zeros(values: np.ndarray) -> tuple[int, bool]:
     return end, False
 
 
-C3D = Format('c3d', 'C3D', '(binary)', _recognizes, _read)
+C3D = _file.Format('c3d', 'C3D', '(binary)', _recognizes, _read)

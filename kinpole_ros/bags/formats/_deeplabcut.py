@@ -18,9 +18,9 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
+from kinpole_ros.bags.formats._cells import check_cells, check_names, shown, whole_numbers
 from kinpole_ros.bags.formats._file import File, Format, Options, Points
 from kinpole_ros.bags.formats._hdf import HDF_MAGIC, hdf_item, no_scores, opened_hdf
-from kinpole_ros.bags.formats._sheet import check_cells, check_names, shown, whole_numbers
 
 _SLICE_BYTES = 8 << 20  # of rows read at a time
 _LIKELIHOOD = 0.6  # DeepLabCut's own limit, "pcutoff"

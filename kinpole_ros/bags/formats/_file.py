@@ -14,7 +14,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from kinpole_ros.bags._files import BagError, read_errors
-from kinpole_ros.bags.formats._sheet import Sheet, number_in
+from kinpole_ros.bags.formats._cells import number_in
+from kinpole_ros.bags.formats._sheet import Sheet
 from kinpole_ros.files import open_regular, read_limited
 
 MOST_BYTES = 256 << 20  # of a file; hours of tracked points are less

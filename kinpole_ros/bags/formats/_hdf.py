@@ -6,8 +6,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from kinpole_ros.bags._files import BagError
+from kinpole_ros.bags.formats._cells import shown
 from kinpole_ros.bags.formats._file import File
-from kinpole_ros.bags.formats._sheet import shown
 from kinpole_ros.packages import install_command
 
 HDF_MAGIC = b'\x89HDF\r\n\x1a\n'

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.bags._files import BagError, read_errors
+from kinpole_ros.bags.formats._cells import MOST_COLUMNS, check_cells, check_names, shown
 from kinpole_ros.bags.formats._file import File, Format, Options, Points
-from kinpole_ros.bags.formats._sheet import MOST_COLUMNS, check_cells, check_names, shown
 from kinpole_ros.files import read_limited
 
 _MOST_JSON_BYTES = 32 << 20

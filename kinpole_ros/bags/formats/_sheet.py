@@ -1,7 +1,6 @@
-"""A text file as a sheet of cells, and the numbers, points and names that are read from it."""
+"""A text file as a sheet of cells, and the numbers and points that are read from it."""
 
 import csv
-import math
 import re
 from array import array
 from collections.abc import Iterator, Sequence
@@ -12,18 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.files import printable
+from kinpole_ros.bags.formats import _cells
 
-MOST_COLUMNS = 10_000
-# Cells of a file, and two more for each row: 1e6 frames of 10 markers in space, and times.
-MOST_CELLS = 33_000_000
-_NUMBER = re.compile(r'[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|nan)', re.I | re.A)
 # The line by which Excel knows the delimiter.
 _EXCEL = re.compile(rb'(?:\xef\xbb\xbf)?"?sep=([\t;, ])"?(\r?\n)', re.I)
 _HEAD_ROWS = 50  # rows held as text; the delimiter is found from them
 _ROW_CHARACTERS = 1 << 20  # of a row with all its cells
 _BLOCK_CELLS = 1 << 16  # held as text at a time, at some 60 bytes each
-_SHOWN = 40  # characters of a cell in a message
 
 
 class Sheet:
@@ -78,10 +72,10 @@ class Sheet:
                 self._row_lines += 1
                 self._row_separators += line.count(self.delimiter)
                 self._row_characters += len(line)
-                if (columns := self._row_separators + 1) > MOST_COLUMNS:
+                if (columns := self._row_separators + 1) > _cells.MOST_COLUMNS:
                     raise BagError(
                         f'{self.path}, line {number}: {columns} columns; '
-                        f'fix: give {MOST_COLUMNS} at most'
+                        f'fix: give {_cells.MOST_COLUMNS} at most'
                     )
                 if self._row_characters >= _ROW_CHARACTERS:
                     raise BagError(
@@ -102,8 +96,8 @@ class Sheet:
                 self._row_separators = self._row_characters = self._row_lines = 0
                 # A row takes as much memory as two cells.
                 cell_count += len(cells) + 2
-                if cell_count > MOST_CELLS:
-                    check_cells(self.path, cell_count)
+                if cell_count > _cells.MOST_CELLS:
+                    _cells.check_cells(self.path, cell_count)
                 if not cells:
                     continue
                 previous, row = row, cells
@@ -119,7 +113,7 @@ class Sheet:
             # Quotes that are open for more than the last line were left open before the cut.
             if is_ended or 'end of data' not in str(error) or self._row_lines != 1:
                 raise BagError(
-                    f'{self.path}, line {reader.line_num}: {shown(str(error))}; '
+                    f'{self.path}, line {reader.line_num}: {_cells.shown(str(error))}; '
                     'fix: save it as plain CSV, with commas'
                 ) from error
             self._drop_rows(row_count)
@@ -224,14 +218,15 @@ class Sheet:
             cells = [row[c] if c < len(row) else '' for row in block for c in columns]
             if self.delimiter != ',':
                 self._check_marks(block, dict(zip(columns, names, strict=True)), first)
-            numbers = np.array(_numbers_or_inf(cells, self.delimiter != ','))
+            numbers = np.array(_cells.numbers_or_inf(cells, self.delimiter != ','))
             if (bad := np.isinf(numbers)).any():
                 index = int(bad.argmax())
                 row, column = divmod(index, len(columns))
                 raise BagError(
-                    f'{self.path}, line {self.lines[first + row]}, column {shown(names[column])}: '
-                    f"'{shown(cells[index])}' is not a number; fix: write it with a decimal "
-                    'point, and nothing where a marker was not seen'
+                    f'{self.path}, line {self.lines[first + row]}, column '
+                    f"{_cells.shown(names[column])}: '{_cells.shown(cells[index])}' is not a "
+                    'number; fix: write it with a decimal point, and nothing where a marker was '
+                    'not seen'
                 )
             yield numbers.reshape(len(block), len(columns))
             first += len(block)
@@ -246,10 +241,10 @@ class Sheet:
         for mark in set('.,') - self._marks.keys():
             for row, cells in enumerate(rows):
                 for column, cell in enumerate(cells) if mark in ' '.join(cells) else ():
-                    if mark in cell and (column in names or _is_decimal(cell)):
-                        name = shown(names.get(column) or self.cell(0, column))
+                    if mark in cell and (column in names or _cells.is_decimal(cell)):
+                        name = _cells.shown(names.get(column) or self.cell(0, column))
                         place = f'line {self.lines[first + row]}, column {name}'
-                        self._marks.setdefault(mark, f"'{shown(cell)}' in {place}")
+                        self._marks.setdefault(mark, f"'{_cells.shown(cell)}' in {place}")
                 if mark in self._marks:
                     break
         if len(self._marks) > 1:
@@ -291,17 +286,9 @@ class Sheet:
         """
         Return points (T, n, 3) of rows first to end, and numbers (T,) of another column.
 
-        Parameters
-        ----------
-        columns
-            Those of x, y and maybe z by the name of each marker. A z without column is 0, and NaN
-            where x or y is.
-        first, end
-            Rows.
-        number
-            Index and name of the other column.
-        separator
-            Between the name of a marker and the axis, where a message names a column.
+        `columns` are those of x, y and maybe z by the name of each marker; a z without column is 0,
+        and NaN where x or y is. `number` is the index and name of the other column. The separator
+        stands between the name of a marker and the axis, where a message names a column.
         """
         sources: list[int | None] = [None if number is None else number[0]]
         titles = ['' if number is None else number[1]]
@@ -337,10 +324,10 @@ class Sheet:
         if len(triples[-1]) < 3 or len(columns) > 3 * len(names):
             name = names[-1] if names else self.cell(names_row, columns[0]) if columns else ''
             raise BagError(
-                f"{self.path}, line {self.lines[axes_row]}: marker '{shown(name)}' has other "
-                'columns than X, Y, Z; fix: export it again'
+                f"{self.path}, line {self.lines[axes_row]}: marker '{_cells.shown(name)}' has "
+                'other columns than X, Y, Z; fix: export it again'
             )
-        names = number_names(self.path, names, self.notes)
+        names = _cells.number_names(self.path, names, self.notes)
         return dict(zip(names, triples[1:], strict=True))
 
 
@@ -350,111 +337,12 @@ def _judge_last_number(cell: str, above: Sequence[str]) -> tuple[bool, bool]:
     if own == 'nan':
         return False, False
     decimals = len(own.partition('.')[2])
-    number, before = number_or_inf(own), number_or_inf(others[-1] if others else '')
+    number, before = _cells.number_or_inf(own), _cells.number_or_inf(others[-1] if others else '')
     if own.isdecimal() and number == before + 1:
         return False, False  # the number of a frame
-    counts = [len(text.partition('.')[2]) for text in others if _NUMBER.fullmatch(text)]
+    counts = [len(text.partition('.')[2]) for text in others if _cells.NUMBER.fullmatch(text)]
     is_short = not counts or 'e' in own or decimals < max(1, min(counts))
     return is_short or decimals < max(counts), is_short
-
-
-def number_in(cell: str) -> float:
-    """Return a number of a file's head, maybe with a decimal comma; 0 where there is none."""
-    number = number_or_inf(cell.strip().replace(',', '.'))
-    return number if math.isfinite(number) else 0.0
-
-
-def shown(text: str) -> str:
-    """Return text of a file for a message: cut, and harmless to a terminal."""
-    return printable(text if len(text) <= _SHOWN else f'{text[:_SHOWN]}...')
-
-
-def listed(texts: Sequence[str]) -> str:
-    """Return the first five texts for a message, and how many more there are."""
-    ending = f' and {len(texts) - 5} more' if len(texts) > 5 else ''
-    return f'{", ".join(texts[:5])}{ending}'
-
-
-def check_cells(path: Path, count: int) -> None:
-    """Raise BagError when a file has more cells than are held in memory."""
-    if count > MOST_CELLS:
-        raise BagError(
-            f'{path} has more than {MOST_CELLS} cells; fix: cut it into parts, or leave out '
-            'columns that are not positions'
-        )
-
-
-def check_names(path: Path, names: Sequence[object]) -> None:
-    """Raise BagError where there are no markers."""
-    if not names:
-        raise BagError(f'{path} has no markers; fix: export positions of markers, too')
-
-
-def number_names(path: Path, names: Sequence[str], notes: list[str]) -> list[str]:
-    """
-    Make names differ, NAME, NAME_2, NAME_3, and note where that was needed.
-
-    Raises BagError where there are none.
-    """
-    check_names(path, names)
-    taken, counts = set(names), dict.fromkeys(names, 0)
-    unique, numbered = [], []
-    for name in names:
-        counts[name] += 1
-        new_name = name
-        if counts[name] > 1:
-            while (new_name := f'{name}_{counts[name]}') in taken:
-                counts[name] += 1
-            taken.add(new_name)
-            numbered.append(f"'{shown(new_name)}'")
-        unique.append(new_name)
-    if numbered:
-        notes.append(
-            f'{path} has several markers of one name; they are numbered: {listed(numbered)}'
-        )
-    return unique
-
-
-def whole_numbers(path: Path, numbers: np.ndarray, lines: Sequence[int], name: str) -> np.ndarray:
-    """Return frame numbers (T,) as int64; raises BagError when they are not, or do not rise."""
-    frames = np.empty(len(numbers), np.int64)
-    # In slices, since there can be millions.
-    for first in range(0, len(numbers), _BLOCK_CELLS):
-        part = slice(first, first + _BLOCK_CELLS)
-        frames[part] = np.rint(np.nan_to_num(numbers[part], nan=-1.0))
-        bad = ~(np.abs(frames[part] - numbers[part]) < 1e-6)
-        with_previous = frames[max(0, first - 1) : part.stop]
-        bad[len(bad) - len(with_previous) + 1 :] |= np.diff(with_previous) <= 0
-        if bad.any():
-            row = first + int(bad.argmax())
-            raise BagError(
-                f'{path}, line {lines[row]}, column {name}: {numbers[row]:.10g} is not the number '
-                'of a frame after the one before; fix: a number for each frame, in order'
-            )
-    return frames
-
-
-def _numbers_or_inf(cells: Sequence[str], have_decimal_commas: bool) -> list[float]:
-    """Return the numbers of cells, NaN where they are empty, infinity where they are no numbers."""
-    text = ''.join(cells)
-    if have_decimal_commas and ',' in text:
-        cells = [cell.replace(',', '.') for cell in cells]
-    if text.isascii() and '_' not in text:
-        # All else that float takes and _NUMBER does not is infinite.
-        try:
-            return [float(cell) if cell else math.nan for cell in cells]
-        except ValueError:
-            pass
-    return [number_or_inf(cell.strip() or 'nan') for cell in cells]
-
-
-def _is_decimal(cell: str) -> bool:
-    return bool(_NUMBER.fullmatch(cell.strip().replace(',', '.')))
-
-
-def number_or_inf(cell: str) -> float:
-    """Return a number in ASCII digits, or NaN; infinity for text such as 1_000 or Arabic digits."""
-    return float(cell) if _NUMBER.fullmatch(cell) else math.inf
 
 
 def _single_spaced(line: str) -> str:

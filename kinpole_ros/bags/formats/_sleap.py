@@ -15,21 +15,8 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
+from kinpole_ros.bags.formats import _cells, _hdf
 from kinpole_ros.bags.formats._file import File, Format, Options, Points
-from kinpole_ros.bags.formats._hdf import (
-    HDF_MAGIC,
-    MOST_NAME_BYTES,
-    hdf_item,
-    no_scores,
-    opened_hdf,
-)
-from kinpole_ros.bags.formats._sheet import (
-    MOST_COLUMNS,
-    check_cells,
-    check_names,
-    number_names,
-    shown,
-)
 
 # Axes of arrays in an .h5, by the names that a file may give.
 _SLEAP_AXES = {'frame': 'f', 'track': 't', 'node': 'n', 'xy': 'x'}
@@ -37,7 +24,7 @@ _SLEAP_FIX = 'export the analysis .h5 or .csv from SLEAP again'
 
 
 def _is_sleap(file: File) -> bool:
-    if file.head.startswith(HDF_MAGIC):
+    if file.head.startswith(_hdf.HDF_MAGIC):
         return b'node_names' in file.data
     if not file.is_sheet:
         return False
@@ -46,14 +33,14 @@ def _is_sleap(file: File) -> bool:
 
 
 def _read_sleap(file: File, options: Options) -> Points:
-    if file.head.startswith(HDF_MAGIC):
-        with opened_hdf(file, 'SLEAP', _SLEAP_FIX) as content:
+    if file.head.startswith(_hdf.HDF_MAGIC):
+        with _hdf.opened_hdf(file, 'SLEAP', _SLEAP_FIX) as content:
             return _read_sleap_hdf(file, content, options)
     sheet, path = file.sheet, file.path
     header = sheet.row(0)
     columns = {name: column for column, name in reversed(list(enumerate(header)))}
     nodes = [name[:-2] for name in header if name.endswith('.x') and f'{name[:-2]}.y' in columns]
-    check_names(path, nodes)
+    _cells.check_names(path, nodes)
     numbers = sheet.column(columns['frame_idx'], 1, 'frame_idx')
     if len(numbers) == 0 or not (np.abs(numbers) < 2**53).all():
         raise BagError(f'{path}: frame_idx is missing or empty; fix: export the analysis CSV again')
@@ -63,11 +50,12 @@ def _read_sleap(file: File, options: Options) -> Points:
     tracks = sheet.texts(columns['track'], 1) if 'track' in columns else repeat('', len(numbers))
     for row, name in enumerate(tracks):
         instances[row] = animals.setdefault(name, len(animals))
-        if len(animals) * len(nodes) > MOST_COLUMNS:
+        if len(animals) * len(nodes) > _cells.MOST_COLUMNS:
             raise BagError(
-                f'{path}: more than {MOST_COLUMNS} nodes in all tracks; fix: export fewer tracks'
+                f'{path}: more than {_cells.MOST_COLUMNS} nodes in all tracks; '
+                'fix: export fewer tracks'
             )
-    check_cells(path, 3 * len(frames) * len(animals) * len(nodes))
+    _cells.check_cells(path, 3 * len(frames) * len(animals) * len(nodes))
     pairs, counts = np.unique(
         np.stack((frames[rows], instances), axis=1), axis=0, return_counts=True
     )
@@ -75,8 +63,8 @@ def _read_sleap(file: File, options: Options) -> Points:
         frame, animal = pairs[int(counts.argmax())]
         raise BagError(
             f'{path}: frame {frame} has {counts.max()} instances of track '
-            f"'{shown(list(animals)[animal])}', which nothing distinguishes; fix: track them in "
-            'SLEAP first, or export one instance a frame'
+            f"'{_cells.shown(list(animals)[animal])}', which nothing distinguishes; fix: track "
+            'them in SLEAP first, or export one instance a frame'
         )
     points = np.full((len(frames), len(animals), len(nodes), 3), np.nan)
     axes = {node: [columns[f'{node}.x'], columns[f'{node}.y']] for node in nodes}
@@ -84,7 +72,7 @@ def _read_sleap(file: File, options: Options) -> Points:
     if options.likelihood is not None:
         titles = {k: f'{n}.score' for k, n in enumerate(nodes) if f'{n}.score' in columns}
         if not titles:
-            raise no_scores(file)
+            raise _hdf.no_scores(file)
         for k, title in titles.items():
             doubtful = ~(sheet.column(columns[title], 1, title) >= options.likelihood)
             points[rows[doubtful], instances[doubtful], k] = np.nan
@@ -101,21 +89,21 @@ def _point_names(animals: Sequence[str], nodes: Sequence[str]) -> list[str]:
 def _read_sleap_hdf(file: File, content: Any, options: Options) -> Points:
     """Read an analysis .h5; scores (tracks, nodes, frames) count where a likelihood is given."""
     nodes, animals = (_read_texts(file, content, name) for name in ('node_names', 'track_names'))
-    tracks = hdf_item(file, content, 'tracks', _SLEAP_FIX)
-    check_cells(file.path, 2 * tracks.size)
+    tracks = _hdf.hdf_item(file, content, 'tracks', _SLEAP_FIX)
+    _cells.check_cells(file.path, 2 * tracks.size)
     order = _sleap_axes(file, content, tracks, len(nodes), len(animals))
     values = np.asarray(tracks[:], np.float64).transpose([order.index(c) for c in 'ftnx'])
     points = np.zeros((*values.shape[:3], 3))
     points[..., :2] = values
     if options.likelihood is not None:
         if 'point_scores' not in content:
-            raise no_scores(file)
-        scores = np.asarray(hdf_item(file, content, 'point_scores', _SLEAP_FIX)[:], np.float64)
+            raise _hdf.no_scores(file)
+        scores = np.asarray(_hdf.hdf_item(file, content, 'point_scores', _SLEAP_FIX)[:], np.float64)
         order = _named_axes(content['point_scores']) or order.replace('x', '')
         scores = scores.transpose([order.index(c) for c in 'ftn'])
         points[~(scores >= options.likelihood)] = np.nan
     animals = animals or [f'track_{k}' for k in range(values.shape[1])]
-    names = number_names(file.path, _point_names(animals, nodes), file.notes)
+    names = _cells.number_names(file.path, _point_names(animals, nodes), file.notes)
     points[np.isnan(points).any(axis=-1)] = np.nan
     frames = np.arange(len(points))
     return Points(names, points.reshape(len(frames), -1, 3), frames, None, 'px', y_down=True)
@@ -157,8 +145,8 @@ def _sleap_axes(file: File, content: Any, tracks: Any, nodes: int, animals: int)
 
 
 def _read_texts(file: File, content: Any, name: str) -> list[str]:
-    item = hdf_item(file, content, name, _SLEAP_FIX)
-    if item.size > MOST_COLUMNS or item.dtype.itemsize * item.size > MOST_NAME_BYTES:
+    item = _hdf.hdf_item(file, content, name, _SLEAP_FIX)
+    if item.size > _cells.MOST_COLUMNS or item.dtype.itemsize * item.size > _hdf.MOST_NAME_BYTES:
         raise ValueError('names that are not')
     texts, size = [], 0
     for number in range(item.size):
@@ -166,7 +154,7 @@ def _read_texts(file: File, content: Any, name: str) -> list[str]:
         texts.append(text.decode() if isinstance(text, bytes) else str(text))
         # Texts of any length may all be one in the file.
         size += len(texts[-1])
-        if size > MOST_NAME_BYTES:
+        if size > _hdf.MOST_NAME_BYTES:
             raise ValueError('names that are not')
     return texts
 

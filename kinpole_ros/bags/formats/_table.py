@@ -18,8 +18,9 @@ from itertools import product
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
+from kinpole_ros.bags.formats._cells import listed, shown, whole_numbers
 from kinpole_ros.bags.formats._file import File, Format, Options, Points, not_utf8
-from kinpole_ros.bags.formats._sheet import Sheet, listed, shown, whole_numbers
+from kinpole_ros.bags.formats._sheet import Sheet
 
 # "time", "Time (s)", "t [s]", "timestamp_ns", "time_ms".
 _TIME = re.compile(

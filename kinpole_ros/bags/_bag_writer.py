@@ -16,20 +16,9 @@ from types import TracebackType
 from typing import Any
 
 import zstandard
+from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 from mcap.writer import MCAP0_MAGIC
 
 from kinpole_ros.bags._definition import definition, message_class
@@ -48,7 +37,7 @@ _INDEX_HEAD = struct.Struct('<BQHI')  # opcode, length, channel, bytes of entrie
 
 @dataclass
 class _Topic:
-    channel: Channel
+    channel: records.Channel
     message_type: type | str
     type_name: str
     messages: int = 0
@@ -87,7 +76,7 @@ class BagWriter:
     ) -> None:
         self._path = Path(name or path)
         self._topics: dict[str, _Topic] = {}
-        self._schemas: dict[str, Schema] = {}
+        self._schemas: dict[str, records.Schema] = {}
         # The records of the chunk that is not written yet, and their size.
         self._records: list[bytes] = []
         self._size = 0
@@ -101,7 +90,7 @@ class BagWriter:
             self._file = open(path, 'wb')  # noqa: SIM115 - close() does
         # A recording that cannot be written should fail now, not when the first message comes.
         with self._writing():
-            self._put(MCAP0_MAGIC + _packed(Header('ros2', library)))
+            self._put(MCAP0_MAGIC + _packed(records.Header('ros2', library)))
 
     def __enter__(self) -> 'BagWriter':
         return self
@@ -139,12 +128,8 @@ class BagWriter:
         """
         Write the messages of several topics, in order of log time.
 
-        Parameters
-        ----------
-        columns
-            Topic, type, log times (ns) and CDR data. Messages of equal log times come in the order
-            of the columns.
-
+        `columns` are topic, type, log times (ns) and CDR data. Messages of equal log times come in
+        the order of the columns.
         """
         messages: list[tuple[int, _Topic, bytes]] = []
         for topic, message_type, log_times, data in columns:
@@ -187,7 +172,7 @@ class BagWriter:
             return
         with self._writing():
             self._finish_chunk()
-            self._put(_packed(DataEnd(0)))
+            self._put(_packed(records.DataEnd(0)))
             self._put(self._summary())
             self._file.close()
 
@@ -214,10 +199,10 @@ class BagWriter:
         with self._writing():
             if name not in self._schemas:
                 number, text = len(self._schemas) + 1, definition(cls).encode()
-                self._schemas[name] = Schema(number, text, 'ros2msg', name)
+                self._schemas[name] = records.Schema(number, text, 'ros2msg', name)
                 self._add_record(self._schemas[name])
             # rosbag2 keeps the publishers' QoS here; empty means unknown, and it takes its default.
-            channel = Channel(
+            channel = records.Channel(
                 id=len(self._topics) + 1,
                 topic=topic,
                 message_encoding='cdr',
@@ -228,7 +213,7 @@ class BagWriter:
         self._topics[topic] = _Topic(channel, cls, name)
         return self._topics[topic]
 
-    def _add_record(self, record: McapRecord) -> None:
+    def _add_record(self, record: records.McapRecord) -> None:
         self._records.append(_packed(record))
         self._size += len(self._records[-1])
 
@@ -242,10 +227,10 @@ class BagWriter:
         start = min(min(topic.entries[::2]) for topic in topics)
         end = max(max(topic.entries[::2]) for topic in topics)
         compressed, checksum = zstandard.compress(content), zlib.crc32(content)
-        record = _packed(Chunk('zstd', compressed, end, start, checksum, len(content)))
+        record = _packed(records.Chunk('zstd', compressed, end, start, checksum, len(content)))
         indexes = [_message_index(topic) for topic in topics]
         places = accumulate(map(len, indexes), initial=self._offset + len(record))
-        index = ChunkIndex(
+        index = records.ChunkIndex(
             chunk_start_offset=self._offset,
             chunk_length=len(record),
             message_start_time=start,
@@ -268,7 +253,7 @@ class BagWriter:
 
     def _summary(self) -> bytes:
         counts = {row.channel.id: row.messages for row in self._topics.values() if row.messages}
-        statistics = Statistics(
+        statistics = records.Statistics(
             attachment_count=0,
             metadata_count=0,
             schema_count=len(self._schemas),
@@ -288,13 +273,13 @@ class BagWriter:
         places = accumulate(map(len, groups.values()), initial=self._offset)
         offsets = _packed(
             *(
-                SummaryOffset(opcode, group_start=place, group_length=len(group))
+                records.SummaryOffset(opcode, group_start=place, group_length=len(group))
                 for (opcode, group), place in zip(groups.items(), places, strict=False)
                 if group
             )
         )
         summary = b''.join(groups.values())
-        footer = Footer(self._offset, self._offset + len(summary), 0)
+        footer = records.Footer(self._offset, self._offset + len(summary), 0)
         covered = summary + offsets + _packed(footer)[:-4]
         return covered + zlib.crc32(covered).to_bytes(4, 'little') + MCAP0_MAGIC
 
@@ -322,7 +307,7 @@ def _message_index(topic: _Topic) -> bytes:
     return head + entries
 
 
-def _packed(*records: McapRecord) -> bytes:
+def _packed(*records: records.McapRecord) -> bytes:
     """Return records as they are in a file."""
     builder = RecordBuilder()
     for record in records:

@@ -13,16 +13,9 @@ from operator import attrgetter
 from pathlib import Path
 from typing import BinaryIO
 
+from kinpole_ros.bags import _files
 from kinpole_ros.bags._channels import BagMessage, Channels, largest
-from kinpole_ros.bags._files import (
-    BagError,
-    Truncated,
-    bag_files,
-    check_magic,
-    open_file,
-    read_errors,
-)
-from kinpole_ros.bags._layout import NEVER, Layout, Span, is_data_changed, lay_out, read_span
+from kinpole_ros.bags._layout import NEVER, FileLayout, Span, is_data_changed, lay_out, read_span
 from kinpole_ros.bags._storages import is_sqlite, sqlite_blocks, sqlite_topics
 
 _LATEST = 2**63 - 1  # ns; ROS has no later time
@@ -65,8 +58,8 @@ def types_and_definitions(path: str | Path) -> tuple[dict[str, str], dict[str, s
     """Return the types of a bag by topic, and their definitions by type where it has them."""
     types: dict[str, str] = {}
     definitions: dict[str, str] = {}
-    for file_path in bag_files(path):
-        with read_errors(file_path), open_file(file_path) as file:
+    for file_path in _files.bag_files(path):
+        with _files.read_errors(file_path), _files.open_file(file_path) as file:
             if is_sqlite(file):
                 file_types, file_definitions = sqlite_topics(file_path)
             else:
@@ -137,7 +130,9 @@ def read_blocks(
 
     """
     requested = None if topics is None else frozenset(topics)
-    return _blocks(_read_files(bag_files(path), requested, progress or (lambda fraction: None)))
+    return _blocks(
+        _read_files(_files.bag_files(path), requested, progress or (lambda fraction: None))
+    )
 
 
 def _blocks(runs: Iterator[list[BagMessage]]) -> Iterator[list[BagMessage]]:
@@ -160,7 +155,7 @@ def _blocks(runs: Iterator[list[BagMessage]]) -> Iterator[list[BagMessage]]:
                     yield block
                     block, size = [], len(message.data)
                 block.append(message)
-    except BagError as error:
+    except _files.BagError as error:
         fault = error
     if block:
         yield block
@@ -197,18 +192,18 @@ def _read_files(
 
     for path, size in zip(files, sizes, strict=True):
         try:
-            with read_errors(path):
-                check_magic(path)
-                with open_file(path) as file:
+            with _files.read_errors(path):
+                _files.check_magic(path)
+                with _files.open_file(path) as file:
                     if is_sqlite(file):
                         yield from sqlite_blocks(path, requested)
                     else:
                         yield from _read_file(path, file, requested, report)
-        except Truncated as error:
+        except _files.Truncated as error:
             faults.append(str(error))
         size_before += size
     if faults:
-        raise Truncated('; '.join(faults))
+        raise _files.Truncated('; '.join(faults))
     progress(1.0)
 
 
@@ -246,7 +241,7 @@ def _read_file(
         if fault:
             break
         if size > most:
-            raise BagError(
+            raise _files.BagError(
                 f'{path}: messages are so far out of order that more than {most >> 20} MiB of '
                 f'them would have to be held; fix: `mcap sort {path} -o NEW.mcap`'
             )
@@ -257,21 +252,21 @@ def _read_file(
     elif fault := _count_fault(layout, channels, counts) or _checksum_fault(file, layout):
         fault = f'has lost messages, or was changed: {fault}; {counts.total()} messages were read'
     if fault:
-        raise Truncated(
+        raise _files.Truncated(
             f'{path} {fault}; fix: record again, or `mcap recover {path} -o NEW.mcap` for what is '
             'left'
         )
 
 
 def _messages_in(
-    file: BinaryIO, span: Span, layout: Layout, channels: Channels
+    file: BinaryIO, span: Span, layout: FileLayout, channels: Channels
 ) -> tuple[list[BagMessage], str]:
     """Return the messages in a span, in order, and what is wrong with it, '' if nothing."""
     messages: list[BagMessage] = []
     fault = ''
     try:
         channels.read(read_span(file, span, layout), messages)
-    except (BagError, OSError):
+    except (_files.BagError, OSError):
         raise
     except Exception as error:  # mcap and each decompressor have their own for bad bytes
         fault = str(error) or type(error).__name__
@@ -294,7 +289,7 @@ def _take_until(horizon: int, waiting: list[list[BagMessage]]) -> list[BagMessag
     return taken
 
 
-def _count_fault(layout: Layout, channels: Channels, counts: Counter[str]) -> str:
+def _count_fault(layout: FileLayout, channels: Channels, counts: Counter[str]) -> str:
     """Compare the numbers of messages by topic with the statistics of the file; '' if equal."""
     if layout.statistics is None or not layout.statistics.channel_message_counts:
         return ''
@@ -310,11 +305,11 @@ def _count_fault(layout: Layout, channels: Channels, counts: Counter[str]) -> st
     return ''
 
 
-def _checksum_fault(file: BinaryIO, layout: Layout) -> str:
+def _checksum_fault(file: BinaryIO, layout: FileLayout) -> str:
     return 'the checksum of its data is wrong' if is_data_changed(file, layout) else ''
 
 
-def _requested_spans(layout: Layout, channels: Channels) -> list[Span]:
+def _requested_spans(layout: FileLayout, channels: Channels) -> list[Span]:
     """Leave out the chunks that have no requested messages by the file's indexes."""
     topics = layout.channels
     spans = [
