@@ -115,25 +115,27 @@ def centrodes(
     with np.errstate(all='ignore'):
         fixed, moving = pole(1, *of_other).value, pole(1, *of_one).value
         exists = _existing(fixed, moving, omega, size)
-    if not exists[:count].any():
-        raise LinkageError(
-            f'{other} does not turn as seen from {one}: their center is at infinity, and there '
-            'are no centrodes'
-        )
-    with np.errstate(all='ignore'):
+        _check_turns(exists[:count], one, other)
         speeds = np.abs(np.stack([icr_velocity(*part).value for part in (of_other, of_one)]))
         moves = exists & (speeds.min(axis=0) > _STILL * size * np.abs(omega))
         curvature = np.where(moves, centrode_curvature(*of_other).value.real, np.nan)
         moving_curvature = moving_centrode_curvature(curvature, of_other[1][1], speeds[0])
     rates = (speeds[:, count:] * (high - low) * rate[count:]).reshape(2, count - 1, _NODES)
-    lengths = rates @ weights * (step / 2)
-    piece, arc = _pieces(exists[:count], _unbroken(exists, omega, count), lengths)
+    unbroken = _unbroken(exists, omega, count)
+    piece, arc = _pieces(exists[:count], unbroken, rates @ weights * (step / 2))
     fixed, moving = (np.where(exists, points, _NAN)[:count] for points in (fixed, moving))
-    inputs = low + (high - low) * share[:count]
-    curvature, moving_curvature = curvature[:count], moving_curvature[:count]
-    curves = fixed, moving, curvature, moving_curvature, arc[0], arc[1]
+    curvatures = curvature[:count], moving_curvature[:count]
+    inputs, lengths = low + (high - low) * share[:count], (arc[0], arc[1])
     pins = _pins(mechanism, one), _pins(mechanism, other)
-    return Centrodes(one, other, inputs, *curves, piece, pins, size)
+    return Centrodes(one, other, inputs, fixed, moving, *curvatures, *lengths, piece, pins, size)
+
+
+def _check_turns(exists: np.ndarray, one: str, other: str) -> None:
+    if not exists.any():
+        raise LinkageError(
+            f'{other} does not turn as seen from {one}: their center is at infinity, and there are '
+            'no centrodes'
+        )
 
 
 def _existing(fixed: Complex, moving: Complex, omega: Real, size: float) -> np.ndarray:

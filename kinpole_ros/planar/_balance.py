@@ -129,20 +129,19 @@ def measured_balance(
 
     """
     unit = _unit_port(through)
-    covariances = position_covariance, angle_covariance
     rate, *powers = (
         port_power(port.effort, port.point, position[:, port.body], angle[:, port.body])
         for port in (unit, *loads)
     )
-    by_body = balancing_effort(
-        (through.body, rate),
-        [(load.body, power) for load, power in zip(loads, powers, strict=True)],
-    )
+    loaded = [(load.body, power) for load, power in zip(loads, powers, strict=True)]
+    by_body = balancing_effort((through.body, rate), loaded)
     value = by_body[through.body].value.real
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        total = _variance_of(by_body, *covariances)
-        rate_variance = _variance_of({through.body: rate}, *covariances)
-        is_moving = np.abs(rate.value) > significant * np.sqrt(rate_variance)
+        total, of_rate = (
+            _variance_of(parts, position_covariance, angle_covariance)
+            for parts in (by_body, {through.body: rate})
+        )
+        is_moving = np.abs(rate.value) > significant * np.sqrt(of_rate)
     return value, total, is_moving & np.isfinite(value) & np.isfinite(total)
 
 
