@@ -5,6 +5,7 @@ import errno
 import json
 import os
 import re
+import resource
 import shutil
 import signal
 import subprocess
@@ -559,7 +560,7 @@ def test_results_that_are_exchanged_in_part_are_not_finished(
     assert finished(Job(bag, out, SETTINGS, ['csv', 'mcap'])) == row
     with monkeypatch.context() as broken:
         # A stop between the names, as a kill would have it, has no error of ours.
-        broken.setattr(_jobs, 'write_text', lambda *_: 1 / 0)
+        broken.setattr(_jobs, 'whole_file', lambda *_: 1 / 0)
         replay_bag(Job(bag, out, replace(SETTINGS, window=0.3), ['csv', 'mcap']))
     assert finished(Job(bag, out, SETTINGS, ['csv', 'mcap'])) is None
 
@@ -755,9 +756,15 @@ def test_a_summary_that_does_not_fit_the_disk_leaves_the_one_before(tmp_path: Pa
     path = tmp_path / 'summary.csv'
     _folder.write_summary(path, [{'bag': 'a', 'error': ''}])
     before = path.read_bytes()
-    (tmp_path / 'summary.csv.part').symlink_to('/dev/full')
-    with pytest.raises(BagError, match='cannot be written: No space left on device; fix'):
-        _folder.write_summary(path, [{'bag': 'b', 'error': ''}])
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, hard))
+    try:
+        with pytest.raises(BagError, match='cannot be written: File too large; fix'):
+            _folder.write_summary(path, [{'bag': 'b', 'error': ''}])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, handler)
     assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
         ('summary.csv', before)
     ]

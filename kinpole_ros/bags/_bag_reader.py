@@ -16,7 +16,7 @@ from typing import BinaryIO
 from kinpole_ros.bags import _files
 from kinpole_ros.bags._channels import BagMessage, Channels, largest
 from kinpole_ros.bags._layout import NEVER, FileLayout, Span, is_data_changed, lay_out, read_span
-from kinpole_ros.bags._storages import is_sqlite, sqlite_blocks, sqlite_topics
+from kinpole_ros.bags._storages import is_sqlite, sqlite_messages, sqlite_topics
 
 _LATEST = 2**63 - 1  # ns; ROS has no later time
 _LOG_TIME, _TOPIC = attrgetter('log_time'), attrgetter('topic')
@@ -196,7 +196,7 @@ def _read_files(
                 _files.check_magic(path)
                 with _files.open_file(path) as file:
                     if is_sqlite(file):
-                        yield from sqlite_blocks(path, requested)
+                        yield from ([message] for message in sqlite_messages(path, requested))
                     else:
                         yield from _read_file(path, file, requested, report)
         except _files.Truncated as error:

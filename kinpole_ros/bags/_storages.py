@@ -15,7 +15,6 @@ from kinpole_ros.bags._layout import unpack_lz4
 from kinpole_ros.files import printable
 
 _LARGEST_MESSAGE = 1 << 25  # bytes of a message in SQLite, unpacked
-_BLOCK, _BLOCK_BYTES = 1000, 1 << 20  # messages read at a time
 _TABLES = {'topics', 'messages'}
 _LARGEST_ROS1_CHUNK = 1 << 26  # bytes, unpacked; rosbag makes chunks of 768 KiB
 
@@ -64,8 +63,9 @@ def sqlite_topics(path: Path) -> tuple[dict[str, str], dict[str, str]]:
     return topics, definitions
 
 
-def sqlite_blocks(path: Path, requested: frozenset[str] | None) -> Iterator[list[BagMessage]]:
+def sqlite_messages(path: Path, requested: frozenset[str] | None) -> Iterator[BagMessage]:
     """Yield messages on the requested topics, or all that are CDR, in order of log time."""
+    too_large = 0
     with _open_sqlite(path) as file:
         rows = file.execute("SELECT id, name, type FROM topics WHERE serialization_format = 'cdr'")
         topics = {number: (str(name), str(kind)) for number, name, kind in rows}
@@ -76,8 +76,6 @@ def sqlite_blocks(path: Path, requested: frozenset[str] | None) -> Iterator[list
             f'WHERE topic_id IN ({",".join("?" * len(ids))}) ORDER BY timestamp, id',
             ids,
         )
-        block: list[BagMessage] = []
-        size = too_large = 0
         for topic, time, length, data in messages:
             if data is None and length is not None:
                 too_large += 1
@@ -86,13 +84,7 @@ def sqlite_blocks(path: Path, requested: frozenset[str] | None) -> Iterator[list
                 raise Truncated(f'{path} is damaged at time {time}; fix: record again')
             if data.startswith(ZSTD_MAGIC):  # compressed message by message
                 data = unpack_message(data, _LARGEST_MESSAGE)
-            block.append(BagMessage(*topics[topic], data, time))
-            size += len(data)
-            if size > _BLOCK_BYTES or len(block) == _BLOCK:
-                yield block
-                block, size = [], 0
-        if block:
-            yield block
+            yield BagMessage(*topics[topic], data, time)
     if too_large:
         raise Truncated(
             f'{path}: messages of more than {_LARGEST_MESSAGE >> 20} MiB, {too_large} of them, are '

@@ -357,6 +357,18 @@ def test_a_bomb_in_a_bag_takes_little_memory(tmp_path):
         assert 'fix: ' in complaint
 
 
+def test_messages_of_a_db3_before_the_damage_are_read(tmp_path):
+    path = write_bag(tmp_path, 'named poses', 'db3') / 'bag.db3'
+    with sqlite3.connect(path) as file:
+        times = [time for (time,) in file.execute('SELECT timestamp FROM messages ORDER BY 1')]
+        file.execute("UPDATE messages SET data = 'text' WHERE timestamp = ?", times[-1:])
+    read = []
+    with pytest.raises(Truncated, match=f'is damaged at time {times[-1]}'):
+        for message in read_messages(path):
+            read.append(message.log_time)
+    assert read == times[:-1] and len(read) > 2
+
+
 @pytest.mark.parametrize('kind', ['marker_array', 'point_cloud2', 'tf', 'pose_stamped'])
 @pytest.mark.parametrize('swapped', [0, 3])
 def test_a_recording_of_a_bag_played_in_a_loop_is_read_up_to_the_jump(tmp_path, kind, swapped):

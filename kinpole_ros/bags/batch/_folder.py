@@ -3,13 +3,12 @@
 import csv
 import os
 from collections.abc import Sequence
-from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 
-from kinpole_ros.bags._files import write_errors
+from kinpole_ros.bags._files import in_place_of, write_errors
 from kinpole_ros.bags.batch import _store
-from kinpole_ros.bags.batch._jobs import Job, Row, finished, result_name, write_text
+from kinpole_ros.bags.batch._jobs import Job, Row, finished, result_name
 from kinpole_ros.files import as_cell
 from kinpole_ros.settings import Settings
 
@@ -84,9 +83,11 @@ def row_in_folder(job: Job, row: Row) -> Row:
 def write_summary(path: Path, rows: list[Row]) -> None:
     """Write a line for each bag, with a column for all that any of them has."""
     columns = dict.fromkeys(_FIRST) | dict.fromkeys(name for row in rows for name in row)
-    text = StringIO(newline='')
-    table = csv.writer(text)
-    table.writerow(map(as_cell, columns))
-    table.writerows([as_cell(row.get(name, '')) for name in columns] for row in rows)
-    with write_errors(path):
-        write_text(path, text.getvalue())
+    with (
+        in_place_of(path) as part,
+        # A file name need not be text.
+        open(part, 'w', encoding='utf-8', errors='backslashreplace', newline='') as file,
+    ):
+        table = csv.writer(file)
+        table.writerow(map(as_cell, columns))
+        table.writerows([as_cell(row.get(name, '')) for name in columns] for row in rows)

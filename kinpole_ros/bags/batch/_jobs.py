@@ -19,7 +19,7 @@ from kinpole_ros import __version__
 from kinpole_ros.bags import BagError, Replayed, bag_files, warnings_of
 from kinpole_ros.bags._replay import replay_into
 from kinpole_ros.bags.batch import _store
-from kinpole_ros.files import lock, read_limited
+from kinpole_ros.files import lock, read_limited, whole_file
 from kinpole_ros.files.bounded_yaml import MOST_YAML
 from kinpole_ros.mechanism import LinkageError, SceneError
 from kinpole_ros.settings import ParameterError, Settings
@@ -166,7 +166,8 @@ def _name_results(job: Job, folder: Path, fingerprint: list[Any], outcome: Repla
     record.unlink(missing_ok=True)
     for kind, part in job.files(folder).items():
         part.replace(folder / f'{name}.{kind}')
-    write_text(record, json.dumps({'made_of': fingerprint, 'row': row}))
+    with whole_file(record) as part:
+        part.write_text(json.dumps({'made_of': fingerprint, 'row': row}), encoding='utf-8')
     return row
 
 
@@ -255,14 +256,3 @@ def is_result(path: str, folder: Path) -> bool:
     with suppress(*_MALFORMED):
         return result_name(_read_record(result.with_suffix('.json'))['row']['bag']) == result.stem
     return False
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file, which replaces the one before when it is complete."""
-    part = path.with_name(f'{path.name}.part')
-    try:
-        # A file name need not be text.
-        part.write_bytes(text.encode('utf-8', 'backslashreplace'))
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
