@@ -196,14 +196,11 @@ def batch(options: argparse.Namespace) -> int:
       kinpole batch runs/*/ --config rig.yaml --output results --scheduler tls://hub:8786 \
         --tls-ca ca.pem --tls-cert me.pem --tls-key me.key
     """
-    from kinpole_ros.bags import BagError
-    from kinpole_ros.bags.batch import KINDS, listed_bags
+    from kinpole_ros.bags.batch import KINDS
     from kinpole_ros.bags.batch import batch as replay_bags
 
     cluster = _checked_cluster(options)
-    bags = [*options.bags, *(listed_bags(options.list) if options.list else [])]
-    if not bags:
-        raise BagError('no bags are named; give some, or a file that names them by --list')
+    bags = _named_bags(options)
     settings = settings_of(options)
     if options.topic:
         settings = replace(settings, marker_topic=options.topic)
@@ -217,19 +214,21 @@ def batch(options: argparse.Namespace) -> int:
         )
     kinds = [kind for kind in KINDS if getattr(options, kind)] or ['mcap']
     with progress_bar('batch') as progress:
-        rows = replay_bags(
-            bags,
-            options.output,
-            settings,
-            kinds,
-            cluster,
-            options.workers,
-            progress,
-            _print_errors_of,
-        )
+        where = options.output, settings, kinds, cluster, options.workers
+        rows = replay_bags(bags, *where, progress, _print_errors_of)
     _print_totals(rows, settings)
     print(f'written to {options.output}, with a table over all in {summary}')
     return 2 if any(map(_is_faulty, rows)) else 0
+
+
+def _named_bags(options: argparse.Namespace) -> list[str]:
+    from kinpole_ros.bags import BagError
+    from kinpole_ros.bags.batch import listed_bags
+
+    bags = [*options.bags, *(listed_bags(options.list) if options.list else [])]
+    if not bags:
+        raise BagError('no bags are named; give some, or a file that names them by --list')
+    return bags
 
 
 def _checked_cluster(options: argparse.Namespace) -> 'Cluster | None':
