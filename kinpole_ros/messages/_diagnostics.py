@@ -41,6 +41,7 @@ COUNT_KEYS = {
     'markers_not_seen': 'markers not seen, summed over frames',
     'markers_unknown': 'markers in the last new layout that no body names',
     'markers_too_far': 'markers farther than 1e15 m, taken as not seen',
+    'markers_held': 'markers that repeat their last place to the last bit, taken as not seen',
     'poses_held': 'poses that repeat the last one to the last bit, taken as not seen',
     'markers_exchanged': 'markers exchanged with one another, put back',
     'markers_left_out': 'markers left out, since they did not fit their body',

@@ -89,7 +89,26 @@ def reader_of(kind: str, settings: Settings) -> 'MarkerReader | PoseReader':
 
 
 def marker_reader(kind: str, identity: str) -> 'MarkerReader | PoseReader':
-    """Return the reader of a type of markers; ParameterError where it lacks such identities."""
+    """
+    Return the reader of messages of a type of markers.
+
+    Parameters
+    ----------
+    kind : str
+        A key of `MESSAGE_TYPES` without poses.
+    identity : str
+        The parameter `marker_identity`.
+
+    Returns
+    -------
+    MarkerReader or PoseReader
+        The reader.
+
+    Raises
+    ------
+    ParameterError
+        Where the type has no such identities.
+    """
     if not MESSAGE_TYPES[kind].item:
         return MarkerReader(kind, identity)
     if identity not in ('auto', 'index', 'shape'):

@@ -98,8 +98,9 @@ class Bodies:
         Factors of the information of angle and position, for input poses.
     jump_scale : (2, B) float
         Residuals of angle, rad, and position, m, about the paths of the bodies.
-    never_repeats : (B,) bool
-        Whether noise is so far above rounding that no two frames have the same markers.
+    never_repeats : (B,) uint8
+        Whether noise is so far above rounding that markers of two frames are never the same: see
+        `noise.never_repeats`.
     freedom : (B,) float
         Degrees of freedom of the residuals of deformed bodies, 0 for rigid ones.
     hidden_factor : (B,) float
@@ -121,7 +122,7 @@ class Bodies:
         self.misfit = np.zeros(self.count)
         self.noise = np.full(self.count, np.nan)
         self.lasting = np.zeros(self.count, bool)
-        self.never_repeats = np.zeros(self.count, bool)
+        self.never_repeats = np.zeros(self.count, np.uint8)
         self.jump_scale = np.full((2, self.count), np.inf)
         self.begun = np.zeros(self.count, bool)
         self.least_noise = np.zeros(self.count)
@@ -227,7 +228,8 @@ class Bodies:
         self.relative[which] = 1.0
         self.noise[which] = self.white[which] = self.last_angle[which] = np.nan
         self.jump_scale[:, which] = np.inf
-        self.given[which] = self.begun[which] = self.never_repeats[which] = False
+        self.given[which] = self.begun[which] = False
+        self.never_repeats[which] = 0
         self.update()
 
     def widen(self, width: int) -> None:

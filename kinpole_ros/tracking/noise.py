@@ -274,7 +274,9 @@ def _pooled_variance(values: Complex, shape: Complex, which: np.ndarray) -> floa
 
 def never_repeats(markers: Complex, white: Real, degrees: int | None) -> np.ndarray:
     """
-    Return which bodies (B,) have so much noise that no two frames have the same markers.
+    Return which bodies (B,) have so much noise that markers of two frames are never the same.
+
+    0 is that they may be, 1 that not all of a body are, and 2 that no marker is in three frames.
 
     Two normal deviates are rounded to one number with the probability q / (2 sqrt(pi) sigma), where
     q is the resolution. That is the smallest distance between two different coordinates.
@@ -290,7 +292,7 @@ def never_repeats(markers: Complex, white: Real, degrees: int | None) -> np.ndar
 
     """
     markers = markers[..., :MAX_MARKERS]
-    chance = np.ones(len(white))
+    chance, of_marker = np.ones(len(white)), np.ones(len(white))
     for b in np.flatnonzero(white > 0).tolist():
         own = markers[:, b]
         seen = np.count_nonzero(~np.isnan(own), axis=0)
@@ -302,4 +304,6 @@ def never_repeats(markers: Complex, white: Real, degrees: int | None) -> np.ndar
         if len(steps):
             once = min(float(steps.min()) / (2 * np.sqrt(np.pi) * white[b]), 1.0)
             chance[b] = once ** (degrees or 2 * np.count_nonzero(seen))
-    return chance < MAX_REPEAT_CHANCE
+            of_marker[b] = once**4
+    poses, markers_too = chance < MAX_REPEAT_CHANCE, of_marker < MAX_REPEAT_CHANCE
+    return np.where(markers_too & (degrees is None), 2, poses).astype(np.uint8)

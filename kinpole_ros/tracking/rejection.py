@@ -23,6 +23,7 @@ here.
 | a body | DROPPED | corrected, above `MAX_SQUARE_RATIO` | `_correct_body` | markers_of_misfits |
 | a body | UNCERTAIN | points fit it in several ways | `match` | bodies_ambiguous |
 | a pose | NOT_SEEN | less than two markers, or all at one place | `fit` in C | a reason |
+| a marker | HELD | repeats the last two | `kinpole_is_marker_held` in C | markers_held |
 | a pose | HELD | repeats the last: `MAX_REPEAT_CHANCE` | `kinpole_is_held` in C | poses_held |
 | a pose | NOT_SEEN | its markers too close: `MAX_ANGLE_NOISE` | `is_unsteady` in C | a reason |
 | a pose | OFF_PATH | off its neighbors by `FAR` | `wrong_before_last` in C | a reason |
@@ -47,7 +48,7 @@ from kinpole_ros.tracking.thresholds import ROUNDED
 # What is counted of markers that are not used as they came, by verdict.
 EXCHANGED, LEFT_OUT = 'markers_exchanged', 'markers_left_out'
 MIRRORED, DROPPED = 'markers_mirrored', 'markers_of_misfits'
-TOO_FAR, HELD = 'markers_too_far', 'poses_held'
+TOO_FAR, HELD, HELD_MARKERS = 'markers_too_far', 'poses_held', 'markers_held'
 
 # m. Squares of smaller coordinates do not overflow; no marker is farther.
 FARTHEST_MARKER = 1e15
@@ -60,8 +61,8 @@ OUTLIER_SIGMAS = 6.0
 YOUNG_OUTLIER = 0.03
 # rad. Errors of an angle with more noise are not small, and its whole turns are not known.
 MAX_ANGLE_NOISE = 0.15
-# A pose that repeats the one before to the last bit is held by the tracker if noise repeats it with
-# less than this probability.
+# A pose, or a marker, that repeats the one before to the last bit is held by the tracker if noise
+# repeats it with less than this probability.
 MAX_REPEAT_CHANCE = 1e-6
 # Mean square residual of a corrected body over that of the body; 0.1% of chi-squares of three
 # degrees exceed it.

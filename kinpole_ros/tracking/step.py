@@ -48,9 +48,9 @@ def new_tracks(bodies: int, outages: np.ndarray, wrong: np.ndarray) -> dict[str,
     -------
     dict of str to ndarray
         `unusual` (B,): what is unusual of each body in the last frame. `held` (B,): how many poses
-        were held since they were last counted. `newest` (B,): how many of
-        the newest poses may be wrong, and are not used yet. `seen_last` (B,): stamp of the last
-        frame with a pose, ns, -1 for none. `total_turn` (B,): turns of tilting bodies about the
+        were held since they were last counted, and `held_markers` (B,) how many markers. `newest`
+        (B,): how many of the newest poses may be wrong, and are not used yet. `seen_last` (B,):
+        stamp of the last frame with a pose, ns, -1 for none. `total_turn` (B,): turns of tilting bodies about the
         normal, beyond those of their headings, up to the last pose that is certainly right, rad;
         its angle is `sure_angle`, and its tilt `sure_tilt`.
 
@@ -59,6 +59,7 @@ def new_tracks(bodies: int, outages: np.ndarray, wrong: np.ndarray) -> dict[str,
         'unusual': np.zeros(bodies, np.uint8),
         'wrong': wrong,
         'held': np.zeros(bodies, np.int64),
+        'held_markers': np.zeros(bodies, np.int64),
         'newest': np.zeros(bodies, np.int64),
         'seen_last': np.full(bodies, -1, np.int64),
         'outages': outages,

@@ -7,7 +7,7 @@ from kinpole_ros.tracking.deformation import deformed_freedom
 from kinpole_ros.tracking.learn import MISFIT_FRAMES, freedom_of, learn, path_scale
 from kinpole_ros.tracking.noise import never_repeats
 from kinpole_ros.tracking.posed import learn_poses
-from kinpole_ros.tracking.rejection import HELD
+from kinpole_ros.tracking.rejection import HELD, HELD_MARKERS
 from kinpole_ros.tracking.state import MIN_HISTORY_FRAMES, State, restart_bodies
 from kinpole_ros.tracking.thresholds import MEMORY_FRAMES
 
@@ -121,10 +121,11 @@ def count_new_frames(state: State) -> None:
     if not new or state.assignment.plane is None:
         return
     markers, heights = (state.history[name][-new:] for name in ('markers', 'heights'))
-    held = state.step.tracks['held']
-    if held.any():
-        state.totals.counts[HELD] += int(held.sum())
-        held[:] = 0
+    for track, key in (('held', HELD), ('held_markers', HELD_MARKERS)):
+        held = state.step.tracks[track]
+        if held.any():
+            state.totals.counts[key] += int(held.sum())
+            held[:] = 0
     seen = np.count_nonzero(~np.isnan(markers[..., 0] if state.assignment.posed else markers))
     lacking = state.assignment.count * new - seen
     state.totals.counts['markers_not_seen'] += int(lacking)

@@ -79,6 +79,10 @@ typedef STRUCT(HISTORY_COLUMNS_FIELDS) HistoryColumns;
 
 typedef STRUCT(BODY_ARRAYS_FIELDS) BodyArrays;
 
+/* Whether measured markers of a body may repeat those of the frame before to the last bit: any may, not all
+   do at once, or no marker does twice in a row. */
+enum { MAY_REPEAT, NO_POSE_REPEATS, NO_MARKER_REPEATS };
+
 /* Of each body, and last of the whole frame: number of gaps of a window or more; begin and length, ns, of
    the latest and of the longest. */
 enum { OUTAGE_TIMES, OUTAGE_LATEST, OUTAGE_LONGEST = 3, OUTAGE_FIELDS = 5 };
@@ -88,6 +92,7 @@ enum { OUTAGE_TIMES, OUTAGE_LATEST, OUTAGE_LONGEST = 3, OUTAGE_FIELDS = 5 };
     ARRAY(unsigned char, unusual)               \
     ARRAY(long long, wrong)                     \
     ARRAY(long long, held)                      \
+    ARRAY(long long, held_markers)              \
     ARRAY(long long, newest)                    \
     ARRAY(long long, seen_last)                 \
     ARRAY(long long, outages)                   \

@@ -24,16 +24,18 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
     Number *residual = history->residual + at * n, middle = 0.0, mean = 0.0, cross = 0.0;
     double total = 0.0, spread = 0.0, reach = 0.0, own_reach = 0.0;
     int found = 0;
-    for (long long k = 0; k < n; k++)
-        if (weights[k] > 0.0 && !isnan(creal(points[k])) && !isnan(cimag(points[k]))) {
+    for (long long k = 0; k < n; k++) {
+        int is_seen = !isnan(creal(points[k])) && !kinpole_is_marker_held(f, b, points, k);
+        if (weights[k] > 0.0 && is_seen && !isnan(cimag(points[k]))) {
             total += weights[k];
             middle += weights[k] * points[k];
             mean += weights[k] * shape[k];
             history->used[at * n + k] = 1;
         } else {
             history->used[at * n + k] = 0;
-            found |= weights[k] > 0.0 || isnan(creal(points[k])) ? 0 : NEW_MARKER;
+            found |= weights[k] > 0.0 || !is_seen ? 0 : NEW_MARKER;
         }
+    }
     middle /= total, mean /= total;
     for (long long k = 0; k < n; k++)
         if (history->used[at * n + k]) {

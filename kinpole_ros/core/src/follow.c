@@ -165,6 +165,10 @@ take_frame(Frames *f)
             note_seen(f, b, history->stamp[row]);
         else
             f->tracks.held[b] += kinpole_is_held(f, b, points + b * known->width);
+    for (long long i = 0; i < all; i++) {
+        long long b = i / known->width, k = i % known->width;
+        f->tracks.held_markers[b] += kinpole_is_marker_held(f, b, points + b * known->width, k);
+    }
     incoming->frame++, incoming->until_update--;
     return DONE;
 }

@@ -175,24 +175,41 @@ kinpole_follow_paths(const Frames *f)
     }
 }
 
+/* Whether marker k of the markers (n,) of a body repeats that of an earlier row to the last bit. */
+static int
+repeats(const Frames *f, long long b, const Number *points, long long k, long long rows_before)
+{
+    const HistoryColumns *history = &f->history;
+    long long row = history->end - 1 - rows_before;
+    return row >= history->first &&
+        points[k] == history->markers[(row * f->bodies.count + b) * f->bodies.width + k];
+}
+
 /* Whether the markers (n,) of a body repeat those of the row before to the last bit, while measured ones
    never do: the tracker holds the last pose of a body that it has lost. */
 int
 kinpole_is_held(const Frames *f, long long b, const Number *points)
 {
-    const HistoryColumns *history = &f->history;
-    long long newest = history->end - 1, width = f->bodies.width, seen = 0;
-    if (!f->bodies.never_repeats[b] || newest <= history->first)
+    long long seen = 0;
+    if (f->bodies.never_repeats[b] == MAY_REPEAT)
         return 0;
-    const Number *before = history->markers + ((newest - 1) * f->bodies.count + b) * width;
-    for (long long k = 0; k < width; k++) {
+    for (long long k = 0; k < f->bodies.width; k++) {
         if (isnan(creal(points[k])))
             continue;
-        if (points[k] != before[k])
+        if (!repeats(f, b, points, k, 1))
             return 0;
         seen++;
     }
     return seen > 1;
+}
+
+/* Whether one marker repeats those of two rows before, which no measured marker of the body ever does: it
+   is lost, and its last place or a constant stands for it. */
+int
+kinpole_is_marker_held(const Frames *f, long long b, const Number *points, long long k)
+{
+    return f->bodies.never_repeats[b] == NO_MARKER_REPEATS && repeats(f, b, points, k, 1) &&
+        repeats(f, b, points, k, 2);
 }
 
 /* Whether a body was on its pin in all frames of the window but two at most. */

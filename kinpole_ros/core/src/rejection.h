@@ -30,6 +30,8 @@ is_unsteady(const Frames *f, long long b, double spread)
 void kinpole_follow_paths(const Frames *f);
 /* Whether the markers (n,) of body `b` are held by the tracker, which lost it. */
 int kinpole_is_held(const Frames *f, long long b, const Number *points);
+/* Whether marker `k` of them is. */
+int kinpole_is_marker_held(const Frames *f, long long b, const Number *points, long long k);
 /* Whether a body was on its pin in all frames from row `oldest` on, but for outliers. */
 int kinpole_holds_on_pin(const Frames *f, long long oldest, long long b);
 /* Why a body has no result for row `now`, as far as its pose says. */
