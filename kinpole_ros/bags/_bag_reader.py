@@ -249,7 +249,9 @@ def _read_file(
     if layout.trouble:
         read = f'{counts.total()} messages up to stamp {last / 1e9:.3f} s (log time) were read'
         fault = f'{layout.trouble}: {read if counts else "there is no message before that"}'
-    elif fault := _count_fault(layout, channels, counts) or _checksum_fault(file, layout):
+    elif fault := _count_fault(layout, channels, counts) or (
+        'the checksum of its data is wrong' if is_data_changed(file, layout) else ''
+    ):
         fault = f'has lost messages, or was changed: {fault}; {counts.total()} messages were read'
     if fault:
         raise _files.Truncated(
@@ -303,10 +305,6 @@ def _count_fault(layout: FileLayout, channels: Channels, counts: Counter[str]) -
                 f'{counts[topic]}'
             )
     return ''
-
-
-def _checksum_fault(file: BinaryIO, layout: FileLayout) -> str:
-    return 'the checksum of its data is wrong' if is_data_changed(file, layout) else ''
 
 
 def _requested_spans(layout: FileLayout, channels: Channels) -> list[Span]:

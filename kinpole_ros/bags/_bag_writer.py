@@ -196,26 +196,26 @@ class BagWriter:
     def _add_topic(self, topic: str, message_type: type | str) -> _Topic:
         cls = message_class(message_type) if isinstance(message_type, str) else message_type
         name = type_name(cls)
-        with self._writing():
-            if name not in self._schemas:
-                number, text = len(self._schemas) + 1, definition(cls).encode()
-                self._schemas[name] = records.Schema(number, text, 'ros2msg', name)
-                self._add_record(self._schemas[name])
-            # rosbag2 keeps the publishers' QoS here; empty means unknown, and it takes its default.
-            channel = records.Channel(
-                id=len(self._topics) + 1,
-                topic=topic,
-                message_encoding='cdr',
-                metadata={'offered_qos_profiles': ''},
-                schema_id=self._schemas[name].id,
-            )
-            self._add_record(channel)
+        if name not in self._schemas:
+            number, text = len(self._schemas) + 1, definition(cls).encode()
+            self._schemas[name] = records.Schema(number, text, 'ros2msg', name)
+            self._add_record(self._schemas[name])
+        # rosbag2 keeps the publishers' QoS here; empty means unknown, and it takes its default.
+        channel = records.Channel(
+            id=len(self._topics) + 1,
+            topic=topic,
+            message_encoding='cdr',
+            metadata={'offered_qos_profiles': ''},
+            schema_id=self._schemas[name].id,
+        )
+        self._add_record(channel)
         self._topics[topic] = _Topic(channel, cls, name)
         return self._topics[topic]
 
     def _add_record(self, record: records.McapRecord) -> None:
-        self._records.append(_packed(record))
-        self._size += len(self._records[-1])
+        with self._writing():
+            self._records.append(_packed(record))
+            self._size += len(self._records[-1])
 
     def _finish_chunk(self) -> None:
         """Write the records so far, if there are messages among them, and their indexes."""
@@ -307,9 +307,9 @@ def _message_index(topic: _Topic) -> bytes:
     return head + entries
 
 
-def _packed(*records: records.McapRecord) -> bytes:
+def _packed(*parts: records.McapRecord) -> bytes:
     """Return records as they are in a file."""
     builder = RecordBuilder()
-    for record in records:
+    for record in parts:
         record.write(builder)
     return bytes(builder.end())

@@ -10,6 +10,7 @@ from contextlib import suppress
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -702,6 +703,18 @@ def test_messages_that_do_not_fit_are_refused_and_the_bag_goes_on(tmp_path):
             one_line(error)
         bag.write('/p', Point(), 2)
     assert [m.log_time for m in read_messages(path)] == [0, 2]
+
+
+def test_a_type_without_its_parts_is_refused_and_the_bag_goes_on(tmp_path, monkeypatch):
+    with BagWriter(tmp_path / 'out.mcap') as bag:
+        with monkeypatch.context() as lacking:
+            refusal = BagError("message type 'x' is not installed; fix: source it")
+            raising = mock.Mock(side_effect=refusal)
+            lacking.setattr('kinpole_ros.bags._bag_writer.definition', raising)
+            with pytest.raises(BagError, match='is not installed'):
+                bag.write('/p', Point(), 0)
+        bag.write('/p', Point(), 1)
+    assert [m.log_time for m in read_messages(tmp_path / 'out.mcap')] == [1]
 
 
 # Schemas, judged by other libraries
