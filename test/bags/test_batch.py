@@ -34,7 +34,7 @@ from kinpole_ros.tools.cli import main
 
 Simulated = Callable[..., Path]
 SETTINGS = Settings(window=0.2, lag=0.05, derivative_order=2)
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @contextmanager
@@ -314,7 +314,7 @@ def test_a_cluster_that_ends_costs_one_line_and_leaves_a_summary(
 
 def test_a_worker_ends_with_a_batch_that_is_killed_in_the_middle_of_its_job() -> None:
     code = (
-        f'import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n'
+        f'import sys; sys.path[:0] = {[str(path) for path in Path(__file__).parents[:2]]!r}\n'
         'from test_batch import in_a_process, report_and_sleep\n'
         "if __name__ == '__main__':\n"
         '    in_a_process([report_and_sleep], lambda _, pid: print(int(pid), flush=True))\n'

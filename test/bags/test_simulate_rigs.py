@@ -190,7 +190,7 @@ def test_the_example_of_a_real_rig_tracks_what_it_says(
     words: dict[str, Any] = {'message': 'point_cloud2', 'unlabeled': True, 'scale': 1000.0}
     words |= {'tilt': 20.0, 'arrival': 0.001, 'noise': 2e-4, 'dropout': 0.02}
     bag = simulated('four_bar', duration=4.0, **words)
-    config = Path(__file__).parents[1] / 'config' / 'real_rig.yaml'
+    config = Path(__file__).parents[2] / 'config' / 'real_rig.yaml'
     output = tmp_path / 'rig.mcap'
     replay(bag, load_settings(config), output)
     for body in 'crank', 'coupler', 'rocker':
