@@ -202,7 +202,7 @@ class _Replaying:
                     if take is not None:
                         take(estimate)
             reader = self._reader
-            pose_problem = reader.unseen_names() if isinstance(reader, PoseReader) else ''
+            pose_problem = reader.fault() if isinstance(reader, PoseReader) else ''
             self._check_frames(pose_problem)
         return self._totals.result(_unlisted_files(self._bag), pose_problem)
 

@@ -66,6 +66,8 @@ class Replayed(NamedTuple):
         How the stamps deviate from their clock; None where there are too few.
     misnamed : list of str
         Markers that are not those that their names say, and further remarks, a line each.
+    pose_problem : str
+        Poses that no message has, or that are stamped too late; '' if all is well.
     erring : dict
         Deviations of markers that count for less than others, m, by body and name.
     wrong : dict
@@ -100,6 +102,7 @@ class Replayed(NamedTuple):
     lost: int
     stamps: StampState | None
     misnamed: list[str]
+    pose_problem: str
     erring: dict[str, dict[str, float]]
     wrong: dict[str, int]
     outages: dict[str, Outage]
@@ -206,8 +209,9 @@ class ReplayTotals:
             stamps=tracker.stamp_state(),
             misnamed=[
                 *identity_lines(tracker, counts),
-                *filter(None, (pose_problem, _pairs_line(self._settings))),
+                *filter(None, [_pairs_line(self._settings)]),
             ],
+            pose_problem=pose_problem,
             erring=tracker.erring(),
             wrong=by_body(tracker.wrong().tolist()),
             outages=tracker.outages(),

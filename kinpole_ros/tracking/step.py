@@ -50,9 +50,9 @@ def new_tracks(bodies: int, outages: np.ndarray, wrong: np.ndarray) -> dict[str,
         `unusual` (B,): what is unusual of each body in the last frame. `held` (B,): how many poses
         were held since they were last counted, and `held_markers` (B,) how many markers. `newest`
         (B,): how many of the newest poses may be wrong, and are not used yet. `seen_last` (B,):
-        stamp of the last frame with a pose, ns, -1 for none. `total_turn` (B,): turns of tilting bodies about the
-        normal, beyond those of their headings, up to the last pose that is certainly right, rad;
-        its angle is `sure_angle`, and its tilt `sure_tilt`.
+        stamp of the last frame with a pose, ns, -1 for none. `total_turn` (B,): turns of tilting
+        bodies about the normal, beyond those of their headings, up to the last pose that is
+        certainly right, rad; its angle is `sure_angle`, and its tilt `sure_tilt`.
 
     """
     return {
