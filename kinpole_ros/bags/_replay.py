@@ -202,10 +202,8 @@ class _Replaying:
                         self._positions.append(estimate)
                     for add in takers:
                         add(estimate)
-            if isinstance(self._reader, messages.PoseReader) and (
-                problem := self._reader.unseen_names()
-            ):
-                outcome.misnamed.append(problem)
+            if isinstance(self._reader, messages.PoseReader):
+                outcome.pose_problem = self._reader.fault()
             self._check_frames()
         outcome.concatenated = _unlisted_files(self._bag)
         if self._positions is not None:
@@ -266,8 +264,8 @@ class _Replaying:
             raise BagError(
                 f'{self._bag}: no message on {self._topic} can be read: {outcome.problem}'
             )
-        if outcome.misnamed:
-            raise BagError(f'{self._bag}: on {self._topic} {outcome.misnamed[0]}')
+        if outcome.pose_problem:
+            raise BagError(f'{self._bag}: on {self._topic} {outcome.pose_problem}')
 
 
 def result_columns(

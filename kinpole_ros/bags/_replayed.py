@@ -69,6 +69,8 @@ class Replayed:
         How the stamps deviate from their clock; None where there are too few.
     misnamed : list of str
         Markers that are not those that their names say, and further remarks, a line each.
+    pose_problem : str
+        Poses that no message has, or that are stamped too late; '' if all is well.
     erring : dict
         Deviations of markers that count for less than others, m, by body and name.
     wrong : dict
@@ -103,6 +105,7 @@ class Replayed:
     scene_positions: 'PositionReport | None' = None
     stamps: StampState | None = None
     misnamed: list[str] = field(default_factory=list)
+    pose_problem: str = ''
     erring: dict[str, dict[str, float]] = field(default_factory=dict)
     wrong: dict[str, int] = field(default_factory=dict)
     outages: dict[str, Outage] = field(default_factory=dict)

@@ -19,12 +19,13 @@ from kinpole_ros.messages import (
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.rejection import OFF_PATH
 
+_NO_POSE = 'no pose of it came'
 # By the reasons that the tracker gives.
 _FIXES = {
     'too few markers seen, or all at one place': (
         'see that two of them, at distinct places in the plane, are in a frame at once and finite'
     ),
-    'no pose of it came': 'see that its driver sees it, and that its orientation is a quaternion',
+    _NO_POSE: 'see that its driver sees it, and that its orientation is a quaternion',
     OFF_PATH: 'see that the tracker takes no other markers for it',
     'the noise of its angle is too large': 'see to the driver: it is more than 0.15 rad',
     'markers too close for their noise': (
@@ -72,10 +73,11 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
         absent = result.absent.items()
         lines += [absent_markers_fault(body, names, result.identities) for body, names in absent]
     for body, reason in result.unknown.items():
-        if reason and body not in result.absent:
+        is_explained = body in result.absent or (result.pose_problem and reason == _NO_POSE)
+        if reason and not is_explained:
             fix = f'; {_FIXES[reason]}' if reason in _FIXES else ''
             lines.append(f'{body} was never estimated: {reason}{fix}')
-    lines += result.misnamed
+    lines += result.misnamed + [result.pose_problem] * bool(result.pose_problem)
     if tilt := tilt_fault(result.space, settings.plane):
         lines.append(tilt)
     lines += _body_warnings(result, settings)
@@ -92,7 +94,7 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
                 f'the scene {settings.scene} was compared at no instant: bodies that its joints '
                 'connect were never all seen; mark more of them, or see to the view of the markers'
             )
-    if not result.estimates:
+    if not result.estimates and not result.pose_problem:
         lines.append(_no_results(result, settings))
     return lines
 

@@ -138,6 +138,7 @@ class PoseReader:
         self._parent = ''
         # Names in the messages: of bodies, and of no body.
         self._seen_names: set[str] = set()
+        self._stamps_of: dict[str, _Stamps] = {}  # of the bodies on /tf
         self._unused_names: dict[str, None] = {}
         # Whether a frame is complete with each message, though bodies are missing.
         self._is_single = kind != 'tf' or len(self._names) == 1
@@ -146,8 +147,32 @@ class PoseReader:
         """Read serialized messages: their frames in order, and errors."""
         return [result for result, _ in self.read_numbered(messages)]
 
-    def unseen_names(self) -> str:
-        """Say which of the names no message had, and which names they had; '' if all came."""
+    def fault(self) -> str:
+        """Say which of the names no message had, or which were stamped too late; '' if neither."""
+        return self._unseen_names() or self._late_names()
+
+    def _late_names(self) -> str:
+        """Say which body on /tf always came with older stamps than another one before it."""
+        for name, own in self._stamps_of.items():
+            others = {k: one for k, one in self._stamps_of.items() if k != name}
+            if not others or not 0 < own.least_late < END_OF_TIME:
+                continue
+            other, newest = max(others.items(), key=lambda pair: pair[1].last)
+            late = (
+                f'{_shown(name)} has stamps at least {own.least_late / SECOND:.6g} s behind those'
+            )
+            if own.last < newest.first:
+                return (
+                    f'{late} of {_shown(other)}, which came with it: stamps of two clocks; fix: '
+                    'have both stamped by one clock'
+                )
+            return (
+                f'{late} that came before it, as of {_shown(other)}: it comes too late for their '
+                'frames; fix: have the driver send bodies of one frame with one stamp'
+            )
+        return ''
+
+    def _unseen_names(self) -> str:
         unseen = [name for name in self._names if name not in self._seen_names]
         if not unseen or not (self._seen_names or self._unused_names):
             return ''
@@ -260,6 +285,7 @@ class PoseReader:
             return
         self._parent = parent
         stamp = _stamp(data, transform.stamp, order)
+        self._note_stamp(child, stamp)
         pending = self._pending
         if pending is None or stamp != pending.stamp or child in pending.poses:
             self._complete(results)
@@ -283,6 +309,19 @@ class PoseReader:
             elif len(self._unused_names) < _LISTED_NAMES:
                 self._unused_names[name] = None
 
+    def _note_stamp(self, name: str, stamp: int) -> None:
+        """Note how far a body is behind the newest stamp of the others."""
+        newest = max((one.last for k, one in self._stamps_of.items() if k != name), default=None)
+        late = 0 if newest is None else newest - stamp
+        own = self._stamps_of.get(name)
+        if own is None:
+            # The first body has none before it, and may yet be late.
+            self._stamps_of[name] = _Stamps(stamp, stamp, END_OF_TIME if newest is None else late)
+        else:
+            self._stamps_of[name] = _Stamps(
+                own.first, max(own.last, stamp), min(own.least_late, late)
+            )
+
     def _complete(self, results: 'list[_Poses | MessageError]') -> None:
         """Append the pending frame, with NaN for bodies that were not seen."""
         if self._pending is not None:
@@ -290,6 +329,14 @@ class PoseReader:
             poses = {name: seen.get(name, _UNSEEN) for name in self._names}
             results.append(self._pending._replace(poses=poses))
         self._pending = None
+
+
+class _Stamps(NamedTuple):
+    """Of a body: first and newest stamp, and how far it was behind those of others at least, ns."""
+
+    first: int
+    last: int
+    least_late: int
 
 
 class _Poses(NamedTuple):

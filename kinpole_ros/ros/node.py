@@ -261,7 +261,7 @@ class KinpoleNode(ParameterNode):
         # A simulated clock may have any time.
         stamp = min(max(0, self.get_clock().now().nanoseconds), _MAX_STAMP)
         self.source.note_several_publishers()
-        self.source.note_unseen_names()
+        self.source.note_pose_fault()
         self._note_duplicate_publishers()
         for key in _PASSING_FAULTS - self._noted:
             self._note(key, '')

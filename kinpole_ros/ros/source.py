@@ -321,11 +321,11 @@ class MarkerSource:
             self._number = number
         return lost
 
-    def note_unseen_names(self) -> None:
-        """Note names of poses that no message has."""
+    def note_pose_fault(self) -> None:
+        """Note names of poses that no message has, or that are stamped too late."""
         reader = self._reader if self._kind else None
-        unseen = reader.unseen_names() if isinstance(reader, PoseReader) else ''
-        self._note('names', f'on {self.topic} {unseen}' if unseen else '')
+        fault = reader.fault() if isinstance(reader, PoseReader) else ''
+        self._note('names', f'on {self.topic} {fault}' if fault else '')
 
     def note_several_publishers(self) -> None:
         """Note whether several publishers have sent alternately since the last call."""

@@ -485,14 +485,64 @@ def test_a_pose_array_of_nobody_is_a_frame_in_which_nobody_is_seen() -> None:
 
 def test_names_that_never_come_are_said_with_those_that_do(tmp_path: Path) -> None:
     reader = PoseReader('tf', ('crank',))
-    assert not reader.unseen_names()
+    assert not reader.fault()
     read(reader, tf(10, robot=(1.0,), lidar=(2.0,)))
-    assert "no pose came of 'crank'" in reader.unseen_names()
-    assert "'robot', 'lidar'" in reader.unseen_names()
+    assert "no pose came of 'crank'" in reader.fault()
+    assert "'robot', 'lidar'" in reader.fault()
     bag = tmp_path / 'tf.mcap'
     simulate(FOUR_BAR, bag, duration=0.5, message='tf')
     with pytest.raises(BagError, match="no pose came of 'arm'; frames that came"):
         replay(bag, Settings(marker_type='tf', marker_topic='/tf', bodies={'arm': ('arm',)}))
+
+
+def two_bodies(path: Path, shift: int) -> Path:
+    """A bag of two bodies on /tf that come together, the stamps of one of them shifted, ns."""
+    rng = np.random.default_rng(1)
+    with BagWriter(path) as writer:
+        for k in range(300):
+            came = START + k * 5_000_000
+            for body, stamp in (('arm', came), ('rod', came + shift)):
+                half = came * 1e-9 + 1e-3 * rng.normal()
+                place = 1e-4 * rng.normal(size=3)
+                row = np.array([(*place, 0.0, 0.0, np.sin(half), np.cos(half))])
+                data = poses_data('tf', stamp, 'world', [body], row)
+                writer.write_raw('/tf', INPUT_TYPES['tf'], data, came)
+    return path
+
+
+@pytest.mark.parametrize(
+    ('shift', 'words'),
+    [
+        (
+            -30_000_000,
+            "'rod' has stamps at least 0.03 s behind those that came before it, as of 'arm'",
+        ),
+        (30_000_000, "'arm' has stamps at least 0.025 s behind those that came before it, as of"),
+        (-1_000_000, "'rod' has stamps at least 0.001 s behind"),
+        (
+            10**15,
+            "'arm' has stamps at least 1e+06 s behind those of 'rod', which came with it: stam",
+        ),
+        (-900 * 10**6, "'rod' has stamps at least 0.9 s behind those that came before it"),
+    ],
+)
+def test_a_body_stamped_behind_the_others_is_named_as_the_cause(
+    tmp_path: Path, shift: int, words: str
+) -> None:
+    names = {'arm.markers': ['arm'], 'rod.markers': ['rod'], 'bodies': ['arm', 'rod']}
+    settings = settings_from({'marker_type': 'tf', 'marker_topic': '/tf', **names})
+    lines = warnings_of(replay(two_bodies(tmp_path / 'tf.mcap', shift), settings), settings)
+    assert any(words in line for line in lines)
+    assert not any('never estimated' in line or 'raise' in line for line in lines)
+    assert any('two clocks' in line for line in lines) == (shift == 10**15)
+
+
+def test_bodies_stamped_alike_are_not_said_to_be_late(tmp_path: Path) -> None:
+    names = {'arm.markers': ['arm'], 'rod.markers': ['rod'], 'bodies': ['arm', 'rod']}
+    settings = settings_from({'marker_type': 'tf', 'marker_topic': '/tf', **names})
+    result = replay(two_bodies(tmp_path / 'tf.mcap', 0), settings)
+    assert result.estimates > 200
+    assert not result.pose_problem
 
 
 @pytest.mark.parametrize('kind', WRITTEN)
