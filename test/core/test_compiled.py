@@ -26,6 +26,8 @@ def record(rng: np.random.Generator, frames: int, bodies: int, noise: float, **h
     motion = size * np.sin(2 * np.pi * hertz * seconds + rng.uniform(0, 6, (bodies, 3)))
     if how['stops']:
         motion[time > rng.uniform(0.3, 0.9) * time[-1]] = 0.0
+    if how['rebounds']:
+        motion += 30 * noise * np.abs(np.sin(np.pi * seconds / (STEP * 1e-9 * how['rebounds'])))
     motion += noise * rng.normal(size=motion.shape)
     turns = np.rint(motion[..., 0] / (2 * np.pi))
     information = [np.ones((count, bodies)), np.ones((count, bodies))]
@@ -43,10 +45,12 @@ def record(rng: np.random.Generator, frames: int, bodies: int, noise: float, **h
 
 PLAIN = {
     'jitter': 0.0, 'lost': 0.0, 'gap': 0, 'hidden': 0.0, 'poor': 0.0, 'stops': 0, 'left_out': 0,
+    'rebounds': 0,
 }  # fmt: skip
 CASES = {
     'even': {},
     'motions that stop': {'stops': 1},
+    'motions that rebound several times in a window': {'rebounds': 12},
     'jitter': {'jitter': 0.3},
     'wild jitter': {'jitter': 0.9},
     'lost frames': {'lost': 0.1},

@@ -24,7 +24,9 @@ _ORDERS = (0, 1, 2)
 _WORTH = 3
 # How probable an event is, and the logarithm of the part of all sizes that is as large.
 _PRIOR, _SIZE_COST = 0.05, 2.4
-# Evidence that a candidate gains, by which it is at most behind another, and with which a second
+# Events in a window at most.
+_MOST_EVENTS = 4
+# Evidence that a candidate gains, by which it is at most behind another, and with which another
 # event makes the set without it not count.
 _GAIN, _BEHIND, _SURE_GAIN = 8.0, 3.0, 25.0
 # Evidence after the loss of which shorter lengths of a spectrum are left out.
@@ -282,15 +284,18 @@ def _sets(window: Window, samples: Real, seen: Real, lacking: Real, empty: _Set)
         if one.gain >= _GAIN and one.value >= found[first].value - _BEHIND
     }
     models = [screen.model for screen in found[first].screens]
-    screens = [_screen(window, sets[first], lacking, c, models[c]) for c in range(2)]
-    others = _candidates(window, samples, seen, screens, 0.0)
-    second = max(others, key=lambda order: others[order].value)
     all_ = [empty, *(one for order, one in sets.items() if order != first)]
-    if others[second].gain < _SURE_GAIN:
-        all_.append(sets[first])
-    if others[second].gain >= _GAIN:
-        all_.append(_extended(window, samples, seen, lacking, sets[first], second, others[second]))
-    return all_
+    best = sets[first]
+    for _ in range(_MOST_EVENTS - 1):
+        screens = [_screen(window, best, lacking, c, models[c]) for c in range(2)]
+        others = _candidates(window, samples, seen, screens, 0.0)
+        another = max(others, key=lambda order: others[order].value)
+        if others[another].gain < _GAIN:
+            break
+        if others[another].gain < _SURE_GAIN:
+            all_.append(best)
+        best = _extended(window, samples, seen, lacking, best, another, others[another])
+    return [*all_, best]
 
 
 def _slow(window: Window) -> np.ndarray:

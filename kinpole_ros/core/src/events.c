@@ -12,8 +12,6 @@
 #include "samples.h"
 #include "screens.h"
 
-/* Columns of an event: the step, its shift in time, and a step of the next derivative. */
-#define EVENT_COLUMNS 3
 /* Prior probability that a window has an event: events are rare. */
 #define EVENT_PRIOR 0.05
 /* Cost of a size in log evidence: the prior of sizes is wider than the size that is estimated. */
@@ -22,7 +20,7 @@
 #define MIN_GAIN 8.0
 /* Log evidence by which a candidate of another order may be behind the best one. */
 #define MAX_EVIDENCE_BEHIND 3.0
-/* Log evidence of a second event above which the set without it has no weight. */
+/* Log evidence of another event above which the set without it has no weight. */
 #define CERTAIN_GAIN 25.0
 /* Bounds of the standard deviation of an event's place, samples: an event lies between two samples,
    and its shift is linear over few. */
@@ -256,9 +254,9 @@ search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
     double *scratch;
     TAKE(scratch, (1 + STEP_ORDERS * MAX_ORDERS) * n);
     data = lay_out_screens(n, orders, most, data, screens);
-    Candidate events[STEP_ORDERS], next[STEP_ORDERS];
+    Candidate events[STEP_ORDERS];
     for (int k = 0; k < STEP_ORDERS; k++)
-        events[k].value = next[k].value = -INFINITY;
+        events[k].value = -INFINITY;
     screen_window(m, s, w, sets, scratch, screens, events);
     const Candidate *first = best_candidate(events);
     if (!(first->gain >= MIN_GAIN))
@@ -275,21 +273,29 @@ search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
         else
             evaluate_models(m, s, w, set);
     }
-    /* The second event is screened before any evaluation of the first, which may be unnecessary. */
-    for (int c = 0; c < 2; c++)
-        screen_steps(m, s, w, one, scratch, first->screens->signal + c);
-    first->screens->has_sample_weights = 0;
-    find_candidates(m, w, 0.0, first->screens, next);
-    const Candidate *second = best_candidate(next);
-    if (second->gain >= MIN_GAIN) {
-        Set *two = sets + (*number)++;
-        add_event(m, one, second, orders, block, data, two);
-        add_place_covariance(m, by, one, second, w->column_products, scratch, two);
-        evaluate_models(m, s, w, two);
+    /* Another event is screened before the evaluation of those before, which may be unnecessary. */
+    for (Screens *of = first->screens; one->events < MAX_EVENTS;) {
+        for (int c = 0; c < 2; c++)
+            screen_steps(m, s, w, one, scratch, of->signal + c);
+        of->has_sample_weights = 0;
+        Candidate next[STEP_ORDERS];
+        for (int k = 0; k < STEP_ORDERS; k++)
+            next[k].value = -INFINITY;
+        find_candidates(m, w, 0.0, of, next);
+        const Candidate *another = best_candidate(next);
+        if (!(another->gain >= MIN_GAIN))
+            break;
+        Set *more = sets + (*number)++;
+        data = add_event(m, one, another, orders, block, data, more);
+        add_place_covariance(m, by, one, another, w->column_products, scratch, more);
+        if (another->gain < CERTAIN_GAIN) {
+            evaluate_models(m, s, w, one);
+            one = more;
+        } else {
+            *one = *more;
+            --*number;
+        }
     }
-    if (second->gain < CERTAIN_GAIN)
-        evaluate_models(m, s, w, one);
-    else
-        *one = sets[--*number];
+    evaluate_models(m, s, w, one);
     return DONE;
 }

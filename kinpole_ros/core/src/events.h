@@ -10,7 +10,7 @@
  * 2. Evaluation. The best candidate of each order becomes columns of the regression: the step, its
  *    shift in time, and a step of the next derivative. All models are evaluated with them
  *    (`add_event`, `evaluate_models`).
- * 3. A second event is screened with the first one in place, and then evaluated.
+ * 3. Another event is screened with those before in place, and then evaluated, up to MAX_EVENTS.
  * 4. Other places of an event, by their evidence, add to the covariance (`add_place_covariance`).
  *
  * `search_events` returns the sets, and `differentiate` averages all models with all of them. The
@@ -28,7 +28,7 @@
 #include "private.h"
 #include "samples.h"
 
-/* Search a window for up to two events, and evaluate the models with them. The first of `sets` has
+/* Search a window for up to MAX_EVENTS events, and evaluate the models with them. The first of `sets` has
    no events, and is evaluated already. `number` is the number of sets. */
 PRIVATE int search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
                           const Work *w, long long block, Set *sets, int *number);

@@ -16,9 +16,13 @@
 
 /* Derivatives from order 0 on. */
 #define MAX_ORDERS (HIGHEST + 1)
-/* Sets of events: none, one of each order, and two. Columns of two events. */
-#define MAX_SETS (1 + STEP_ORDERS + 1)
-#define MAX_STEPS 6
+/* Events in a window at most: of a body that rebounds, several fall into one. With 2 the jerk at events has
+   1.04 times the error at 200 Hz, and the acceleration 1.05 times. */
+#define MAX_EVENTS 4
+/* Sets of events: none, one of each order, and more. Columns of an event. */
+#define MAX_SETS (STEP_ORDERS + MAX_EVENTS)
+#define EVENT_COLUMNS 3
+#define MAX_STEPS (EVENT_COLUMNS * MAX_EVENTS)
 
 /* The models of a window of `count` samples, as `models_of` of _models.py makes them. */
 typedef struct {
