@@ -86,6 +86,12 @@ def identity_lines(tracker: Tracker, counts: Mapping[str, int]) -> Iterator[str]
         )
     for body, how in matcher.wrong_shapes(tracker.state.placed).items():
         yield _SHAPE_FAULTS[how].format(body)
+    yield from _counted_lines(tracker, counts)
+
+
+def _counted_lines(tracker: Tracker, counts: Mapping[str, int]) -> Iterator[str]:
+    """Yield what was corrected or left out, and how often."""
+    matcher = tracker.matcher
     examples = '; '.join(_short(text) for text in list(matcher.notes)[-_LISTED_NOTES:])
     examples = f' ({examples})' if examples else ''
     if misnamed := counts.get(OTHERS):

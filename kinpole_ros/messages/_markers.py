@@ -82,33 +82,42 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
     if isinstance(message, MarkerArray):
         header, identities, points = _read_marker_array(message, identity)
     else:
-        if isinstance(message, PointCloud2):
-            points = cloud_points(message)
-        elif isinstance(message, Marker):
-            points = _marker_points(message)
-        elif isinstance(message, PoseArray):
-            points = _positions(pose.position for pose in message.poses)
-        else:
-            raise MessageError(
-                f'{type(message).__name__} is not a message of markers: '
-                f'publish one of {", ".join(ROS_TYPE_NAMES.values())}'
-            )
+        points = _unnamed_points(message)
         header = message.header
         identities = _identities(message, identity, len(points))
-    if header.stamp.sec < 0:
-        raise MessageError(
-            f'header.stamp is {header.stamp.sec} s; see that the driver sets it to the time of '
-            'capture, counted from 1970 or from its start'
-        )
-    stamp = stamp_to_ns(header.stamp)
-    if stamp >= END_OF_TIME:
-        raise MessageError(
-            f'header.stamp has {header.stamp.nanosec} ns after {header.stamp.sec} s, more than a '
-            'ROS time holds; see that the driver sets nanosec to less than 1e9'
-        )
+    stamps = np.array([_checked_stamp(header.stamp)])
     blank_unseen(points)
-    stamps = np.array([stamp])
     return MarkerFrames(stamps, header.frame_id, identities, points[None])
+
+
+def _unnamed_points(message: Any) -> np.ndarray:
+    """Points (n, 3), m, of a message without names, in the frame of its header."""
+    if isinstance(message, PointCloud2):
+        return cloud_points(message)
+    if isinstance(message, Marker):
+        return _marker_points(message)
+    if isinstance(message, PoseArray):
+        return _positions(pose.position for pose in message.poses)
+    raise MessageError(
+        f'{type(message).__name__} is not a message of markers: '
+        f'publish one of {", ".join(ROS_TYPE_NAMES.values())}'
+    )
+
+
+def _checked_stamp(stamp: Any) -> int:
+    """A stamp in ns; raises MessageError for one that no ROS time has."""
+    if stamp.sec < 0:
+        raise MessageError(
+            f'header.stamp is {stamp.sec} s; see that the driver sets it to the time of capture, '
+            'counted from 1970 or from its start'
+        )
+    ns = stamp_to_ns(stamp)
+    if ns >= END_OF_TIME:
+        raise MessageError(
+            f'header.stamp has {stamp.nanosec} ns after {stamp.sec} s, more than a ROS time holds; '
+            'see that the driver sets nanosec to less than 1e9'
+        )
+    return ns
 
 
 def to_message(

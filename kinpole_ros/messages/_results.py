@@ -5,7 +5,7 @@ Node, replay and simulate publish the rows of this table. A topic that nobody re
 Other packages register quantities (`Registered`): this one imports none of them.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 from kinpole_ros.messages._drawing import Trails, centrode, drawing
@@ -295,14 +295,8 @@ def result_outputs(
     for b in numbers:
         for row in OF_BODY:
             outputs += _outputs(row, f'{bodies[b]}/{row.name}', rig, (b,))
-    connected = {*map(frozenset, (joints or {}).values())}
-    if registered is not None:
-        connected |= {*map(frozenset, registered.connected_bodies())}
-    for i, j in measured_pairs(len(bodies)):
-        is_connected = frozenset((bodies[i], bodies[j])) in connected
-        for row in _OF_PAIR:
-            topic = f'{bodies[j]}/wrt/{bodies[i]}/{row.name}'
-            outputs += _outputs(row, topic, rig, (i, j), is_connected)
+    connected = [*(joints or {}).values(), *(registered.connected_bodies() if registered else ())]
+    outputs += _pair_outputs(rig, connected)
     for quantity in registered.quantities(bodies) if registered is not None else ():
         outputs += _registered_outputs(quantity, given)
     outputs.append(Output(STATE, PointCloud2, highest, state(given, highest)))
@@ -317,6 +311,16 @@ def result_outputs(
     moving = [Row(FRAME, 0, stamped(FRAME, frames[b]), 1, b) for b in numbers]
     outputs.append(Output(TF, TFMessage, 1, Rows(moving, given)))
     return [output for output in outputs if output.order <= highest]
+
+
+def _pair_outputs(rig: _Rig, connected: Sequence[tuple[str, str]]) -> Iterator[Output]:
+    """Yield the topics of pairs of bodies; those of `connected` ones are standard."""
+    names, pairs = rig.bodies, {*map(frozenset, connected)}
+    for i, j in measured_pairs(len(names)):
+        is_connected = frozenset((names[i], names[j])) in pairs
+        for row in _OF_PAIR:
+            topic = f'{names[j]}/wrt/{names[i]}/{row.name}'
+            yield from _outputs(row, topic, rig, (i, j), is_connected)
 
 
 def outputs_of(settings: Settings, registered: Registered | None) -> list[Output]:

@@ -74,35 +74,9 @@ def listen(
     node = Node('kinpole_discover', context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    messages: list[bytes] = []
-    refused: list[str] = []
-    size = 0
-
-    def receive(data: bytes) -> None:
-        nonlocal size
-        if len(data) <= MAX_MESSAGE_BYTES:
-            messages.append(data)
-            size += len(data)
-        elif not refused:
-            refused.append(describe_excess(name, len(data)))
-
     try:
         kind = _published_kind(node, executor, name)
-        qos = QoSProfile(depth=SUBSCRIPTION_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-        node.create_subscription(subscribed_class(kind), name, receive, qos, raw=True)
-        end = time.monotonic() + _PATIENCE
-        has_begun = False
-        while time.monotonic() < end and context.ok():
-            executor.spin_once(timeout_sec=_POLL_INTERVAL)
-            if size > _MAX_KEPT_BYTES:
-                raise BagError(
-                    f'more than {_MAX_KEPT_BYTES >> 20} MiB came on {name}; fix: listen for fewer '
-                    'seconds, or record a bag and read that'
-                )
-            if (messages or refused) and not has_begun:
-                has_begun, end = True, time.monotonic() + seconds
-            if has_begun and progress is not None:
-                progress(min(1.0, 1 - (end - time.monotonic()) / seconds))
+        messages, refused = _received(node, executor, (kind, name), seconds, progress)
     finally:
         executor.shutdown()
         node.destroy_node()
@@ -116,6 +90,45 @@ def listen(
             f'no markers came on {name} that can be read{reason}; fix: see that its publisher runs'
         )
     return frames, name
+
+
+def _received(
+    node: Node,
+    executor: SingleThreadedExecutor,
+    topic: tuple[str, str],
+    seconds: float,
+    progress: Callable[[float], None] | None,
+) -> tuple[list[bytes], list[str]]:
+    """Return the messages of a topic, of a kind and a name, and why one was refused, if any was."""
+    kind, name = topic
+    messages: list[bytes] = []
+    refused: list[str] = []
+    size = 0
+
+    def receive(data: bytes) -> None:
+        nonlocal size
+        if len(data) <= MAX_MESSAGE_BYTES:
+            messages.append(data)
+            size += len(data)
+        elif not refused:
+            refused.append(describe_excess(name, len(data)))
+
+    qos = QoSProfile(depth=SUBSCRIPTION_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+    node.create_subscription(subscribed_class(kind), name, receive, qos, raw=True)
+    end = time.monotonic() + _PATIENCE
+    has_begun = False
+    while time.monotonic() < end and node.context.ok():
+        executor.spin_once(timeout_sec=_POLL_INTERVAL)
+        if size > _MAX_KEPT_BYTES:
+            raise BagError(
+                f'more than {_MAX_KEPT_BYTES >> 20} MiB came on {name}; fix: listen for fewer '
+                'seconds, or record a bag and read that'
+            )
+        if (messages or refused) and not has_begun:
+            has_begun, end = True, time.monotonic() + seconds
+        if has_begun and progress is not None:
+            progress(min(1.0, 1 - (end - time.monotonic()) / seconds))
+    return messages, refused
 
 
 def _published_kind(node: Node, executor: SingleThreadedExecutor, name: str) -> str:

@@ -85,44 +85,48 @@ def play(
     BagError
         As reading does, and for a speed, clock or number of subscribers that is not more than 0.
     """
-    if not (math.isfinite(speed) and speed > 0):
-        raise BagError(f'--speed is {speed}; it must be more than 0')
-    if clock is not None and not (math.isfinite(clock) and clock > 0):
-        raise BagError(f'--clock is {clock}; it must be more than 0 Hz')
-    if subscribers is not None and subscribers < 1:
-        raise BagError(f'--subscribers is {subscribers}; it must be 1 or more')
-    types = topics(bag)
-    if clock is not None:
-        types.pop('/clock', None)
-    only = [with_slash(name) for name in only or []]
-    ordinary = [name for name in types if '/truth/' not in name]
-    for name in only:
-        if name not in types:
-            raise BagError(f'{bag}: no topic {name}; it holds {", ".join(sorted(ordinary))}')
-    chosen = {name: types[name] for name in only or ordinary}
+    _check_options(speed, clock, subscribers)
+    chosen = _chosen_topics(bag, only or [], clock is not None)
     context = own_context()
     node = Node('kinpole_player', context=context)
     try:
-        try:
-            publishers = _make_publishers(node, chosen, is_strict=bool(only))
-            clocks = None if clock is None else node.create_publisher(ClockMessage, '/clock', 1)
-        except NameValidationException as error:
-            reason = ' '.join(str(error).rstrip(' ^\n').split())
-            raise BagError(f'{bag}: {reason}; name other topics with --topic') from None
+        publishers = _make_publishers(node, bag, chosen, is_strict=bool(only))
+        clocks = None if clock is None else node.create_publisher(ClockMessage, '/clock', 1)
         _wait_for_subscribers(node, publishers, wait, subscribers)
         pace = _Pace(speed, clocks, clock)
         count = _publish(bag, publishers, pace, progress, loop, node)
-        for publisher in publishers.values():
-            # Step by step, so that Ctrl-C ends it where a reader no longer reads.
-            while not publisher.wait_for_all_acked(_ACKNOWLEDGMENT_WAIT):
-                pass
+        _wait_until_read(publishers)
     finally:
         node.destroy_node()
         context.try_shutdown()
     return count
 
 
-def _make_publishers(node: Node, types: Mapping[str, str], is_strict: bool) -> dict[str, Publisher]:
+def _check_options(speed: float, clock: float | None, subscribers: int | None) -> None:
+    if not (math.isfinite(speed) and speed > 0):
+        raise BagError(f'--speed is {speed}; it must be more than 0')
+    if clock is not None and not (math.isfinite(clock) and clock > 0):
+        raise BagError(f'--clock is {clock}; it must be more than 0 Hz')
+    if subscribers is not None and subscribers < 1:
+        raise BagError(f'--subscribers is {subscribers}; it must be 1 or more')
+
+
+def _chosen_topics(bag: str | Path, only: list[str], has_clock: bool) -> dict[str, str]:
+    """Return the types of the topics that are played, by name."""
+    types = topics(bag)
+    if has_clock:
+        types.pop('/clock', None)
+    ordinary = [name for name in types if '/truth/' not in name]
+    names = [with_slash(name) for name in only]
+    for name in names:
+        if name not in types:
+            raise BagError(f'{bag}: no topic {name}; it holds {", ".join(sorted(ordinary))}')
+    return {name: types[name] for name in names or ordinary}
+
+
+def _make_publishers(
+    node: Node, bag: str | Path, types: Mapping[str, str], is_strict: bool
+) -> dict[str, Publisher]:
     """Make a publisher for each topic; one of an unknown type is an error if `is_strict`."""
     publishers = {}
     for name, kind in types.items():
@@ -133,8 +137,19 @@ def _make_publishers(node: Node, types: Mapping[str, str], is_strict: bool) -> d
                 raise
             node.get_logger().warning(f'{name} is not played: {error}')
             continue
-        publishers[name] = node.create_publisher(cls, name, QoSProfile(depth=_DEPTH))
+        try:
+            publishers[name] = node.create_publisher(cls, name, QoSProfile(depth=_DEPTH))
+        except NameValidationException as error:
+            reason = ' '.join(str(error).rstrip(' ^\n').split())
+            raise BagError(f'{bag}: {reason}; name other topics with --topic') from None
     return publishers
+
+
+def _wait_until_read(publishers: Mapping[str, Publisher]) -> None:
+    for publisher in publishers.values():
+        # Step by step, so that Ctrl-C ends it where a reader no longer reads.
+        while not publisher.wait_for_all_acked(_ACKNOWLEDGMENT_WAIT):
+            pass
 
 
 def _wait_for_subscribers(

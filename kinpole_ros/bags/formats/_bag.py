@@ -79,7 +79,7 @@ def _read(file: File, options: Options) -> Points:
         series = []
         for one in frames:
             order = np.arange(count, count + len(one.stamps)) if has_stamps else one.stamps
-            series.append(_series.Series('', one.identities, one.stamps, order, one.points))
+            series.append(_series.MessageSeries('', one.identities, one.stamps, order, one.points))
             count += len(one.stamps)
     else:
         series = _read_series(
@@ -206,7 +206,7 @@ def _make_decoder(
 
 def _read_series(
     file: File, topics: list[str], decode: Callable[[BagMessage], Any]
-) -> list[_series.Series]:
+) -> list[_series.MessageSeries]:
     """Read the messages of these topics; those that cannot be read are left out, and noted."""
     names = _shorten_topics(topics)
     columns: dict[tuple[Any, ...], tuple[array[int], array[int], array[float]]] = {}
@@ -242,7 +242,7 @@ def _read_series(
     if fault:
         file.notes.append(f'{file.path}: {left_out}')
     return [
-        _series.Series(
+        _series.MessageSeries(
             source,
             markers,
             np.frombuffer(stamps, np.int64),

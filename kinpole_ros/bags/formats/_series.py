@@ -15,7 +15,7 @@ _SAME_FRAME = 0.25  # share of the interval of a topic within which stamps are o
 _MOST_BACK = 20
 
 
-class Series(NamedTuple):
+class MessageSeries(NamedTuple):
     """Markers or poses in T messages of one layout, of one source."""
 
     source: str
@@ -25,7 +25,7 @@ class Series(NamedTuple):
     values: np.ndarray  # (T, n, 3), points, or (T, n, 7), with quaternions x, y, z, w
 
 
-def first_pass(file: File, series: list[Series]) -> list[Series]:
+def first_pass(file: File, series: list[MessageSeries]) -> list[MessageSeries]:
     """Leave out what came after stamps jumped back, as those of a bag played in a loop do."""
     end, note = np.inf, ''
     for source in dict.fromkeys(part.source for part in series):
@@ -54,7 +54,7 @@ def first_pass(file: File, series: list[Series]) -> list[Series]:
     ]
 
 
-def check_clocks(file: File, series: list[Series]) -> None:
+def check_clocks(file: File, series: list[MessageSeries]) -> None:
     """
     Raise BagError where sources that came together are stamped at other times: by two clocks.
 
@@ -86,14 +86,14 @@ def check_clocks(file: File, series: list[Series]) -> None:
         )
 
 
-def number_columns(series: list[Series], width: int) -> dict[str, int]:
+def number_columns(series: list[MessageSeries], width: int) -> dict[str, int]:
     """Number the markers, which have 3 values each, or the bodies, which have 7."""
     layouts = (part.names for part in series if part.values.shape[-1] == width)
     names = dict.fromkeys(name for layout in dict.fromkeys(layouts) for name in layout)
     return {name: column for column, name in enumerate(names)}
 
 
-def group_into_frames(series: list[Series]) -> tuple[np.ndarray, list[np.ndarray]]:
+def group_into_frames(series: list[MessageSeries]) -> tuple[np.ndarray, list[np.ndarray]]:
     """
     Put messages into frames: the stamps of these, and the frame of each message of each series.
 
