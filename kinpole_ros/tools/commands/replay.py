@@ -3,7 +3,6 @@
 import argparse
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
@@ -196,6 +195,8 @@ def batch(options: argparse.Namespace) -> int:
       kinpole batch runs/*/ --config rig.yaml --output results --scheduler tls://hub:8786 \
         --tls-ca ca.pem --tls-cert me.pem --tls-key me.key
     """
+    from dataclasses import replace
+
     from kinpole_ros.bags.batch import KINDS
     from kinpole_ros.bags.batch import batch as replay_bags
 
