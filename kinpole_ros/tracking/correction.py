@@ -26,6 +26,7 @@ from kinpole_ros.tracking.rejection import (
     MIRRORED,
     NAME_DOUBTFUL,
     NEAR_ANGLE,
+    NO_MARKER_REPEATS,
     ODD,
     REVERSED,
     SLOW_STEP,
@@ -57,7 +58,11 @@ def correct_next(state: State, placed: PlacedFrames, k: int) -> Complex:
         restart_bodies(state, np.ones(bodies.count, bool))
     markers, heights = placed.points[k], placed.heights[k]
     if len(bodies.fitting.unseen):
-        bodies.begin(markers)
+        # Not from a marker that repeats: see `forget_held_markers`.
+        last = state.history['markers'][-2:]
+        may_be_held = (bodies.never_repeats == NO_MARKER_REPEATS)[:, None]
+        is_held = may_be_held & (last == markers).all(axis=0)
+        bodies.begin(np.where(is_held, complex(np.nan, np.nan), markers))
         state.step.bind(bodies, state.pins, state.history)
     if bodies.fitting.incomplete and (bodies.fitting.unknown_slots & ~np.isnan(markers)).any():
         # New markers are learned as soon as they are seen.

@@ -107,6 +107,44 @@ def learn(
     return restarted, counts
 
 
+def forget_held_markers(bodies: Bodies, history: History, which: np.ndarray) -> np.ndarray:
+    """
+    Learn the shapes of bodies again, without markers that are at one place in three frames or more.
+
+    Such a marker was lost from the first frames on, and learned as one that stands still.
+
+    Parameters
+    ----------
+    bodies, history : Bodies, History
+        What is updated.
+    which : (B,) bool
+        Bodies whose noise lets no marker repeat.
+
+    Returns
+    -------
+    (B,) bool
+        Which bodies have less than two markers left.
+
+    """
+    markers = history['markers']
+    held = np.zeros(markers.shape, bool)
+    thrice = (markers[2:] == markers[1:-1]) & (markers[1:-1] == markers[:-2]) & which[:, None]
+    for k in range(3):
+        held[k : len(held) - 2 + k] |= thrice
+    is_learned_so = 2 * held.sum(axis=0) > np.count_nonzero(~np.isnan(markers), axis=0)
+    wrong = is_learned_so.any(axis=1)
+    if not wrong.any():
+        return wrong
+    markers[held] = np.nan
+    history['used'][held] = False
+    # The places of the others were learned with a wrong one: they move again.
+    bodies.frames[wrong] = np.minimum(bodies.frames[wrong], 1)
+    bodies.frames[is_learned_so] = 0
+    bodies.update()
+    refit(bodies, history)
+    return wrong & (bodies.fitting.learned_count < 2)
+
+
 def _restart_with_outliers(bodies: Bodies, history: History) -> tuple[np.ndarray, Counter[str]]:
     """Start bodies again from the first frames that agree, if some of these have outliers."""
     restarted, counts = np.zeros(bodies.count, bool), Counter[str]()

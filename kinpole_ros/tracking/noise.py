@@ -10,7 +10,7 @@ variance, Baugh 1971).
 import numpy as np
 
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
-from kinpole_ros.tracking.rejection import MAX_REPEAT_CHANCE
+from kinpole_ros.tracking.rejection import MAX_REPEAT_CHANCE, NO_MARKER_REPEATS
 from kinpole_ros.tracking.statistics import (
     OUTLIER_RATIO,
     OUTLIER_SHARE,
@@ -276,7 +276,8 @@ def never_repeats(markers: Complex, white: Real, degrees: int | None) -> np.ndar
     """
     Return which bodies (B,) have so much noise that markers of two frames are never the same.
 
-    0 is that they may be, 1 that not all of a body are, and 2 that no marker is in three frames.
+    0 is that they may be, 1 that not all of a body are, and `NO_MARKER_REPEATS` that no marker is
+    in three frames.
 
     Two normal deviates are rounded to one number with the probability q / (2 sqrt(pi) sigma), where
     q is the resolution. That is the smallest distance between two different coordinates.
@@ -306,4 +307,4 @@ def never_repeats(markers: Complex, white: Real, degrees: int | None) -> np.ndar
             chance[b] = once ** (degrees or 2 * np.count_nonzero(seen))
             of_marker[b] = once**4
     poses, markers_too = chance < MAX_REPEAT_CHANCE, of_marker < MAX_REPEAT_CHANCE
-    return np.where(markers_too & (degrees is None), 2, poses).astype(np.uint8)
+    return np.where(markers_too & (degrees is None), NO_MARKER_REPEATS, poses).astype(np.uint8)

@@ -64,6 +64,8 @@ MAX_ANGLE_NOISE = 0.15
 # A pose, or a marker, that repeats the one before to the last bit is held by the tracker if noise
 # repeats it with less than this probability.
 MAX_REPEAT_CHANCE = 1e-6
+# Of a body whose single markers do not repeat twice in a row either: as in frames.h.
+NO_MARKER_REPEATS = 2
 # Mean square residual of a corrected body over that of the body; 0.1% of chi-squares of three
 # degrees exceed it.
 MAX_SQUARE_RATIO = 5.4

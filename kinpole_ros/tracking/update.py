@@ -4,10 +4,16 @@ import numpy as np
 
 from kinpole_ros.tracking.center import find_hubs
 from kinpole_ros.tracking.deformation import deformed_freedom
-from kinpole_ros.tracking.learn import MISFIT_FRAMES, freedom_of, learn, path_scale
+from kinpole_ros.tracking.learn import (
+    MISFIT_FRAMES,
+    forget_held_markers,
+    freedom_of,
+    learn,
+    path_scale,
+)
 from kinpole_ros.tracking.noise import never_repeats
 from kinpole_ros.tracking.posed import learn_poses
-from kinpole_ros.tracking.rejection import HELD, HELD_MARKERS
+from kinpole_ros.tracking.rejection import HELD, HELD_MARKERS, NO_MARKER_REPEATS
 from kinpole_ros.tracking.state import MIN_HISTORY_FRAMES, State, restart_bodies
 from kinpole_ros.tracking.thresholds import MEMORY_FRAMES
 
@@ -65,11 +71,20 @@ def _update(state: State) -> bool:
     drop_old_frames(state)
     # Measured noise, not what the parameters say: exact poses of a body at rest do repeat.
     is_measured = state.assignment.posed and not state.settings.noise
-    bodies.never_repeats = never_repeats(
-        history['markers'][-MISFIT_FRAMES:],
-        bodies.noise if is_measured else bodies.white,
-        3 if state.assignment.posed else None,
-    )
+    noise = bodies.noise if is_measured else bodies.white
+    degrees = 3 if state.assignment.posed else None
+    before = bodies.never_repeats
+    repeats = never_repeats(history['markers'][-MISFIT_FRAMES:], noise, degrees)
+    # Of a body that starts again, what was known before holds until its noise is.
+    bodies.never_repeats = np.where(np.isnan(noise), before, repeats)
+    begins = (bodies.never_repeats == NO_MARKER_REPEATS) & (before != NO_MARKER_REPEATS)
+    if begins.any():
+        last = history['markers'][-2:].copy()
+        lacking = forget_held_markers(bodies, history, begins)
+        if lacking.any():
+            restart_bodies(state, lacking)
+            history['markers'][-2:][:, lacking] = last[:, lacking]
+            bodies.never_repeats[lacking] = NO_MARKER_REPEATS
     bodies.hub = find_hubs(bodies, history, window, bodies.hub)
     bodies.jump_scale = path_scale(history)
     if not state.assignment.posed:

@@ -77,3 +77,32 @@ def test_a_constant_in_place_of_a_lost_marker_is_no_position(
     # It is said: the first of them is an outlier, the others repeat it.
     if not tracker.counts['poses_held']:
         assert tracker.counts['markers_held'] == length - 2 + (stand_in == 'the last place')
+
+
+@pytest.mark.parametrize('block', [1, COUNT])
+@pytest.mark.parametrize('length', [60, 300])
+@pytest.mark.parametrize('stand_in', ['zeros', 'minus one in the plane', '9999'])
+@pytest.mark.parametrize('count', SHAPES)
+def test_a_marker_that_is_lost_from_the_first_frame_on_is_learned_when_it_is_seen(
+    count: int, stand_in: str, length: int, block: int
+) -> None:
+    """Before the noise is known, for up to 0.31 s here, it counts as one that stands still."""
+    names, points = streams(count, slice(0, length), STAND_INS[stand_in])
+    stamps = FIRST + np.arange(COUNT) * (10**9 // RATE)
+    tracker = Tracker(settings_from({'bodies': ['rod'], 'rod.markers': names}))
+    estimates = []
+    for k in range(0, COUNT, block):
+        part = slice(k, k + block)
+        estimates += tracker.add(MarkerFrames(stamps[part], 'lab', tuple(names), points[part]), 1)
+        tracker.learn_if_due()
+    instants = np.concatenate([(one.stamp - FIRST) * 1e-9 for one in estimates])
+    rates = [one.rate(1) for one in estimates]
+    value, variance, is_known = (
+        np.concatenate([getattr(rate, name)[:, 0] for rate in rates])
+        for name in ('value', 'variance', 'determined')
+    )
+    is_known &= instants > 0.35
+    truth = np.interp(instants, TIMES, ANGULAR_VELOCITY)
+    sigmas = np.abs(value - truth)[is_known] / np.sqrt(variance[is_known])
+    assert is_known.sum() > COUNT - 160 - (length if count == 2 else 0)
+    assert np.mean(sigmas > 4) < 0.005 and sigmas.max() < 8
