@@ -3,12 +3,14 @@
 import re
 from cmath import phase
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import combinations
 from math import pi, remainder
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from kinpole_ros.mechanism._arc_slot import ArcSlot
 from kinpole_ros.mechanism._assembly import Assembly, assemble
 from kinpole_ros.mechanism._equations import Equations, equations_of_joints
 from kinpole_ros.mechanism._joint_kinds import (
@@ -178,16 +180,18 @@ def read_ends(
     return entry.get('name') or str(entry[kind]).rpartition('.')[2], base, moving
 
 
-def _slot(where: str, entry: dict[str, Any], points: Points) -> Slot:
-    name, base, moving = read_ends(where, entry, points, 'slot', 'along')
-    return Slot(name, *base, *moving, quantity(f'{where}: along', entry['along'], 'angle'))
-
-
-def _prismatic(where: str, entry: dict[str, Any], points: Points) -> Slot:
-    name, base, moving = read_ends(where, entry, points, 'prismatic', 'along')
-    along = quantity(f'{where}: along', entry['along'], 'angle')
-    turned = quantity(f'{where}: turned', entry.get('turned', 0.0), 'angle')
-    return Slot(name, *base, *moving, along, turned)
+def _slot(where: str, entry: dict[str, Any], points: Points, kind: str = 'slot') -> Joint:
+    is_arc = 'circle' in entry and 'along' not in entry
+    name, base, moving = read_ends(where, entry, points, kind, 'circle' if is_arc else 'along')
+    turned = None
+    if kind == 'prismatic':
+        turned = quantity(f'{where}: turned', entry.get('turned', 0.0), 'angle')
+    if is_arc:
+        circle = positive(f'{where}: circle', entry['circle'], 'length')
+        return ArcSlot(name, *base, *moving, circle, turned)
+    if 'circle' in entry:
+        raise SceneError(f'{where}: along is of a line, circle of an arc: leave one out')
+    return Slot(name, *base, *moving, quantity(f'{where}: along', entry['along'], 'angle'), turned)
 
 
 def _belt(where: str, entry: dict[str, Any], points: Points) -> Belt:
@@ -351,12 +355,14 @@ def _refuse_short_links(bodies: dict[str, dict[str, complex]], joints: list[Join
 # By the key that each has alone. A joint that is no span has its point `a` in `on`.
 FORMS = {
     'slot': Form(
-        ('slot', 'on', 'along', 'name'), '{slot: rod.B, on: ground.O, along: 0 deg}', _slot
+        ('slot', 'on', 'along', 'circle', 'name'),
+        '{slot: rod.B, on: ground.O, along: 0 deg}',
+        _slot,
     ),
     'prismatic': Form(
-        ('prismatic', 'on', 'along', 'turned', 'name'),
+        ('prismatic', 'on', 'along', 'circle', 'turned', 'name'),
         '{prismatic: block.Q, on: ground.O, along: 90 deg, turned: 0 deg}',
-        _prismatic,
+        partial(_slot, kind='prismatic'),
     ),
     'rolling': Form(
         ('rolling', 'radius', 'on', 'along', 'circle', 'start', 'pressure', 'name'),

@@ -174,6 +174,41 @@ def test_centers_come_with_their_deduction(capsys: pytest.CaptureFixture[str]) -
     assert x == pytest.approx(y, rel=1e-5)
 
 
+@pytest.mark.parametrize('name', scene_names())
+def test_ratios_of_rates_from_three_centers_are_those_of_the_motion(
+    capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    lines = told(capsys, name, '--centers')
+    rates = over_time(load_scene(name), np.zeros(1)).motion.angle[1, :, 0]
+    ratios = [re.fullmatch(r'ω(\d)/ω(\d) = .*?(\S+)', line) for line in lines]
+    for ratio in filter(None, ratios):
+        j, r, value = int(ratio[1]), int(ratio[2]), float(ratio[3])
+        assert value == pytest.approx(rates[j - 2] / rates[r - 2], rel=2e-5), ratio[0]
+    if name == 'four_bar':
+        assert 'ω4/ω2 = I12I24 / I14I24 = 0.12 m / -0.28 m = -0.428571' in lines
+    if name == 'planetary_gear':
+        assert 'ω3/ω2: not from centers, since I13 and I23 are one' in lines
+
+
+def test_a_body_that_does_not_turn_has_a_velocity_from_centers(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / 'crank.yaml'
+    path.write_text(
+        scene_text('slider_crank')
+        .split('# What')[0]
+        .replace('joints:', '  block: {B: [0, 0]}\njoints:')
+        .replace('slot: rod.B', 'prismatic: block.B')
+    )
+    lines = told(capsys, str(path), '--centers')
+    (line,) = (line for line in lines if line.startswith('v4/ω2'))
+    found = re.fullmatch(r'v4/ω2 = I12I24 = (\S+) m, along 180 deg', line)
+    solved = over_time(load_scene(path), np.zeros(1))
+    velocity, rate = solved.motion.position[1, 2, 0], solved.motion.angle[1, 0, 0]
+    assert found
+    assert float(found[1]) == pytest.approx(-velocity.real / rate, rel=1e-5)
+
+
 def test_where_kennedy_does_not_suffice_the_chain_says_so(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -553,6 +588,7 @@ def test_centers_are_called_alike_in_the_table_and_the_deduction(
     path.write_text(f'bodies:\n  ground: {{P0: [0, 0]}}\n{links}drivers:\n{rates}')
     assert cli.main(['solve', str(path), '--centers']) == 0
     table, deduced = capsys.readouterr().out.split('center  of')[1].split('1 ground')
+    deduced = deduced.split('\n\n')[0]
     names = {line.split()[0] for line in table.splitlines()[1:] if line}
     assert names == {line.split(':')[0] for line in deduced.splitlines()[1:]}
     assert 'I1,11' in names
@@ -579,11 +615,21 @@ def test_letters_on_lines_can_be_read() -> None:
 
 def test_pitch_curves_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     lines = told(
-        capsys, 'antiparallelogram', '--pitch', 'crank', 'follower', str(tmp_path / 'gears.svg')
+        capsys, 'elliptic_gears', '--pitch', 'crank', 'follower', str(tmp_path / 'gears.svg')
     )
     assert 'roll on each other' in lines[-1]
     drawing = ET.parse(tmp_path / 'gears.svg').getroot()
     assert drawing.tag.endswith('svg')
+    # Both are closed ellipses with the pins for foci.
+    curves = [
+        np.array([[float(x) for x in pair.split()] for pair in path.get('d', '')[2:-2].split('L')])
+        for path in drawing.iter('{http://www.w3.org/2000/svg}path')
+        if path.get('d', '').endswith('Z')
+    ]
+    assert len(curves) == 2
+    for curve, foci in zip(curves, ((0.0, 200.0), (0.0, 200.0)), strict=True):
+        sums = sum(np.hypot(*(curve - [focus, 0]).T) for focus in foci)
+        np.testing.assert_allclose(sums, 400.0, atol=1e-3)
 
 
 @pytest.mark.parametrize(
