@@ -12,6 +12,7 @@ from kinpole_ros.mechanism import SceneError, centrodes, load_scene, scene_text
 from kinpole_ros.tools.solve import _solution, _text
 from kinpole_ros.tools.solve._panels import Panel, write_drawing
 from kinpole_ros.tools.solve._pitch import write_pitch_curves
+from kinpole_ros.tools.solve._shapes import SceneLines
 from kinpole_ros.tools.solve._solution import SolvedScene
 from kinpole_ros.tools.solve._spreadsheet import write_table
 from kinpole_ros.tools.solve._statics import static_lines, work_lines
@@ -75,6 +76,14 @@ class _Analysis:
             return self.solution
         return _solution.over_full_motion(self.solution.scene, _SAMPLES)
 
+    @cached_property
+    def drawn(self) -> SceneLines:
+        """The lines of the scene; without a range they are those of the one position."""
+        try:
+            return SceneLines(self.motion)
+        except SceneError:
+            return SceneLines(self.here)
+
     def text(self) -> Iterator[str]:
         """Yield the analysis as lines to print."""
         options, solution = self.options, self.solution
@@ -137,7 +146,7 @@ class _Analysis:
 
             yield from polygon_lines(self.here)
             title = 'velocity and acceleration polygons'
-            yield self._draw(options.polygon, title, polygon_panels(self.here))
+            yield self._draw(options.polygon, title, polygon_panels(self.here, self.drawn))
         if options.decompose:
             from kinpole_ros.tools.solve import _decomposition
 

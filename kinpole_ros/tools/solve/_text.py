@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinpole_ros.mechanism import GROUND, Centers, Scene, explain, poles, transmission_angles
+from kinpole_ros.mechanism._followers import cam_lines
 from kinpole_ros.mechanism._kennedy import center_name
 from kinpole_ros.tools.solve import _solution
 from kinpole_ros.tools.solve._solution import SolvedScene
@@ -54,7 +55,7 @@ def _is_number(cell: str) -> bool:
 
 
 def head_lines(scene: Scene) -> list[str]:
-    """Return the numbers of bodies, joints and loops, and the drivers."""
+    """Return the numbers of bodies, joints and loops, the drivers, and a check of each cam."""
     mechanism = scene.mechanism
     counts = {
         'moving bodies': len(mechanism.bodies),
@@ -63,7 +64,7 @@ def head_lines(scene: Scene) -> list[str]:
     }
     listed = ', '.join(f'{title}: {count}' for title, count in counts.items() if count)
     drivers = ', '.join(driver.name for driver in mechanism.drivers)
-    return [f'{scene.name}: {listed}, driven: {drivers}']
+    return [f'{scene.name}: {listed}, driven: {drivers}', *cam_lines(mechanism.assembly.followers)]
 
 
 def motion_lines(solution: SolvedScene) -> list[str]:

@@ -64,6 +64,11 @@ function makeEditor({ data, page, stage, redraw, play }) {
       const isPinned = body.icr_velocity.value.includes(0);
       body.withheld = isPinned ? { centrode_curvature: [[0, data.n, 'the ICR stands still']] } : {};
     });
+    for (const end of data.spans.flatMap(({ ends }) => ends)) {
+      const owner = end.body ? data.bodies.indexOf(data.byName[end.body]) : ground;
+      const point = edit.points.find(([body, name]) => body === owner && name === end.name);
+      if (point) end.at = point.slice(2, 4);
+    }
     data.joints = pins();
     stage.view.isFixed = true;
     stage.updatePoints();
