@@ -10,6 +10,7 @@ import numpy as np
 
 from kinpole_ros.mechanism import SceneError, centrodes, load_scene, scene_text
 from kinpole_ros.tools.solve import _solution, _text
+from kinpole_ros.tools.solve._animation import animation_kind, write_animation
 from kinpole_ros.tools.solve._panels import Panel, write_drawing
 from kinpole_ros.tools.solve._pitch import write_pitch_curves
 from kinpole_ros.tools.solve._shapes import SceneLines
@@ -39,6 +40,8 @@ def solve_scene(options: Namespace) -> list[str]:
             from kinpole_ros.tools.plot import picture_format  # which needs mcap
 
             picture_format(path)
+    if options.animate:
+        animation_kind(options.animate)
     loaded = load_scene(options.scene)
     for body in options.centrodes:
         if body not in loaded.mechanism.bodies:
@@ -141,6 +144,11 @@ class _Analysis:
             extras = options.centers, options.centrodes
             draw_solution(options.plot, self.motion, position, *extras)
             yield f'written to {options.plot}'
+        if options.animate:
+            kind = animation_kind(options.animate)
+            with _solution.open_output(options.animate) as part:
+                about = write_animation(part, kind, self.motion)
+            yield f'written to {options.animate}: {about}'
         if options.polygon:
             from kinpole_ros.tools.solve._polygons import polygon_lines, polygon_panels
 

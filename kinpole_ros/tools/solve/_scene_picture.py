@@ -16,12 +16,11 @@ from kinpole_ros.mechanism import poles
 from kinpole_ros.mechanism._kennedy import center_name
 from kinpole_ros.tools.plot._style import Box, box_of, saved_figure
 from kinpole_ros.tools.solve import _solution
-from kinpole_ros.tools.solve._shapes import DrawnLine, SceneLines
+from kinpole_ros.tools.solve._shapes import BODY_COLORS, DrawnLine, SceneLines
 from kinpole_ros.tools.solve._solution import SolvedScene
 
 _SIZE, _DPI = (12.5, 6.2), 150  # inches
 _DASHES: tuple[Any, ...] = ('-', '--', '-.', ':', (0, (5, 1, 1, 1, 1, 1)))
-_COLORS = ('#000000', '#0060a8', '#a83200', '#00785a', '#7a4fa0', '#777777')
 # In sizes of the linkage: the longest velocity arrow, and how far off a center is drawn.
 _ARROW, _CENTER_DISTANCE = 0.35, 1.2
 _TITLE_WIDTH = 60  # characters
@@ -78,7 +77,7 @@ def _draw_figure(
 
 def _style(b: int) -> dict[str, Any]:
     """Return the style of the lines of body number `b`."""
-    return {'linestyle': _DASHES[b % len(_DASHES)], 'color': _COLORS[b % len(_COLORS)]}
+    return {'linestyle': _DASHES[b % len(_DASHES)], 'color': BODY_COLORS[b % len(BODY_COLORS)]}
 
 
 def _abscissa(solution: SolvedScene, here: SolvedScene) -> tuple[np.ndarray, float, str, str]:

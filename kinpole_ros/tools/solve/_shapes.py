@@ -20,6 +20,8 @@ from kinpole_ros.tools.solve._solution import SolvedScene
 # As shares of its least length: the barrel of a cylinder, half the width of a
 # cylinder or spring; and the straight ends and the turns of a spring.
 _BARREL, _HALF_WIDTH, _SPRING_END, _SPRING_TURNS = 0.7, 0.06, 0.12, 7
+INK = '#1c2127'
+BODY_COLORS = ('#000000', '#0060a8', '#a83200', '#00785a', '#7a4fa0', '#777777')
 # A vector shorter than this, m, has no direction.
 _NO_LENGTH = 1e-12
 
