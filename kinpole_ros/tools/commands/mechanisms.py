@@ -49,6 +49,11 @@ from kinpole_ros.tools.commands._terminal import UsageError, print_error, print_
         'the linkage in motion, over and over: .gif, .svg, or .mp4 if ffmpeg is installed',
     ),
     option(
+        '--export FILE.dxf',
+        'the linkage for other programs: .dxf with the paths of its points, in mm; .xml for MuJoCo '
+        'or .urdf, for pins, slots and cylinders',
+    ),
+    option(
         '--html FILE.html',
         'the linkage in motion, as in a report; you can drag its points and save the scene',
     ),
@@ -81,6 +86,7 @@ def solve(options: argparse.Namespace) -> int:
         ('--html', options.html, 'an HTML page'),
         ('--polygon', options.polygon, ''),
         ('--animate', options.animate, ''),
+        ('--export', options.export, 'a linkage for other programs'),
         ('--pitch', options.pitch[2] if options.pitch else None, 'a pair of pitch curves'),
         ('--decompose', options.decompose[1] if options.decompose else None, ''),
     ]

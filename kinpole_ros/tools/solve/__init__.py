@@ -149,6 +149,8 @@ class _Analysis:
             with _solution.open_output(options.animate) as part:
                 about = write_animation(part, kind, self.motion)
             yield f'written to {options.animate}: {about}'
+        if options.export:
+            yield from self._export(options.export)
         if options.polygon:
             from kinpole_ros.tools.solve._polygons import polygon_lines, polygon_panels
 
@@ -164,6 +166,21 @@ class _Analysis:
             yield from _decomposition.decomposition_lines(body)
             title = f'motion of {body.name} as translation and rotation'
             yield self._draw(file, title, _decomposition.decomposition_panels(body))
+
+    def _export(self, file: str) -> Iterator[str]:
+        """Write the linkage for another program; yield lines about it."""
+        kind, left_out = _ending(file), list[str]()
+        with _solution.open_output(file) as part:
+            if kind == 'dxf':
+                from kinpole_ros.tools.solve._dxf import write_linkage
+
+                write_linkage(part, self.motion, self.here)
+            else:
+                from kinpole_ros.tools.solve._robot_models import write_model
+
+                left_out = write_model(part, kind, self.motion, self.here)
+        yield f'written to {file}'
+        yield from left_out
 
     def _draw(self, file: str, title: str, panels: list[Panel]) -> str:
         """Write panels as one drawing; return a line."""
