@@ -9,7 +9,7 @@ from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
 
 # Frames after which the poses of those before are sure: see `wrong_before_last` in rejection.c.
-_SETTLED = 6
+SETTLED_FRAMES = 6
 # Places are searched a share of the window at a time, when motion has gone on for a window.
 _SHARE = 8
 _BEFORE = 2
@@ -58,7 +58,7 @@ class EventSearch:
     Attributes
     ----------
     due : int
-        The time, ns, of the newest frame before which there is nothing to search.
+        The time, ns, of the newest settled frame before which there is nothing to search.
 
     """
 
@@ -85,7 +85,7 @@ class EventSearch:
         """
         hub = np.where(np.isfinite(pin), 0.0, bodies.hub)
         time = history.columns['time'][history.first : history.end]
-        if len(time) <= _SETTLED:
+        if len(time) <= SETTLED_FRAMES:
             return []
         if self._next is None:
             # Shares begin at multiples of their length, wherever the search begins.
@@ -93,7 +93,7 @@ class EventSearch:
             self._next = -(-begin // self._share) * self._share
             self._last = [self._next - self._window] * len(self._last)
         self.due = self._next + self._window + self._share
-        settled = int(time[-1 - _SETTLED]) - self._window - self._share
+        settled = int(time[-1 - SETTLED_FRAMES]) - self._window - self._share
         if self._next > settled:
             return []
         begins = np.arange(self._next, settled + 1, self._share)
@@ -127,7 +127,7 @@ class EventSearch:
             self._last[b] = at
             # The frame that showed it: the sixth after a window after the places.
             ready = begin + self._window + self._share
-            with_frame = int(np.searchsorted(time, ready)) + _SETTLED
+            with_frame = int(np.searchsorted(time, ready)) + SETTLED_FRAMES
             number = int(numbers[max(len(numbers) - (len(time) - with_frame), 0)])
             body_events.append(_body_event(event, b, at, rows, history, hub[b], number))
         return body_events
