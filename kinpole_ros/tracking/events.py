@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives import Event, Samples, find_events
+from kinpole_ros.derivatives import Event, Samples, find_event
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
 
@@ -99,37 +99,29 @@ class EventSearch:
         begins = np.arange(self._next, settled + 1, self._share)
         self._next = int(begins[-1]) + self._share
         self.due = self._next + self._window + self._share
-        asked: list[tuple[int, int, slice]] = []
-        samples: list[Samples] = []
-        values_and_variances = _poses(history, bodies, hub)
+        body_events = []
+        values, variance = _poses(history, bodies, hub)
         for begin in begins.tolist():
             first, last = np.searchsorted(
                 time,
                 (begin - _BEFORE * self._window - self._share, begin + self._window + self._share),
             )
             rows = slice(int(first), int(last))
-            if last - first < 2:
-                continue
             since = (time[rows] - begin) * 1e-9
             for b in np.flatnonzero(np.isfinite(bodies.noise)).tolist():
-                values, variance = (
-                    values_and_variances[0][rows, b],
-                    values_and_variances[1][rows, b],
+                samples = Samples(
+                    since, values[rows, b], variance[rows, b], 0.0, self._share * 1e-9
                 )
-                asked.append((begin, b, rows))
-                samples.append(Samples(since, values, variance, 0.0, self._share * 1e-9))
-        body_events = []
-        events = find_events(samples, self._window * 1e-9)
-        for (begin, b, rows), event in zip(asked, events, strict=True):
-            at = begin if event is None else begin + round(event.time * 1e9)
-            if event is None or at - self._last[b] < self._share // 2:
-                continue
-            self._last[b] = at
-            # The frame that showed it: the sixth after a window after the places.
-            ready = begin + self._window + self._share
-            with_frame = int(np.searchsorted(time, ready)) + _SETTLED
-            number = int(numbers[max(len(numbers) - (len(time) - with_frame), 0)])
-            body_events.append(_body_event(event, b, at, rows, history, hub[b], number))
+                event = find_event(samples, self._window * 1e-9)
+                at = begin if event is None else begin + round(event.time * 1e9)
+                if event is None or at - self._last[b] < self._share // 2:
+                    continue
+                self._last[b] = at
+                # The frame that showed it: the sixth after a window after the places.
+                ready = begin + self._window + self._share
+                with_frame = int(np.searchsorted(time, ready)) + _SETTLED
+                number = int(numbers[max(len(numbers) - (len(time) - with_frame), 0)])
+                body_events.append(_body_event(event, b, at, rows, history, hub[b], number))
         return body_events
 
 
