@@ -14,7 +14,7 @@ from kinpole_ros.tracking.before_plane import keep_frame, take_again
 from kinpole_ros.tracking.correction import correct_next
 from kinpole_ros.tracking.deformed_results import add_deformation
 from kinpole_ros.tracking.estimate import Estimate, Results, estimate_of
-from kinpole_ros.tracking.events import SETTLED_FRAMES, BodyEvent
+from kinpole_ros.tracking.events import FRAMES_BEHIND, BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import note_gap
 from kinpole_ros.tracking.placed_frames import PlacedFrames
@@ -226,7 +226,7 @@ class Tracker(TrackerSummary):
         if not self._events_needed or not len(times):
             return
         state, history, search = self.state, self.state.history, self.state.event_search
-        settled = max(history.first, history.end - 1 - SETTLED_FRAMES)
+        settled = max(history.first, history.end - 1 - FRAMES_BEHIND)
         if history.columns['time'][settled] >= search.due:
             pin, numbers = state.pins.center, numbers[: len(times)]
             self._events += search.search(history, state.bodies, pin, numbers)
