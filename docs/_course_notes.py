@@ -508,7 +508,7 @@ COURSE_NOTES: dict[str, list[Entry]] = {
         Entry(
             '3',
             'centrodes that roll on each other without slip, as non-circular gears',
-            'kinpole solve antiparallelogram --pitch crank follower gears.svg',
+            'kinpole solve elliptic_gears --pitch crank follower gears.svg',
             '',
             ROLLED,
         ),

@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.mechanism._followers import Follower
 from kinpole_ros.mechanism._joint_kinds import GROUND, Joint, Pose, Term
-from kinpole_ros.mechanism._laws import Follower, Law
+from kinpole_ros.mechanism._laws import Law
 from kinpole_ros.mechanism._loops import LinkageError, Loops, term_lengths, weigh
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.planar._plane import Complex, Real
@@ -27,7 +28,8 @@ class Assembly(NamedTuple):
     The loops of bodies and joints, and where the bodies are.
 
     `bodies` (B) are those without the ground. Their origins are `origins` (B, terms) times the
-    terms, complex; their angles are `turns` (B, n) times the variables. `joints` are as given.
+    terms, complex; their angles are `turns` (B, n) times the variables. `joints` and `followers`
+    are as given.
     """
 
     loops: Loops
@@ -35,6 +37,7 @@ class Assembly(NamedTuple):
     origins: Real
     turns: Real
     joints: tuple[Joint, ...]
+    followers: tuple[Follower, ...] = ()
 
     @property
     def kinds(self) -> dict[str, str]:
@@ -155,6 +158,7 @@ def assemble(
         np.array([_dense(origins[body], count) for body in bodies]).reshape(len(bodies), count),
         np.eye(len(bodies), len(variables)),
         tuple(joints),
+        tuple(followers),
     )
 
 

@@ -91,7 +91,7 @@ def anchor_of(joint: Joint, one: Pose, other: Pose) -> Anchor | None:
     form = joint.loop_form()
     first = (Pose(pose.position[:1], pose.angle[:1]) for pose in (one, other))
     own = _chain(joint, form, (), *first).own
-    if own is None or not any(form.variables[0] in tie.weights for tie in form.ties):
+    if own is None or 'start' not in joint.sizes():
         return None
     return float(own[0]), float(one.angle[0]), float(other.angle[0])
 

@@ -88,13 +88,15 @@ class Center(NamedTuple):
     What a joint tells of the instant center of its two bodies.
 
     By its `kind` the center is at the 'pin' or the 'contact', at 'infinity', or anywhere on a
-    'line' through the contact; these two lie in the direction `turn` times the joint's axis. `text`
-    is what an engineer writes for it. The kind '' tells nothing.
+    'line' through the contact; these two lie in the direction `turn` times the joint's axis. A
+    center of curvature is at a `distance` (m) from the contact, in the same direction. `text` is
+    what an engineer writes for it. The kind '' tells nothing.
     """
 
     kind: str = ''
     text: str = ''
     turn: complex = 1j
+    distance: float = 0.0
 
 
 class Rim(NamedTuple):
@@ -152,9 +154,9 @@ class Joint:
         """The joint off by its play, m: across a slot, or along the pitch line of wheels."""
         raise NotImplementedError
 
-    def span(self, between: complex, angles: Mapping[str, float]) -> tuple[float, float]:
-        """Length and direction of a span from `a` to `b`, at angles of the bodies by name."""
-        return abs(between), float(np.angle(between))
+    def own_values(self, between: complex, angles: Mapping[str, float]) -> dict[str, float]:
+        """Those of its variables that the vector from `a` to `b` and the angles of bodies give."""
+        return {}
 
     @property
     def pressure(self) -> float | None:
@@ -336,6 +338,10 @@ class Strut(Joint):
         with np.errstate(invalid='ignore'):
             return end, between / np.abs(between)
 
+    def own_values(self, between: complex, angles: Mapping[str, float]) -> dict[str, float]:
+        """Its length and direction."""
+        return {self.name: abs(between), f'{self.name}.angle': float(np.angle(between))}
+
 
 @dataclass(frozen=True)
 class Belt(Joint):
@@ -388,11 +394,12 @@ class Belt(Joint):
         wheels = Rim(self.one, self.a, first), Rim(self.other, self.b, last)
         return tuple(wheel for wheel in wheels if wheel.radius)
 
-    def span(self, between: complex, angles: Mapping[str, float]) -> tuple[float, float]:
+    def own_values(self, between: complex, angles: Mapping[str, float]) -> dict[str, float]:
         """The strand between the hubs, whose direction is within half a turn of `direction`."""
         length, axis = strand(self, np.asarray(between))
         near = self.direction + angles.get(self.carrier or GROUND, 0.0)
-        return float(length), near + float(np.angle(axis * np.exp(-1j * near)))
+        angle = near + float(np.angle(axis * np.exp(-1j * near)))
+        return {self.name: float(length), f'{self.name}.angle': angle}
 
     @property
     def is_carried(self) -> bool:

@@ -231,8 +231,10 @@ class _CenterMap:
         return line, sharp
 
     def _contact(self, m: int) -> Real:
-        """The pin or point of contact of a joint (3, T)."""
-        return _homogeneous((self._contacts[m][0] - self.middle) / self.size, 1.0)
+        """The pin, point of contact or center of curvature of a joint (3, T)."""
+        (at, axis), center = self._contacts[m], self.joints[m].center()
+        at = at + center.distance * center.turn * axis
+        return _homogeneous((at - self.middle) / self.size, 1.0)
 
     def _normal(self, m: int) -> Real:
         """The point at infinity (3, T) at a right angle to a slot, or along a belt."""

@@ -41,22 +41,6 @@ class Law(NamedTuple):
     hubs: tuple[str, ...]
 
 
-class Follower(NamedTuple):
-    """
-    The variable `moved` as a `function` of the angle of the body `of`, a cam or a Geneva crank.
-
-    That angle is relative to the body `seen`, and so is `moved` if it is the angle of a body. The
-    function depends on the positions of the points with the names `hubs`.
-    """
-
-    name: str
-    moved: str
-    of: str
-    seen: str
-    function: Function
-    hubs: tuple[str, ...] = ()
-
-
 def compose(outer: Real, inner: Real) -> Real:
     """Derivatives (k, T) of f(g) from those of f by its argument (k or more, T) and of g (k, T)."""
     composed = [outer[0]]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly, poses_of
-from kinpole_ros.mechanism._joint_kinds import GROUND
+from kinpole_ros.mechanism._joint_kinds import GROUND, Belt
 from kinpole_ros.mechanism._mechanism import Motion
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.mechanism._scene import Scene
@@ -130,7 +130,7 @@ def _relative_name(head: str, tail: str) -> str:
 
 
 def _body_points(scene: Scene, values: Real) -> BodyPoints:
-    """The points of each body by name, in its frame, points of contact of wheels first."""
+    """The points of each body by name, in its frame, those of contact of wheels and belts first."""
     assembly = scene.mechanism.assembly
     poses = poses_of(assembly, values[:, None])
     points: BodyPoints = {body: {} for body in poses}
@@ -141,9 +141,22 @@ def _body_points(scene: Scene, values: Real) -> BodyPoints:
             pose = poses[body]
             name = 'contact' if len(rolling) == 1 else f'contact {joint.name}'
             points[body][name] = complex(((at - pose.position) * pose.turn.conj())[0])
+    for belt in assembly.joints:
+        if isinstance(belt, Belt):
+            _, axis = belt.contact(poses[belt.one], poses[belt.other])
+            ends = (belt.one, belt.a), (belt.other, belt.b)
+            for (body, hub), radius in zip(ends, belt.radii, strict=True):
+                if radius:
+                    arm = 1j * radius * complex((axis * poses[body].turn.conj())[0])
+                    points[body][_end_name(belt, body)] = hub + arm
     for name, (body, point) in scene.points.items():
         points[body][name.rpartition('.')[2]] = point
     return points
+
+
+def _end_name(belt: Belt, body: str) -> str:
+    """The name of the point at which a belt leaves the wheel on a body."""
+    return f'{belt.name} on {body}'
 
 
 def _merged(points: BodyPoints, image: Callable[[str, complex], complex]) -> dict[str, complex]:
@@ -185,9 +198,19 @@ def _joint_sides(
     values: Real,
     order: int,
 ) -> Iterator[Side]:
-    """Vectors along slides and struts, from the point `a` of one body to `b` of the other."""
+    """
+    Vectors along slides and struts, from the point `a` of one body to `b` of the other.
+
+    Also along belts, from wheel to wheel, but not of accelerations: a strand keeps its length, so
+    the velocities of its ends differ by what turns it.
+    """
     rows = dict(zip(assembly.loops.variables, values.T, strict=True)) | {GROUND: np.zeros(3)}
     for joint in assembly.joints:
+        if isinstance(joint, Belt) and order < 2:
+            length, turn = rows[joint.name], rows[f'{joint.name}.angle']
+            straight = np.array([length[0], 0.0, 0.0])
+            at = points[joint.one].get(_end_name(joint, joint.one), joint.a)
+            yield Side(joint.name, '', image(joint.one, at), _components(order, straight, turn))
         terms = joint.loop_form().terms
         if len(terms) != 1 or not terms[0].slide or joint.rims():
             continue

@@ -2,13 +2,14 @@
 
 import re
 from cmath import phase
-from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import combinations
-from math import pi, remainder
-from typing import Any, NamedTuple
+from math import pi
+from typing import Any
 
 import numpy as np
 
+from kinpole_ros.mechanism._arc_slot import ArcSlot
 from kinpole_ros.mechanism._assembly import Assembly, assemble
 from kinpole_ros.mechanism._equations import Equations, equations_of_joints
 from kinpole_ros.mechanism._joint_kinds import (
@@ -21,30 +22,23 @@ from kinpole_ros.mechanism._joint_kinds import (
     Strut,
     strand,
 )
-from kinpole_ros.mechanism._laws import RISES, Follower, cam, geneva
+from kinpole_ros.mechanism._scene_followers import CAM, GENEVA, carrier_of
 from kinpole_ros.mechanism._scene_values import (
+    Form,
     Points,
     SceneError,
     mapping,
     named_point,
     need,
-    one_of,
     positive,
     quantity,
+    refuse_one_body,
     refuse_unknown,
     vector,
 )
 
 _Point = tuple[str, complex]  # body, and position in its frame, m
 _WORD = re.compile(r'\w[\w-]*')
-
-
-class Form(NamedTuple):
-    """How a scene states a joint or a follower: its keys, an example, and what reads them."""
-
-    keys: tuple[str, ...]
-    example: str
-    read: Callable[..., Any]
 
 
 def read_bodies(bodies: Any, joints: Any) -> tuple[Assembly, Points, Equations]:
@@ -162,7 +156,7 @@ def _strut(where: str, entry: dict[str, Any], points: Points, kind: str = 'strut
     if not isinstance(ends, list) or len(ends) != 2:
         raise SceneError(f'{where} is {ends!r}: give its two ends, as {example}')
     first, last = (named_point(where, end, points) for end in ends)
-    _refuse_one_body(where, first[0], last[0])
+    refuse_one_body(where, first[0], last[0])
     return Strut(str(entry['name']), *first, *last)
 
 
@@ -173,21 +167,23 @@ def read_ends(
     need(where, entry, ('on', 'radius')[: 1 + (size == 'radius')], FORMS[kind].example)
     moving = named_point(where, entry[kind], points)
     base = named_point(f'{where}: on', entry['on'], points)
-    _refuse_one_body(where, base[0], moving[0])
+    refuse_one_body(where, base[0], moving[0])
     need(where, entry, (size,), FORMS[kind].example)
     return entry.get('name') or str(entry[kind]).rpartition('.')[2], base, moving
 
 
-def _slot(where: str, entry: dict[str, Any], points: Points) -> Slot:
-    name, base, moving = read_ends(where, entry, points, 'slot', 'along')
-    return Slot(name, *base, *moving, quantity(f'{where}: along', entry['along'], 'angle'))
-
-
-def _prismatic(where: str, entry: dict[str, Any], points: Points) -> Slot:
-    name, base, moving = read_ends(where, entry, points, 'prismatic', 'along')
-    along = quantity(f'{where}: along', entry['along'], 'angle')
-    turned = quantity(f'{where}: turned', entry.get('turned', 0.0), 'angle')
-    return Slot(name, *base, *moving, along, turned)
+def _slot(where: str, entry: dict[str, Any], points: Points, kind: str = 'slot') -> Joint:
+    is_arc = 'circle' in entry and 'along' not in entry
+    name, base, moving = read_ends(where, entry, points, kind, 'circle' if is_arc else 'along')
+    turned = None
+    if kind == 'prismatic':
+        turned = quantity(f'{where}: turned', entry.get('turned', 0.0), 'angle')
+    if is_arc:
+        circle = positive(f'{where}: circle', entry['circle'], 'length')
+        return ArcSlot(name, *base, *moving, circle, turned)
+    if 'circle' in entry:
+        raise SceneError(f'{where}: along is of a line, circle of an arc: leave one out')
+    return Slot(name, *base, *moving, quantity(f'{where}: along', entry['along'], 'angle'), turned)
 
 
 def _belt(where: str, entry: dict[str, Any], points: Points) -> Belt:
@@ -198,7 +194,7 @@ def _belt(where: str, entry: dict[str, Any], points: Points) -> Belt:
         raise SceneError(f'{where}: radii is {radii!r}: give both radii as [3 cm, 9 cm]')
     first, last = (quantity(f'{where}: radii', radius, 'length') for radius in radii)
     belt = Belt(ends.name, ends.one, ends.a, ends.other, ends.b, (first, last), 0.0, 0.0)
-    if carrier := _carrier(names, points):
+    if carrier := carrier_of(names, points):
         body, hubs = carrier
         if abs(hubs) <= abs(first - last):
             raise SceneError(
@@ -212,79 +208,6 @@ def _belt(where: str, entry: dict[str, Any], points: Points) -> Belt:
         length=positive(f'{where}: length', entry['length'], 'length'),
         direction=quantity(f'{where}: direction', entry['direction'], 'angle'),
     )
-
-
-def _carrier(names: Sequence[str], points: Points) -> tuple[str, complex] | None:
-    """The third body that has the points of both names, and the vector from one to the other."""
-    (first_body, a), (last_body, b) = (name.split('.') for name in names)
-    for carrier in dict.fromkeys(body for body, _ in points.values()):
-        first, last = points.get(f'{carrier}.{a}'), points.get(f'{carrier}.{b}')
-        if carrier not in (first_body, last_body) and first and last:
-            return carrier, last[1] - first[1]
-    return None
-
-
-def _geneva(
-    where: str, entry: dict[str, Any], points: Points, _joints: Sequence[Joint]
-) -> Follower:
-    """The wheel's angle over the crank's, whose pin runs into its slots without shock."""
-    refuse_unknown(where, entry, FORMS['geneva'].keys)
-    where = f"{where[:-1]}, geneva'"
-    need(where, entry, ('on', 'slots'), FORMS['geneva'].example)
-    wheel, _ = named_point(where, entry['geneva'], points)
-    crank, _ = named_point(f'{where}: on', entry['on'], points)
-    _refuse_one_body(where, crank, wheel)
-    slots = entry['slots']
-    if not isinstance(slots, int) or isinstance(slots, bool) or not 3 <= slots <= 100:
-        raise SceneError(f'{where}: slots is {slots!r}: give a whole number from 3 to 100')
-    carrier = _carrier([entry['on'], entry['geneva']], points)
-    if carrier is None or carrier[1] == 0:
-        raise SceneError(
-            f'{where}: no body holds the distance of {entry["on"]} and {entry["geneva"]}: give '
-            'it points of these names, as ground: {O: [0, 0], W: [0.1, 0]}'
-        )
-    toward = phase(carrier[1])
-    pin = quantity(f'{where}: pin', entry.get('pin', 0.0), 'angle')
-    slot = quantity(f'{where}: slot', entry.get('slot', 0.0), 'angle')
-    # All slots of the wheel are equal: it starts with the least turn.
-    offset = remainder(toward + pi - slot, 2 * pi / slots)
-    law = geneva(slots, toward - pin, offset)
-    hubs = tuple(entry[key].rpartition('.')[2] for key in ('on', 'geneva'))
-    return Follower(where, wheel, crank, carrier[0], law, hubs)
-
-
-def _cam(where: str, entry: dict[str, Any], points: Points, joints: Sequence[Joint]) -> Follower:
-    refuse_unknown(where, entry, FORMS['cam'].keys)
-    where = f"{where[:-1]}, cam'"
-    need(where, entry, ('moves', 'angles', 'lift'), FORMS['cam'].example)
-    bodies = list(dict.fromkeys(body for body, _ in points.values()))
-    slides = [s for joint in joints if not joint.is_span for s in joint.loop_form().free_slides]
-    turning = [body for body in bodies if body != GROUND]
-    of = one_of(f'{where}: cam', entry['cam'], turning)
-    moved = one_of(f'{where}: moves', entry['moves'], slides + turning)
-    seen = one_of(f'{where}: of', entry.get('of', GROUND), bodies)
-    if len({of, moved, seen}) < 3:
-        raise SceneError(f'{where}: cam, moves and of are to be three: {of!r} is two')
-    kinds = {'angles': 'angle', 'lift': 'length' if moved in slides else 'angle'}
-    for key in kinds:
-        if not isinstance(entry[key], list):
-            raise SceneError(f'{where}: {key} is {entry[key]!r}: give a list, as [0, 1, 0]')
-    angles, lifts = (
-        [quantity(f'{where}: {key}', value, kind) for value in entry[key]]
-        for key, kind in kinds.items()
-    )
-    if len(angles) != len(lifts) or len(angles) < 3 or min(np.diff(angles)) <= 0:
-        raise SceneError(
-            f'{where}: {len(angles)} angles and {len(lifts)} lifts: give three or more, as many of '
-            'each, the angles rising'
-        )
-    if abs(angles[-1] - angles[0] - 2 * pi) > 1e-9 or lifts[0] != lifts[-1]:
-        raise SceneError(
-            f'{where}: a cam goes once round: end it 360 deg after its first angle, with the lift '
-            'that it has there'
-        )
-    law = one_of(f'{where}: law', entry.get('law', RISES[0]), RISES)
-    return Follower(where, moved, of, seen, cam(angles, lifts, law))
 
 
 def _rolling(where: str, entry: dict[str, Any], points: Points) -> Rolling:
@@ -318,11 +241,6 @@ def _rolling(where: str, entry: dict[str, Any], points: Points) -> Rolling:
     return Rolling(name, *base, *hub, radius, circle=circle, start=start, pressure=pressure)
 
 
-def _refuse_one_body(where: str, first: str, second: str) -> None:
-    if first == second:
-        raise SceneError(f"{where}: both its points are on '{first}': give points of two bodies")
-
-
 def _refuse_short_links(bodies: dict[str, dict[str, complex]], joints: list[Joint]) -> None:
     """Refuse links of no length: two joints at one point of a body that have two names."""
     joint_points: dict[str, set[complex]] = {body: set() for body in bodies}
@@ -351,12 +269,14 @@ def _refuse_short_links(bodies: dict[str, dict[str, complex]], joints: list[Join
 # By the key that each has alone. A joint that is no span has its point `a` in `on`.
 FORMS = {
     'slot': Form(
-        ('slot', 'on', 'along', 'name'), '{slot: rod.B, on: ground.O, along: 0 deg}', _slot
+        ('slot', 'on', 'along', 'circle', 'name'),
+        '{slot: rod.B, on: ground.O, along: 0 deg}',
+        _slot,
     ),
     'prismatic': Form(
-        ('prismatic', 'on', 'along', 'turned', 'name'),
+        ('prismatic', 'on', 'along', 'circle', 'turned', 'name'),
         '{prismatic: block.Q, on: ground.O, along: 90 deg, turned: 0 deg}',
-        _prismatic,
+        partial(_slot, kind='prismatic'),
     ),
     'rolling': Form(
         ('rolling', 'radius', 'on', 'along', 'circle', 'start', 'pressure', 'name'),
@@ -369,14 +289,6 @@ FORMS = {
         '{belt: [motor.H, fan.K], radii: [3 cm, 9 cm], name: belt}',
         _belt,
     ),
-    'geneva': Form(
-        ('geneva', 'on', 'slots', 'pin', 'slot'),
-        '{geneva: wheel.W, on: crank.O, slots: 4}',
-        _geneva,
-    ),
-    'cam': Form(
-        ('cam', 'moves', 'of', 'angles', 'lift', 'law'),
-        '{cam: shaft, moves: valve, angles: [0 deg, 90 deg, 360 deg], lift: [0, 1 cm, 0]}',
-        _cam,
-    ),
+    'geneva': GENEVA,
+    'cam': CAM,
 }

@@ -7,9 +7,10 @@ what was written and an example of what can be.
 
 import re
 from cmath import exp
+from collections.abc import Callable
 from contextlib import suppress
 from math import isfinite, pi
-from typing import Any
+from typing import Any, NamedTuple
 
 from kinpole_ros.files import did_you_mean
 
@@ -59,6 +60,14 @@ _EXAMPLES = {
     'torsional stiffness': '3 or 3 N m/rad',
 }
 _QUANTITY = re.compile(r'\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*')
+
+
+class Form(NamedTuple):
+    """How a scene states a joint or a follower: its keys, an example, and what reads them."""
+
+    keys: tuple[str, ...]
+    example: str
+    read: Callable[..., Any]
 
 
 def quantity(where: str, value: Any, kind: str) -> float:
@@ -175,3 +184,8 @@ def one_of(where: str, value: Any, allowed: tuple[str, ...] | list[str]) -> str:
     if value not in allowed:
         raise SceneError(f'{where} is {value!r}: give one of {", ".join(allowed)}')
     return str(value)
+
+
+def refuse_one_body(where: str, first: str, second: str) -> None:
+    if first == second:
+        raise SceneError(f"{where}: both its points are on '{first}': give points of two bodies")

@@ -42,10 +42,8 @@ def start_near(assembly: Assembly, stated: Mapping[str, float], drives: Real, in
     poses = poses_of(assembly, values[:, None])
     start = dict(zip(names, values.tolist(), strict=True))
     for joint in assembly.joints:
-        if not joint.is_span:
-            continue
         between = poses[joint.other].point(joint.b)[0] - poses[joint.one].point(joint.a)[0]
-        start[joint.name], start[f'{joint.name}.angle'] = joint.span(between, start)
+        start |= joint.own_values(between, start)
     start |= stated
     return _meet(rows, right, np.array([start[name] for name in names]), given)
 

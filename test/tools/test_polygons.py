@@ -22,6 +22,7 @@ from kinpole_ros.tools.solve import solve_scene
 from kinpole_ros.tools.solve._decomposition import decompose, decomposition_panels
 from kinpole_ros.tools.solve._panels import Panel, width_of
 from kinpole_ros.tools.solve._polygons import polygon_panels
+from kinpole_ros.tools.solve._shapes import SceneLines
 from kinpole_ros.tools.solve._solution import at_value, over_time, point_motions
 
 SVG = '{http://www.w3.org/2000/svg}'
@@ -169,7 +170,7 @@ def test_names_do_not_cover_each_other_and_polygons_close(name: str) -> None:
     scene = load_scene(name)
     for time in (0.0, 0.13, 0.4):
         solved = over_time(scene, np.array([time]))
-        for panel in polygon_panels(solved):
+        for panel in polygon_panels(solved, SceneLines(solved)):
             assert not covered(panel)
             ends = np.concatenate([line.points for line in panel.lines])
             assert (ends.real >= panel.low.real).all() and (ends.real <= panel.high.real).all()
@@ -197,6 +198,44 @@ def test_polygons_are_drawn_by_the_command(tmp_path: Path, capsys) -> None:
     assert v['v_A'] == pytest.approx(upper, rel=1e-6)
     assert cli.main(['solve', 'four_bar', '--polygon', str(tmp_path / 'a.csv')]) == 2
     assert 'end its name in one of' in capsys.readouterr().err
+
+
+def test_the_ends_of_a_belt_have_one_velocity_along_it(tmp_path: Path) -> None:
+    """The strand of a rope that is wound up on a drum turns, since the load is on a guide."""
+    path = tmp_path / 'rope.yaml'
+    path.write_text("""
+bodies:
+  ground: {H: [0, 0.5], G: [0.3, 0]}
+  drum:   {H: [0, 0]}
+  load:   {L: [0, 0]}
+joints:
+  - {prismatic: load.L, on: ground.G, along: 90 deg, name: height}
+  - {belt: [drum.H, load.L], radii: [0.1, -0.04], length: 40 cm, direction: -60 deg, name: rope}
+drivers:
+  - {drive: drum, from: 0, to: 1, duration: 1}
+start: {rope.angle: -63 deg}
+""")
+    scene = load_scene(path)
+    solved = over_time(scene, np.array([0.4]))
+    velocities = polygon(scene, solved.motion, 1)
+    (strand,) = (side for side in velocities.sides if side.name == 'rope')
+    names = scene.mechanism.assembly.loops.variables
+    values = solved.motion.values[:, :, 0]
+    length, winding = values[0, names.index('rope')], values[1, names.index('drum')]
+    angle, turning = values[:2, names.index('rope.angle')]
+    along = np.exp(1j * angle)
+    assert abs(turning) > 0.01
+    assert velocities.points['rope on drum'] == pytest.approx(-0.1 * winding * along)
+    assert strand.vector == pytest.approx(1j * length * turning * along)
+    assert strand.head == pytest.approx(solved.motion.position[1, 1, 0])
+    assert (strand.head * along.conjugate()).real == pytest.approx(-0.1 * winding)
+    # The linkage has the strand itself.
+    (line,) = (side for side in polygon(scene, solved.motion, 0).sides if side.name == 'rope')
+    assert line.vector == pytest.approx(length * along)
+    assert line.tail == pytest.approx(0.5j + 0.1j * along)
+    file = tmp_path / 'a.svg'
+    solve_scene(options_of('solve', path, time='0.4', polygon=file))
+    assert 'v_rope' in drawn(file)[1]
 
 
 def test_in_a_dead_point_there_is_no_polygon(tmp_path: Path) -> None:

@@ -22,10 +22,13 @@ from kinpole_ros.mechanism import (
     scene_text,
     scenes_folder,
 )
+from kinpole_ros.mechanism._vector_joints import reactions
 from kinpole_ros.tools import cli
 from kinpole_ros.tools.solve import _scene_picture, _shapes, solve_scene, tolerances
-from kinpole_ros.tools.solve._solution import acting_loads, over_range, over_time
+from kinpole_ros.tools.solve._solution import acting_loads, over_full_motion, over_range, over_time
 from kinpole_ros.tools.solve._statics import work_lines
+
+SCENES_PAGE = Path(__file__).parents[2] / 'docs' / 'scenes.md'
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
@@ -174,6 +177,41 @@ def test_centers_come_with_their_deduction(capsys: pytest.CaptureFixture[str]) -
     assert x == pytest.approx(y, rel=1e-5)
 
 
+@pytest.mark.parametrize('name', scene_names())
+def test_ratios_of_rates_from_three_centers_are_those_of_the_motion(
+    capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    lines = told(capsys, name, '--centers')
+    rates = over_time(load_scene(name), np.zeros(1)).motion.angle[1, :, 0]
+    ratios = [re.fullmatch(r'ω(\d)/ω(\d) = .*?(\S+)', line) for line in lines]
+    for ratio in filter(None, ratios):
+        j, r, value = int(ratio[1]), int(ratio[2]), float(ratio[3])
+        assert value == pytest.approx(rates[j - 2] / rates[r - 2], rel=2e-5), ratio[0]
+    if name == 'four_bar':
+        assert 'ω4/ω2 = I12I24 / I14I24 = 0.12 m / -0.28 m = -0.428571' in lines
+    if name == 'planetary_gear':
+        assert 'ω3/ω2: not from centers, since I13 and I23 are one' in lines
+
+
+def test_a_body_that_does_not_turn_has_a_velocity_from_centers(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / 'crank.yaml'
+    path.write_text(
+        scene_text('slider_crank')
+        .split('# What')[0]
+        .replace('joints:', '  block: {B: [0, 0]}\njoints:')
+        .replace('slot: rod.B', 'prismatic: block.B')
+    )
+    lines = told(capsys, str(path), '--centers')
+    (line,) = (line for line in lines if line.startswith('v4/ω2'))
+    found = re.fullmatch(r'v4/ω2 = I12I24 = (\S+) m, along 180 deg', line)
+    solved = over_time(load_scene(path), np.zeros(1))
+    velocity, rate = solved.motion.position[1, 2, 0], solved.motion.angle[1, 0, 0]
+    assert found
+    assert float(found[1]) == pytest.approx(-velocity.real / rate, rel=1e-5)
+
+
 def test_where_kennedy_does_not_suffice_the_chain_says_so(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -214,7 +252,8 @@ def test_all_that_is_drawn_lies_in_the_picture(name: str) -> None:
     assert all(left < x < right and bottom < y < top for x, y in arrows)
     # Thick lines: bodies, turning vectors, the rim of a wheel.
     lines = [line for line in axis.lines if line.get_zorder() == 3 and len(line.get_xdata()) > 1]
-    assert len(lines) == len(scene.mechanism.bodies)
+    # One of the vectors is a cylinder.
+    assert len(lines) >= len(scene.mechanism.bodies) - (name == 'loader_cylinder')
     for line in lines:
         assert left < min(line.get_xdata()) and max(line.get_xdata()) < right
         assert bottom < min(line.get_ydata()) and max(line.get_ydata()) < top
@@ -390,13 +429,73 @@ def test_springs_and_inertia_are_in_the_statics(tmp_path: Path) -> None:
     assert found['crank_effort'] == pytest.approx(spring + inertia, rel=1e-4)
 
 
-def test_vectors_have_efforts_and_no_reactions(
+# The loader of loader_cylinder as bodies and joints: what its vectors r2 to r5 are.
+LOADER = """
+bodies:
+  ground: {O: [0, 0], C: 219.702258 cm @ -0.0777 deg, S: 42 cm @ 135 deg}
+  arm:  {O: [0, 0], A: [141 cm, 0]}
+  lift: {A: [0, 0], B: [120 cm, 0], P: 200 cm @ 135 deg, E: 80 cm @ 120 deg}
+  link: {C: [0, 0], B: [100 cm, 0]}
+joints: [{strut: [lift.E, ground.S], name: r5}]
+drivers: [{drive: r5, mean: 165 cm, amplitude: 15 cm, frequency: 0.25 Hz}]
+start: {arm: 45 deg, lift: 0 deg, link: 90 deg}
+loads: [{weight: 1000 kg, at: lift.P}]
+"""
+
+
+def test_vectors_bear_what_the_same_bodies_and_joints_bear(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Example 4 of seed 003. A joint r2-r3 has the force of r3 on r2."""
+    vectors, bodies = tmp_path / 'v.csv', tmp_path / 'b.csv'
+    path = tmp_path / 'loader.yaml'
+    path.write_text(LOADER)
+    lines = told(capsys, 'loader_cylinder', '--statics', '--sweep', '--csv', str(vectors))
+    assert not any('no joints' in line for line in lines)
+    told(capsys, str(path), '--statics', '--sweep', '--csv', str(bodies))
+    found, exact = columns(vectors), columns(bodies)
+    names = {'r2-ground': ('O', 1), 'r2-r3': ('A', -1), 'r3-r4': ('B', -1), 'r4-ground': ('C', 1)}
+    for name, (same, sign) in (names | {'r5': ('r5', 1)}).items():
+        for axis in 'xy':
+            np.testing.assert_allclose(
+                found[f'{name}_force_{axis}'], sign * exact[f'{same}_force_{axis}'], rtol=1e-6
+            )
+    np.testing.assert_allclose(found['r5.length_effort'], exact['r5_effort'], rtol=1e-6)
+    # The force along the cylinder, and nothing across it, is the effort.
+    force = np.hypot(found['r5_force_x'], found['r5_force_y'])
+    np.testing.assert_allclose(force, np.abs(found['r5.length_effort']), rtol=1e-9)
+
+
+def test_a_vector_of_free_length_on_a_line_is_a_slide(tmp_path: Path) -> None:
+    path = tmp_path / 'crank.yaml'
+    path.write_text("""
+vectors:
+  r1: {length: unknown, angle: 0 deg}
+  r2: {length: 10 cm, angle: unknown}
+  r3: {length: 30 cm, angle: unknown}
+loops: [r2 + r3 - r1]
+points: {B: r2 + r3}
+drivers: [{drive: r2.angle, rate: 1 rev/s, start: 30 deg}]
+start: {r3.angle: -10 deg, r1.length: 0.38}
+loads: [{force: [-100, 0], at: B}]
+""")
+    scene = load_scene(path)
+    solved = over_time(scene, np.zeros(1))
+    forces = reactions(scene, solved.values, scene.loads)
+    found = dict(zip(forces.joints, forces.force[:, 0], strict=True))
+    # The rod is a two-force member, at asin(1/6).
+    assert found['r3-ground'] == pytest.approx(100j * np.tan(np.arcsin(1 / 6)))
+    assert found['r2-r3'] == pytest.approx(-100 * (1 - 1j * np.tan(np.arcsin(1 / 6))))
+
+
+def test_the_reactions_of_a_vector_scene_hold_it_with_its_power(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     lines = told(capsys, 'loader_loop', '--statics', '--csv', str(tmp_path / 'l.csv'))
     assert any('balances the loads' in line for line in lines)
-    assert any('no joints' in line for line in lines)
     assert np.isfinite(columns(tmp_path / 'l.csv')['r2.angle_effort']).all()
+    # The weight is borne by both pins of the ground.
+    assert row(lines, 'r2-ground')[1] + row(lines, 'r4-ground')[1] == pytest.approx(9806.65)
 
 
 def test_the_picture_is_one(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -553,6 +652,7 @@ def test_centers_are_called_alike_in_the_table_and_the_deduction(
     path.write_text(f'bodies:\n  ground: {{P0: [0, 0]}}\n{links}drivers:\n{rates}')
     assert cli.main(['solve', str(path), '--centers']) == 0
     table, deduced = capsys.readouterr().out.split('center  of')[1].split('1 ground')
+    deduced = deduced.split('\n\n')[0]
     names = {line.split()[0] for line in table.splitlines()[1:] if line}
     assert names == {line.split(':')[0] for line in deduced.splitlines()[1:]}
     assert 'I1,11' in names
@@ -561,8 +661,55 @@ def test_centers_are_called_alike_in_the_table_and_the_deduction(
 def test_the_circles_that_gears_roll_on_are_drawn() -> None:
     solved = over_time(load_scene('planetary_gear'), np.zeros(1))
     # The planet with its spoke, sun and ring: their radii about their centers.
-    radii = {np.round(np.ptp(rim.real) / 2, 9) for _, rim in _shapes.wheel_lines(solved)}
+    lines = _shapes.SceneLines(solved).at(solved)
+    radii = {np.round(np.ptp(line.points.real) / 2, 9) for line in lines if line.kind == 'wheel'}
     assert radii == {0.012, 0.024, 0.048}
+
+
+def test_a_cylinder_ends_at_its_points_and_its_barrel_keeps_its_length() -> None:
+    motion = over_range(load_scene('pool_lift'), 19)
+    drawn = _shapes.SceneLines(motion)
+    arm = load_scene('pool_lift').points
+    barrels = []
+    for k in range(19):
+        here = motion.at(k)
+        box, tail, rod = (line.points for line in drawn.between_bodies(here))
+        angle = here.motion.angle[0, 0, 0]
+        assert tail[0] == pytest.approx(arm['ground.S'][1])
+        assert rod[1] == pytest.approx(arm['arm.E'][1] * np.exp(1j * angle))
+        barrels.append(abs(rod[0] - tail[0]))
+        assert abs(rod[0] - tail[0]) < here.values[1, 0]
+        assert np.isfinite(box).all()
+    # Where the driver asks for it: from 17 inches on.
+    long = [size for size, length in zip(barrels, motion.values[1], strict=True) if length > 0.432]
+    np.testing.assert_allclose(long, 0.7 * 17 * 0.0254, rtol=1e-9)
+
+
+@pytest.mark.parametrize('name', [*scene_names(), 'indexer'])
+def test_all_that_a_page_draws_has_an_end_on_a_body_or_on_the_ground(
+    name: str, tmp_path: Path
+) -> None:
+    if name == 'indexer':
+        blocks = re.findall(r'```yaml\n(.*?)```', SCENES_PAGE.read_text(encoding='utf-8'), re.S)
+        path = tmp_path / 'indexer.yaml'
+        path.write_text(next(block for block in blocks if block.startswith('# indexer')))
+    scene = load_scene(path if name == 'indexer' else name)
+    data = _shapes.drawn_data(over_full_motion(scene, 37))
+    bodies = {*scene.mechanism.bodies, ''}
+    assert all(shape['body'] in bodies for shape in data['shapes'])
+    ends = [end for span in data['spans'] for end in span['ends']]
+    assert all(end['body'] in bodies for end in ends)
+    spans = {'pool_lift': 1, 'bike_suspension': 1, 'loader_cylinder': 1, 'slider_crank': 1}
+    assert len(data['spans']) == spans.get(name, 0)
+    assert len(data['belts']) == (name == 'indexer')
+    if name == 'indexer':
+        # The wheel; of the crank the disk, the arm and the pin; the way of the stamp.
+        kinds = [(shape['kind'], shape['body']) for shape in data['shapes']]
+        assert kinds == [
+            ('guide', ''),
+            ('contour', 'table'),
+            *[('contour', 'crank')] * 3,
+        ]
 
 
 def test_letters_on_lines_can_be_read() -> None:
@@ -579,11 +726,21 @@ def test_letters_on_lines_can_be_read() -> None:
 
 def test_pitch_curves_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     lines = told(
-        capsys, 'antiparallelogram', '--pitch', 'crank', 'follower', str(tmp_path / 'gears.svg')
+        capsys, 'elliptic_gears', '--pitch', 'crank', 'follower', str(tmp_path / 'gears.svg')
     )
     assert 'roll on each other' in lines[-1]
     drawing = ET.parse(tmp_path / 'gears.svg').getroot()
     assert drawing.tag.endswith('svg')
+    # Both are closed ellipses with the pins for foci.
+    curves = [
+        np.array([[float(x) for x in pair.split()] for pair in path.get('d', '')[2:-2].split('L')])
+        for path in drawing.iter('{http://www.w3.org/2000/svg}path')
+        if path.get('d', '').endswith('Z')
+    ]
+    assert len(curves) == 2
+    for curve, foci in zip(curves, ((0.0, 200.0), (0.0, 200.0)), strict=True):
+        sums = sum(np.hypot(*(curve - [focus, 0]).T) for focus in foci)
+        np.testing.assert_allclose(sums, 400.0, atol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -699,7 +856,7 @@ def test_virtual_work_step_by_step_gives_the_statics(name: str) -> None:
     ):
         assert float(power) + float(rate) * size == pytest.approx(0, abs=1e-8 * abs(float(power)))
     if not scene.mechanism.assembly.joints:
-        assert lines[-1].startswith('vectors have no joints')
+        assert lines[-1].startswith('r4-ground')
         return
     borne = Statics(scene.mechanism, here.values, loads)
     rows = [line.split() for line in lines if re.search(r' (deg|turning) .* N( m)?$', line)]

@@ -45,6 +45,10 @@ from kinpole_ros.tools.commands._terminal import UsageError, print_error, print_
         default=(),
     ),
     option(
+        '--animate FILE.gif',
+        'the linkage in motion, over and over: .gif, .svg, or .mp4 if ffmpeg is installed',
+    ),
+    option(
         '--html FILE.html',
         'the linkage in motion, as in a report; you can drag its points and save the scene',
     ),
@@ -67,7 +71,7 @@ def solve(options: argparse.Namespace) -> int:
       kinpole solve double_pendulum --time 5 --csv course.csv --html course.html
       kinpole solve loader_cylinder --statics
       kinpole solve four_bar --at "60 deg" --polygon polygons.svg
-      kinpole solve antiparallelogram --pitch crank follower gears.svg
+      kinpole solve elliptic_gears --pitch crank follower gears.svg
     """
     from kinpole_ros.tools.solve import solve_scene
 
@@ -76,6 +80,7 @@ def solve(options: argparse.Namespace) -> int:
         ('--plot', options.plot, ''),
         ('--html', options.html, 'an HTML page'),
         ('--polygon', options.polygon, ''),
+        ('--animate', options.animate, ''),
         ('--pitch', options.pitch[2] if options.pitch else None, 'a pair of pitch curves'),
         ('--decompose', options.decompose[1] if options.decompose else None, ''),
     ]

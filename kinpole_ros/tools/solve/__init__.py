@@ -10,8 +10,10 @@ import numpy as np
 
 from kinpole_ros.mechanism import SceneError, centrodes, load_scene, scene_text
 from kinpole_ros.tools.solve import _solution, _text
+from kinpole_ros.tools.solve._animation import animation_kind, write_animation
 from kinpole_ros.tools.solve._panels import Panel, write_drawing
 from kinpole_ros.tools.solve._pitch import write_pitch_curves
+from kinpole_ros.tools.solve._shapes import SceneLines
 from kinpole_ros.tools.solve._solution import SolvedScene
 from kinpole_ros.tools.solve._spreadsheet import write_table
 from kinpole_ros.tools.solve._statics import static_lines, work_lines
@@ -38,6 +40,8 @@ def solve_scene(options: Namespace) -> list[str]:
             from kinpole_ros.tools.plot import picture_format  # which needs mcap
 
             picture_format(path)
+    if options.animate:
+        animation_kind(options.animate)
     loaded = load_scene(options.scene)
     for body in options.centrodes:
         if body not in loaded.mechanism.bodies:
@@ -74,6 +78,14 @@ class _Analysis:
         if self.solution.inputs.shape[1] > 1:
             return self.solution
         return _solution.over_full_motion(self.solution.scene, _SAMPLES)
+
+    @cached_property
+    def drawn(self) -> SceneLines:
+        """The lines of the scene; without a range they are those of the one position."""
+        try:
+            return SceneLines(self.motion)
+        except SceneError:
+            return SceneLines(self.here)
 
     def text(self) -> Iterator[str]:
         """Yield the analysis as lines to print."""
@@ -132,12 +144,17 @@ class _Analysis:
             extras = options.centers, options.centrodes
             draw_solution(options.plot, self.motion, position, *extras)
             yield f'written to {options.plot}'
+        if options.animate:
+            kind = animation_kind(options.animate)
+            with _solution.open_output(options.animate) as part:
+                about = write_animation(part, kind, self.motion)
+            yield f'written to {options.animate}: {about}'
         if options.polygon:
             from kinpole_ros.tools.solve._polygons import polygon_lines, polygon_panels
 
             yield from polygon_lines(self.here)
             title = 'velocity and acceleration polygons'
-            yield self._draw(options.polygon, title, polygon_panels(self.here))
+            yield self._draw(options.polygon, title, polygon_panels(self.here, self.drawn))
         if options.decompose:
             from kinpole_ros.tools.solve import _decomposition
 

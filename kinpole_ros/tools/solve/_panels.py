@@ -203,12 +203,13 @@ def write_drawing(path: Path, kind: str, title: str, panels: Sequence[Panel]) ->
         panel.place_labels()
     size = complex(max(p.high.real for p in panels), max(p.high.imag for p in panels))
     if kind == 'svg':
-        path.write_text(_svg(title, size, panels), encoding='utf-8')
+        path.write_text(svg_of(title, size, panels), encoding='utf-8')
     else:
         _save_figure(path, kind, title, size, panels)
 
 
-def _svg(title: str, size: complex, panels: Sequence[Panel]) -> str:
+def svg_of(title: str, size: complex, panels: Sequence[Panel]) -> str:
+    """Return panels with labels in place as the text of an SVG."""
     rows = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size.real:g} {size.imag:g}" '
         f'width="{size.real:g}" height="{size.imag:g}" font-family="DejaVu Sans, Verdana, '
@@ -230,7 +231,8 @@ def _svg(title: str, size: complex, panels: Sequence[Panel]) -> str:
     return '\n'.join([*rows, '</svg>', ''])
 
 
-def _svg_points(points: np.ndarray, digits: int) -> str:
+def svg_points(points: np.ndarray, digits: int) -> str:
+    """Return points (n,), px, complex, as an attribute of a polyline."""
     return ' '.join(f'{z.real:.{digits}f},{z.imag:.{digits}f}' for z in points)
 
 
@@ -242,11 +244,11 @@ def _svg_line(line: Line) -> str:
     dashed = f' stroke-dasharray="{dashes}"' if dashes else ''
     named = f' data-name="{escape(line.name)}"' if line.name else ''
     element = (
-        f'<polyline class="{line.style}"{named} points="{_svg_points(line.points, 6)}" fill="none" '
+        f'<polyline class="{line.style}"{named} points="{svg_points(line.points, 6)}" fill="none" '
         f'stroke="{color}" stroke-width="{width}"{dashed}/>'
     )
     if is_arrow:
-        corners = _svg_points(_arrowhead(line.points), 3)
+        corners = svg_points(_arrowhead(line.points), 3)
         element += f'\n<polygon points="{corners}" fill="{color}"/>'
     return element
 
@@ -264,15 +266,22 @@ def _svg_label(label: Label) -> str:
     )
     if (leader := _leader(label)) is None:
         return element
-    ends = _svg_points(leader, 1)
+    ends = svg_points(leader, 1)
     return f'<polyline points="{ends}" stroke="{color}" stroke-width="0.6"/>\n{element}'
 
 
 def _save_figure(path: Path, kind: str, title: str, size: complex, panels: Sequence[Panel]) -> None:
     from matplotlib.figure import Figure
-    from matplotlib.patheffects import withStroke
 
     figure = Figure(figsize=(size.real / 100, size.imag / 100))
+    draw_panels(figure, size, panels)
+    figure.savefig(path, format=kind, dpi=200, metadata={'Title': title} if kind == 'png' else None)
+
+
+def draw_panels(figure: Any, size: complex, panels: Sequence[Panel]) -> Any:
+    """Draw panels with labels in place over a figure of matplotlib; return its axes, in px."""
+    from matplotlib.patheffects import withStroke
+
     axis = figure.add_axes((0, 0, 1, 1))
     axis.set(xlim=(0, size.real), ylim=(size.imag, 0))
     axis.axis('off')
@@ -303,7 +312,7 @@ def _save_figure(path: Path, kind: str, title: str, size: complex, panels: Seque
                 axis.plot(leader.real, leader.imag, color=color, linewidth=0.4)
             words = _mathtext(label.text)
             axis.text(label.at.real, label.at.imag, words, color=color, path_effects=halo, **text)
-    figure.savefig(path, format=kind, dpi=200, metadata={'Title': title} if kind == 'png' else None)
+    return axis
 
 
 def _mathtext(text: str) -> str:

@@ -1,12 +1,14 @@
 """The velocity and acceleration polygons of `kinpole solve --polygon`, and the linkage."""
 
 import re
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.mechanism import Polygon, SceneError, polygon
 from kinpole_ros.tools.solve._panels import Panel
+from kinpole_ros.tools.solve._shapes import DrawnLine, SceneLines
 from kinpole_ros.tools.solve._solution import SolvedScene
 from kinpole_ros.tools.solve._text import Row, table_lines
 
@@ -72,7 +74,7 @@ def polygon_lines(solution: SolvedScene) -> list[str]:
     return lines
 
 
-def polygon_panels(solution: SolvedScene) -> list[Panel]:
+def polygon_panels(solution: SolvedScene, drawn: SceneLines) -> list[Panel]:
     """Return panels, to scale, of linkage, velocities and accelerations at the first position."""
     edge, panels = 0.0, []
     for figure, width in zip(_polygons(solution), _WIDTHS, strict=True):
@@ -81,7 +83,9 @@ def polygon_panels(solution: SolvedScene) -> list[Panel]:
         if figure.order:
             _draw_polygon(panel, figure)
         else:
-            _draw_linkage(panel, figure, not solution.scene.mechanism.assembly.joints)
+            _draw_linkage(
+                panel, figure, drawn.at(solution), not solution.scene.mechanism.assembly.joints
+            )
         panels.append(panel)
         edge += width
     return panels
@@ -97,12 +101,14 @@ def _polygons(solution: SolvedScene) -> list[Polygon]:
     return polygons
 
 
-def _draw_linkage(panel: Panel, figure: Polygon, has_vectors: bool) -> None:
+def _draw_linkage(
+    panel: Panel, figure: Polygon, lines: Sequence[DrawnLine], has_vectors: bool
+) -> None:
     """Draw the links and named points; in a scene of vectors, the vectors have the names."""
     ends = [z for side in figure.sides for z in (side.tail, side.head)]
-    panel.fit([*figure.points.values(), *ends])
-    for shape in figure.shapes:
-        panel.line([*shape, shape[0]], 'shape')
+    panel.fit(np.concatenate([[*figure.points.values(), *ends], *(one.points for one in lines)]))
+    for line in lines:
+        panel.line(line.points, 'former' if line.kind == 'guide' else 'shape')
     for side in figure.sides:
         name = side.name if has_vectors else ''
         panel.line([side.tail, side.head], 'link' if side.body else 'former', name)

@@ -15,7 +15,7 @@ from kinpole_ros.mechanism import GROUND, Motion, Poles, Scene, poles
 from kinpole_ros.tools.record.record import Columns, MotionRecord
 from kinpole_ros.tools.report import pack, page
 from kinpole_ros.tools.solve._editor import editor_data
-from kinpole_ros.tools.solve._shapes import belts_of, outline_of, rims_of
+from kinpole_ros.tools.solve._shapes import drawn_data, outline_of, rims_of
 from kinpole_ros.tools.solve._solution import SolvedScene, acting_loads, angle_rates, centers_of
 from kinpole_ros.tools.solve._statics import work_lines
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
@@ -64,7 +64,7 @@ def write_page(
         'notes': [],
         'scene': printable(scene.name),  # the name of the file that the editor saves
         'deviations': [],
-        'belts': belts_of(scene),
+        **drawn_data(solution),
         'work': work_lines(here) if acting_loads(here).loads else [],
         'solved': True,
         'exact': deviations is None,

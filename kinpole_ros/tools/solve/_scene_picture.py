@@ -12,19 +12,26 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.mechanism import poles, polygon
+from kinpole_ros.mechanism import poles
 from kinpole_ros.mechanism._kennedy import center_name
 from kinpole_ros.tools.plot._style import Box, box_of, saved_figure
 from kinpole_ros.tools.solve import _solution
-from kinpole_ros.tools.solve._shapes import wheel_lines
+from kinpole_ros.tools.solve._shapes import BODY_COLORS, DrawnLine, SceneLines
 from kinpole_ros.tools.solve._solution import SolvedScene
 
 _SIZE, _DPI = (12.5, 6.2), 150  # inches
 _DASHES: tuple[Any, ...] = ('-', '--', '-.', ':', (0, (5, 1, 1, 1, 1, 1)))
-_COLORS = ('#000000', '#0060a8', '#a83200', '#00785a', '#7a4fa0', '#777777')
 # In sizes of the linkage: the longest velocity arrow, and how far off a center is drawn.
 _ARROW, _CENTER_DISTANCE = 0.35, 1.2
 _TITLE_WIDTH = 60  # characters
+# Widths, in points, and the order from back to front of lines by their kind.
+_WIDTHS = {
+    'guide': (2.4, 2),
+    'span': (1.3, 2),
+    'contour': (1.5, 3),
+    'wheel': (1.5, 3),
+    'link': (2.4, 3),
+}
 # Rates that differ by less than this fraction are constant.
 _CONSTANT = 1e-6
 
@@ -70,7 +77,7 @@ def _draw_figure(
 
 def _style(b: int) -> dict[str, Any]:
     """Return the style of the lines of body number `b`."""
-    return {'linestyle': _DASHES[b % len(_DASHES)], 'color': _COLORS[b % len(_COLORS)]}
+    return {'linestyle': _DASHES[b % len(_DASHES)], 'color': BODY_COLORS[b % len(BODY_COLORS)]}
 
 
 def _abscissa(solution: SolvedScene, here: SolvedScene) -> tuple[np.ndarray, float, str, str]:
@@ -123,11 +130,11 @@ def draw_linkage(
     """Draw the linkage at the one position `here`, and the paths of its points."""
     scene, bodies = solution.scene, solution.scene.mechanism.bodies
     ground = np.array([z for body, z in scene.points.values() if body not in bodies])
-    body_points, wheels = _body_points(here), [*wheel_lines(here)]
+    body_points, lines = _body_points(here), SceneLines(solution).at(here)
     paths = [motion[0] for motions in _body_points(solution).values() for motion in motions]
     motions = [motion for motions in body_points.values() for motion in motions]
-    drawn = [*paths, *(motion[0] for motion in motions), *(rim for _, rim in wheels), ground + 0j]
-    box = box_of(np.concatenate(drawn))
+    drawn = [*paths, *(motion[0] for motion in motions), *(line.points for line in lines)]
+    box = box_of(np.concatenate([*drawn, ground + 0j]))
     size = max(abs(box.high - box.low), 1e-9)
     fastest = max((abs(motion[1, 0]) for motion in motions), default=0.0)
     arrows = [
@@ -138,14 +145,13 @@ def draw_linkage(
     box = box.with_points([tip for _, tip in arrows])
     for path in paths:
         axis.plot(path.real, path.imag, color='#bbbbbb', linewidth=0.8, zorder=1)
-    middles = _draw_vectors(axis, here)
+    for line in lines:
+        _draw_line(axis, line, bodies)
     for b, body in enumerate(bodies):
-        z = np.array([motion[0, 0] for motion in body_points[body]])
-        corners = np.append(z, z[:1]) if len(z) > 2 else z
-        line = {'linewidth': 2.4, 'marker': 'o', 'markersize': 4, 'zorder': 3, **_style(b)}
-        axis.plot(corners.real, corners.imag, **line)
-        color = _style(b)['color']
-        _annotate(axis, body, middles.get(b, z.mean()), (4, 4), color=color, fontsize=9, zorder=5)
+        z, color = np.array([motion[0, 0] for motion in body_points[body]]), _style(b)['color']
+        axis.plot(z.real, z.imag, 'o', color=color, markersize=4, zorder=3)
+        link = [line.points for line in lines if (line.kind, line.body) == ('link', body)]
+        _annotate(axis, body, (link or [z])[0].mean(), (4, 4), color=color, fontsize=9, zorder=5)
     for tail, tip in arrows:
         axis.annotate(
             '',
@@ -155,9 +161,6 @@ def draw_linkage(
             arrowprops={'arrowstyle': '->', 'color': '#444444', 'linewidth': 1.1},
         )
     axis.plot(ground.real, ground.imag, 'k^', markersize=8, zorder=4, label='ground')
-    for b, rim in wheels:
-        color, width = (_style(b)['color'], 1.5) if b >= 0 else ('#000000', 1.0)
-        axis.plot(rim.real, rim.imag, color=color, linewidth=width, zorder=3)
     if centers:
         box = box.with_points(_draw_centers(axis, here, box.middle, size))
     _draw_centrodes(axis, solution, here, centrodes, box)
@@ -171,6 +174,19 @@ def draw_linkage(
     axis.set_title(fill(title, _TITLE_WIDTH), fontsize=10)
 
 
+def _draw_line(axis: Any, line: DrawnLine, bodies: Sequence[str]) -> None:
+    """Draw a line in the style of its body."""
+    width, zorder = _WIDTHS[line.kind]
+    style = {'color': '#000000', 'linestyle': '-'}
+    if line.kind == 'guide':
+        style = {'color': '#999999', 'linestyle': ':'}
+    elif line.body in bodies:
+        style = _style(bodies.index(line.body))
+        if line.kind != 'link':
+            style['linestyle'] = '-'
+    axis.plot(line.points.real, line.points.imag, linewidth=width, zorder=zorder, **style)
+
+
 def _annotate(axis: Any, text: str, z: complex, offset: tuple[int, int], **style: Any) -> None:
     """Write text next to a point, with a white outline that keeps it legible on lines."""
     from matplotlib.patheffects import withStroke
@@ -178,19 +194,6 @@ def _annotate(axis: Any, text: str, z: complex, offset: tuple[int, int], **style
     outline = [withStroke(linewidth=2.5, foreground='white')]
     style |= {'xytext': offset, 'textcoords': 'offset points', 'path_effects': outline}
     axis.annotate(text, (z.real, z.imag), **style)
-
-
-def _draw_vectors(axis: Any, here: SolvedScene) -> dict[int, complex]:
-    """Draw the vectors of a scene without joints; return their middles by number of the body."""
-    mechanism, middles = here.scene.mechanism, dict[int, complex]()
-    for side in () if mechanism.assembly.joints else polygon(here.scene, here.motion, 0).sides:
-        style = {'color': '#999999', 'linestyle': ':'}  # a slide in a fixed direction is no body
-        ends = np.array([side.tail, side.head])
-        if side.body:
-            b = mechanism.bodies.index(side.body)
-            style, middles[b] = _style(b), complex(ends.mean())
-        axis.plot(ends.real, ends.imag, linewidth=2.4, zorder=3, **style)
-    return middles
 
 
 def _draw_centrodes(

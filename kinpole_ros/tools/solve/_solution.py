@@ -1,6 +1,6 @@
 """A scene solved at one position, over the range of its driver, or over time."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -54,12 +54,13 @@ class SolvedScene(NamedTuple):
     limits: Limits = (None, None)
     times: np.ndarray | None = None
 
-    def at(self, k: int) -> 'SolvedScene':
-        """Return the position `k` alone."""
-        times = None if self.times is None else self.times[[k]]
-        motion = Motion(*(part[..., [k]] for part in self.motion))
+    def at(self, k: int | Sequence[int]) -> 'SolvedScene':
+        """Return the position `k` alone, or several in this order."""
+        k = [k] if isinstance(k, int) else list(k)
+        times = None if self.times is None else self.times[k]
+        motion = Motion(*(part[..., k] for part in self.motion))
         return self._replace(
-            inputs=self.inputs[:, [k]], rates=self.rates[:, [k]], motion=motion, times=times
+            inputs=self.inputs[:, k], rates=self.rates[:, k], motion=motion, times=times
         )
 
     @property

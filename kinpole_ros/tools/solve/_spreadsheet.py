@@ -10,6 +10,7 @@ import numpy as np
 from kinpole_ros.files import as_cell
 from kinpole_ros.mechanism import SceneError, Statics, holding, poles, transmission_angles
 from kinpole_ros.mechanism._equilibrium import why_no_reactions
+from kinpole_ros.mechanism._vector_joints import reactions
 from kinpole_ros.tools.solve import _solution
 from kinpole_ros.tools.solve._solution import SolvedScene
 
@@ -84,7 +85,8 @@ def _add_statics(columns: _Columns, solution: SolvedScene) -> None:
     forces = Statics(mechanism, solution.values, loads)
     for driver, effort in zip(mechanism.drivers, forces.effort, strict=True):
         columns[f'{driver.name}_effort'] = effort
-    if not why_no_reactions(mechanism):
+    forces = reactions(scene, solution.values, loads)
+    if not why_no_reactions(forces.mechanism):
         for joint, force, moment in zip(forces.joints, forces.force, forces.moment, strict=True):
             columns.set_point(f'{joint}_force', force)
             columns[f'{joint}_moment'] = moment

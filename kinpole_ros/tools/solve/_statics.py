@@ -18,6 +18,7 @@ from kinpole_ros.mechanism import (
     undetermined,
 )
 from kinpole_ros.mechanism._equilibrium import why_no_reactions
+from kinpole_ros.mechanism._vector_joints import reactions
 from kinpole_ros.tools.solve import _solution
 from kinpole_ros.tools.solve._solution import ActingLoads, SolvedScene
 from kinpole_ros.tools.solve._text import Row, table_lines
@@ -42,15 +43,15 @@ def static_lines(solution: SolvedScene) -> list[str]:
         loads = [*loads, load]
     else:
         lines += _effort_lines(scene, values, acting)
-    if reason := why_no_reactions(scene.mechanism):
+    forces = reactions(scene, values, loads)
+    if reason := why_no_reactions(forces.mechanism):
         return [*lines, reason]
-    return [*lines, *_reaction_lines(scene, values, loads)]
+    return [*lines, *_reaction_lines(forces)]
 
 
-def _reaction_lines(scene: Scene, values: np.ndarray, loads: list[Load]) -> list[str]:
+def _reaction_lines(forces: Statics) -> list[str]:
     """Return the forces in the joints, and those that are not unique."""
     lines = []
-    forces = Statics(scene.mechanism, values, loads)
     rows: list[Row] = [
         [name, force.real, force.imag, abs(force), moment]
         for name, force, moment in zip(
@@ -66,7 +67,7 @@ def _reaction_lines(scene: Scene, values: np.ndarray, loads: list[Load]) -> list
                 angle = _degrees(part * turn * forces.axis[j, 0])
                 size = f'{abs(part):.6g} N'
                 lines.append(f'{name}: of its force the part along {angle:g} deg is unique: {size}')
-    return [*lines, *undetermined(scene.mechanism, values[:, 0])]
+    return [*lines, *undetermined(forces.mechanism, forces.values[:, 0])]
 
 
 def _effort_lines(scene: Scene, values: np.ndarray, acting: ActingLoads) -> list[str]:
@@ -207,9 +208,10 @@ def _components(load: Load, z: complex) -> tuple[float | str, float | str]:
 def _bearing_lines(here: SolvedScene, named: dict[str, Load]) -> list[str]:
     """Return each bearing force as the power of the loads when that bearing alone moves."""
     mechanism = here.scene.mechanism
-    if reason := why_no_reactions(mechanism):
+    forces = reactions(here.scene, here.values, list(named.values()))
+    if reason := why_no_reactions(forces.mechanism):
         return ['', reason]
-    releases = Statics(mechanism, here.values, list(named.values())).releases
+    releases = forces.releases
     names: Sequence[str] = [name.partition(' ')[0] for name in named]
     names = [*names, *('teeth' for _ in releases[0].powers[len(named) :])]
     drivers = ', '.join(driver.name for driver in mechanism.drivers)

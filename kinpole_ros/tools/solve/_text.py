@@ -4,13 +4,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinpole_ros.mechanism import Scene, explain, poles, transmission_angles
+from kinpole_ros.mechanism import GROUND, Centers, Scene, explain, poles, transmission_angles
+from kinpole_ros.mechanism._followers import cam_lines
 from kinpole_ros.mechanism._kennedy import center_name
 from kinpole_ros.tools.solve import _solution
 from kinpole_ros.tools.solve._solution import SolvedScene
 
 # Positions in the table of a range.
 _ROWS = 13
+# Two centers nearer than this share of the distance to a third one are one.
+_ONE_CENTER = 1e-9
 
 Row = list[str | float]
 
@@ -52,7 +55,7 @@ def _is_number(cell: str) -> bool:
 
 
 def head_lines(scene: Scene) -> list[str]:
-    """Return the numbers of bodies, joints and loops, and the drivers."""
+    """Return the numbers of bodies, joints and loops, the drivers, and a check of each cam."""
     mechanism = scene.mechanism
     counts = {
         'moving bodies': len(mechanism.bodies),
@@ -61,7 +64,7 @@ def head_lines(scene: Scene) -> list[str]:
     }
     listed = ', '.join(f'{title}: {count}' for title, count in counts.items() if count)
     drivers = ', '.join(driver.name for driver in mechanism.drivers)
-    return [f'{scene.name}: {listed}, driven: {drivers}']
+    return [f'{scene.name}: {listed}, driven: {drivers}', *cam_lines(mechanism.assembly.followers)]
 
 
 def motion_lines(solution: SolvedScene) -> list[str]:
@@ -197,4 +200,44 @@ def center_lines(solution: SolvedScene) -> list[str]:
     several = solution.inputs.shape[1] > 1
     title = 'instant centers' + (' at the start of the range' if several else '')
     table = table_lines(['center', 'of', 'x m', 'y m'], rows)
-    return ['', title, *table, '', *explain(solution.scene.mechanism, centers.steps)]
+    chain = explain(solution.scene.mechanism, centers.steps)
+    return ['', title, *table, '', *chain, *_ratio_lines(solution.scene, centers)]
+
+
+def _ratio_lines(scene: Scene, centers: Centers) -> list[str]:
+    """
+    Return the ratios of rates at the first position, each by the distances of three centers.
+
+    They are those of all bodies over the driven one, or over the first that turns. With
+    I = I_rj, ω_j (I - I_1j) = ω_r (I - I_1r): both bodies have one velocity there.
+    """
+    bodies, places = centers.bodies, centers.places[:, :, 0]
+    turning = [name for name in bodies[1:] if places[2, centers.row(GROUND, name)] == 1]
+    driven = scene.mechanism.drivers[0].name
+    if not turning:
+        return []
+    by = driven if driven in turning else turning[0]
+    r, lines = bodies.index(by), []
+    for j, name in enumerate(bodies):
+        if name in (GROUND, by):
+            continue
+        rows = [centers.row(*two) for two in ((GROUND, by), (GROUND, name), (by, name))]
+        own, other, both = (complex(x, y) for x, y, _ in places[:, rows].T)
+        own_far, other_far, both_far = (w == 0 for w in places[2, rows])
+        a, b, c = (center_name(len(bodies), *centers.pairs[row]) for row in rows)
+        arm, other_arm = both - own, both - other
+        ratio, size = f'ω{j + 1}/ω{r + 1}', abs(arm) + abs(other_arm)
+        if own_far or not np.isfinite(places[:, rows]).all() or (other_far and both_far):
+            continue
+        if both_far:
+            lines.append(f'{ratio} = 1, since {c} is at infinity')
+        elif other_far:
+            angle = np.degrees(np.angle(1j * arm))
+            lines.append(f'v{j + 1}/ω{r + 1} = {a}{c} = {abs(arm):.6g} m, along {angle:.6g} deg')
+        elif abs(other_arm) <= _ONE_CENTER * size:
+            lines.append(f'{ratio}: not from centers, since {b} and {c} are one')
+        else:
+            along = float((other_arm * np.exp(-1j * np.angle(arm or other_arm))).real)
+            value = f'{abs(arm):.6g} m / {along:.6g} m = {abs(arm) / along:.6g}'
+            lines.append(f'{ratio} = {a}{c} / {b}{c} = {value}')
+    return ['', f'ratios from centers, over {by}', *lines] if lines else []

@@ -65,6 +65,11 @@ function makeEditor({ data, page, stage, redraw, play }) {
       const still = [[0, data.n, 'the ICR stands still']];
       body.withheld = isPinned ? { centrode_curvature: still, inflection_circle: still } : {};
     });
+    for (const end of data.spans.flatMap(({ ends }) => ends)) {
+      const owner = end.body ? data.bodies.indexOf(data.byName[end.body]) : ground;
+      const point = edit.points.find(([body, name]) => body === owner && name === end.name);
+      if (point) end.at = point.slice(2, 4);
+    }
     data.joints = pins();
     stage.view.isFixed = true;
     stage.updatePoints();

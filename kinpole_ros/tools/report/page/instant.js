@@ -9,10 +9,14 @@ function makeInstantDrawer(stage) {
 
   function draw(context, k) {
     const bodies = shownBodies().filter((body) => isFinite(body.x[k]) && isFinite(body.angle[k]));
-    if (isOn('outlines')) for (const body of bodies) drawBody(context, body, k);
+    if (isOn('outlines')) {
+      for (const shape of data.shapes ?? []) drawShape(context, shape, k);
+      for (const body of bodies) drawBody(context, body, k);
+    }
     if (isOn('moving')) for (const body of bodies) drawMovingCentrode(context, body, k);
     stage.usePixels(context);
     if (isOn('outlines')) {
+      for (const span of data.spans ?? []) drawSpan(context, span, k);
       drawJoints(context, bodies, k);
       for (const belt of data.belts ?? []) drawBelt(context, belt, k);
     }
@@ -105,9 +109,41 @@ function makeInstantDrawer(stage) {
     }
   }
 
+  // A cam, a Geneva wheel or a slot on a body, or a circle of the ground.
+  function drawShape(context, { body, kind, points }, k) {
+    const { angle, x, y, color } = data.byName[body] ?? {};
+    if (x && (page.hidden.has(body) || !isFinite(x[k]))) return;
+    if (x) stage.useMeters(context, angle[k], x[k], y[k]);
+    else stage.useMeters(context, 0, 0, 0);
+    context.strokeStyle = kind === 'guide' ? GRAY : color ?? INK;
+    context.lineWidth = (kind === 'guide' ? 3 : 1.4) / view.scale;
+    context.globalAlpha = kind === 'guide' ? 0.35 : 1;
+    strokeLines(context, points);
+    context.globalAlpha = 1;
+  }
+
+  // The points at which a span or belt ends.
+  const endsAt = (ends, k) => ends.map(({ body, at }) => (body ? pointAt(data.byName[body], k, at) : at));
+
+  // A cylinder or spring: points are shares of the way between its ends, m along and m to the left.
+  function drawSpan(context, { ends, least, lines }, k) {
+    const [a, b] = endsAt(ends, k);
+    const [x, y] = [b[0] - a[0], b[1] - a[1]];
+    const length = Math.hypot(x, y);
+    if (!(length > 0)) return;
+    const [c, s] = [x / length, y / length];
+    const shrink = Math.min(1, length / least);
+    context.strokeStyle = INK;
+    context.lineWidth = 1.4;
+    strokeLines(context, ...lines.map((line) => line.map(([share, along, left]) => {
+      const way = share * length + shrink * along;
+      return stage.toScreen(a[0] + c * way - s * left, a[1] + s * way + c * left);
+    })));
+  }
+
   // The strands of a belt, each on the side of its wheels that the signs of the radii say.
   function drawBelt(context, { ends, closed }, k) {
-    const [a, b] = ends.map(({ body, at }) => (body ? pointAt(data.byName[body], k, at) : at));
+    const [a, b] = endsAt(ends, k);
     const [x, y] = [b[0] - a[0], b[1] - a[1]];
     const square = x * x + y * y;
     context.strokeStyle = INK;

@@ -41,6 +41,15 @@ function motionBox(data, before) {
       }
     }
   }
+  for (const { body, kind, points } of data.shapes ?? []) {
+    for (const k of body ? sampledInstants(data) : [0]) {
+      const every = kind === 'contour' ? 8 : 1;
+      for (let p = 0; p < points.length; p += every) {
+        add(...(body ? pointAt(data.byName[body], k, points[p]) : points[p]));
+      }
+    }
+  }
+  for (const { body, at } of (data.spans ?? []).flatMap(({ ends }) => ends)) if (!body) add(...at);
   const [x, y] = [0, 1].map((axis) => (box.low[axis] + box.high[axis]) / 2);
   const distance = 0.6 * Math.max(box.high[0] - box.low[0], box.high[1] - box.low[1]);
   for (const { icr } of data.bodies) {
