@@ -32,7 +32,7 @@ ifneq ($(AMENT_PREFIX_PATH),)
 KIND := $(shell "$(BASE)" -c 'import rclpy' 2>/dev/null && echo ros)
 endif
 demo_EXTRAS := plot
-test_EXTRAS := batch,cluster,formats,pandas,parquet,plot,test
+test_EXTRAS := batch,cluster,film,formats,pandas,parquet,plot,test
 docs_EXTRAS := docs,plot
 ifeq ($(KIND),ros)
 # numpy and the other packages of that ROS are used, so there is no lock.
@@ -117,8 +117,8 @@ UV := .venv/bin/uv pip compile setup.py - --universal --python-version 3.10 --ge
 lock: .venv/test-$(READY)  ## choose the newest versions for requirements/, with their hashes
 	@mkdir -p out
 	@echo 'setuptools>=64' | $(UV) --upgrade --output-file out/lock.txt $(addprefix --extra , \
-	  batch cluster docs formats pandas parquet plot ros test)
-	@for target in 'demo plot' 'test batch cluster formats pandas parquet plot test' 'docs docs plot'; do \
+	  batch cluster docs film formats pandas parquet plot ros test)
+	@for target in 'demo plot' 'test batch cluster film formats pandas parquet plot test' 'docs docs plot'; do \
 	  set -- $$target; file=$$1; shift; echo 'setuptools>=64' | $(UV) --constraint out/lock.txt \
 	    --output-file requirements/$$file.txt --extra ros $$(printf -- '--extra %s ' "$$@") \
 	    || exit 1; \

@@ -76,7 +76,7 @@ setup(
                 f'{NAME}/core/src/{name}.c'
                 for name in (
                     *('structs', 'memory', 'slots', 'fit', 'rejection', 'follow', 'poles'),
-                    *('points', 'rows', 'joints'),
+                    *('points', 'rows', 'joints', 'change_points'),
                     # All files of the estimator, twice.
                     *('dispatch', 'estimator', 'estimator_avx2'),
                 )
@@ -116,6 +116,7 @@ setup(
         'cluster': ['dask>=2023.5', 'distributed>=2023.5'],
         'bench': ['matplotlib>=3.7', 'pynumdiff>=0.3', 'scipy>=1.11'],
         'docs': ['furo>=2024.1.29', 'myst-parser>=3', 'numpydoc>=1.8', 'sphinx>=7.4'],
+        'film': ['av>=12', 'opencv-python-headless>=4.8'],
         'formats': ['h5py>=3.8'],
         'pandas': ['pandas>=2.1'],
         'parquet': ['pyarrow>=12'],

@@ -22,7 +22,14 @@ from kinpole_ros.settings import Settings, load_settings, settings_from
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.tracker import Tracker
-from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors, measured_pairs
+from kinpole_ros.tracking.values import (
+    POLE_NAMES,
+    RATE_NAMES,
+    Numbers,
+    Vectors,
+    measured_pairs,
+    quantity_names,
+)
 
 if TYPE_CHECKING:
     import pandas
@@ -135,6 +142,10 @@ class BodyMotion(_Motion):
     icr_velocity_covariance: np.ndarray
     centrode_curvature: np.ndarray
     centrode_curvature_sigma: np.ndarray
+    inflection_circle: np.ndarray
+    inflection_circle_covariance: np.ndarray
+    inflection_diameter: np.ndarray
+    inflection_diameter_sigma: np.ndarray
 
 
 @dataclass(frozen=True, repr=False)
@@ -457,7 +468,7 @@ def _records(
             shape: tuple[int, ...] = ()
             if name.endswith('_covariance'):
                 shape = 2, 2
-            elif name in (*POLE_NAMES, 'icr_velocity', 'position'):
+            elif name == 'position' or quantity_names(4).get(name):
                 shape = (2,)
             arrays[name] = np.full((count, len(keys), *shape), np.nan)
     return _Records(
@@ -474,13 +485,9 @@ def _body_arrays(estimate: Estimate) -> dict[str, np.ndarray]:
         'angle': np.where(is_known, estimate.angle[0], np.nan),
         'missing': estimate.missing.astype(str),
     }
-    for order in range(1, estimate.order + 1):
-        arrays |= _number_arrays(RATE_NAMES[order - 1], estimate.rate(order))
-        arrays |= _vector_arrays(POLE_NAMES[order - 1], estimate.pole(order))
-    if estimate.order >= 2:
-        arrays |= _vector_arrays('icr_velocity', estimate.icr_velocity)
-    if estimate.order >= 3:
-        arrays |= _number_arrays('centrode_curvature', estimate.centrode_curvature)
+    for name, quantity in estimate.quantities(estimate.order).items():
+        of_kind = _number_arrays if isinstance(quantity, Numbers) else _vector_arrays
+        arrays |= of_kind(name, quantity)  # type: ignore[arg-type]
     return arrays
 
 

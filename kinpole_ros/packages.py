@@ -12,6 +12,7 @@ EXTRAS = MappingProxyType(
         'batch': ('dask', 'fsspec'),
         'bench': ('matplotlib', 'pynumdiff', 'scipy'),
         'cluster': ('dask', 'distributed'),
+        'film': ('opencv-python-headless', 'av'),
         'formats': ('h5py',),
         'pandas': ('pandas',),
         'parquet': ('pyarrow',),

@@ -14,7 +14,7 @@ from sensor_msgs.msg import PointCloud2
 from bench._events import event_motions, smooth_motions
 from kinpole_ros import track
 from kinpole_ros.bags import BagWriter, replay
-from kinpole_ros.derivatives import Event, Poses, Samples, Windows, derive_poses, find_events
+from kinpole_ros.derivatives import Event, Poses, Samples, Windows, derive_poses, find_event
 from kinpole_ros.messages import read_event, serialize_message, to_message
 from kinpole_ros.planar._plane import Real
 from kinpole_ros.settings import Settings
@@ -48,15 +48,13 @@ def events_in(values: Real, noise: float, seen: np.ndarray | None = None) -> lis
     variance = np.tile(np.square((noise, noise * SIZE / 2)), (len(values), 1))
     if seen is not None:
         variance[~seen] = np.inf
-    asked = []
+    found: list[Event] = []
     for begin in np.arange(2.2 * WINDOW, time[-1] - WINDOW - SHARE, SHARE):
         rows = slice(*np.searchsorted(time, (begin - 2 * WINDOW, begin + WINDOW + SHARE)))
-        asked.append(Samples(time[rows], values[rows], variance[rows], begin, begin + SHARE))
-    found: list[Event] = []
-    for first in range(0, len(asked), 64):
-        for event in find_events(asked[first : first + 64], WINDOW):
-            if event is not None and not (found and event.time - found[-1].time < SHARE / 2):
-                found.append(event)
+        samples = Samples(time[rows], values[rows], variance[rows], begin, begin + SHARE)
+        event = find_event(samples, WINDOW)
+        if event is not None and not (found and event.time - found[-1].time < SHARE / 2):
+            found.append(event)
     return found
 
 
@@ -203,7 +201,7 @@ def test_no_events_are_searched_for_unless_they_are_asked_for(
     def refuse(*_: Any) -> None:
         raise AssertionError('searched')
 
-    monkeypatch.setattr('kinpole_ros.tracking.events.find_events', refuse)
+    monkeypatch.setattr('kinpole_ros.tracking.events.find_event', refuse)
     assert not any(one.events for one in Tracker(SETTINGS).add(bounces, 1))
 
 

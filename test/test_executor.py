@@ -13,7 +13,7 @@ from rclpy.node import Node
 from std_msgs.msg import Int64, String
 
 from kinpole_ros.ros import executor as executor_module
-from kinpole_ros.ros.executor import LeanExecutor, SubscriptionGroup, make_executor
+from kinpole_ros.ros.executor import LeanExecutor, make_executor
 from kinpole_ros.ros.private import PreparedWait, take
 
 KINDS = ('lean', 'rclpy')
@@ -26,7 +26,6 @@ class Source:
     def __init__(self, node: Node, is_flood: bool = True) -> None:
         self._node = node
         self._is_flood = is_flood
-        self.group = SubscriptionGroup()
         self.subscriptions: list[Any] = []
         self.publisher = node.create_publisher(String, 'flood', 10)
         self.by_source = self.by_rclpy = 0
@@ -39,9 +38,7 @@ class Source:
     def subscribe(self) -> None:
         for subscription in self.subscriptions:
             self._node.destroy_subscription(subscription)
-        made = self._node.create_subscription(
-            String, 'flood', self._on_message, 10, callback_group=self.group, raw=True
-        )
+        made = self._node.create_subscription(String, 'flood', self._on_message, 10, raw=True)
         self.subscriptions = [made]
 
     def begin(self) -> None:

@@ -18,7 +18,7 @@ PYTHONS = ['3.10', '3.11', '3.12', '3.13', '3.14']
 # The extras that each command of the Makefile installs.
 EXTRAS = {
     'demo': ['plot', 'ros'],
-    'test': ['batch', 'cluster', 'formats', 'parquet', 'plot', 'ros', 'test'],
+    'test': ['batch', 'cluster', 'film', 'formats', 'parquet', 'plot', 'ros', 'test'],
     'docs': ['docs', 'plot', 'ros'],
 }
 # A bare install of what the demo needs has 100 packages.

@@ -32,6 +32,8 @@ PYTHON_PACKAGES = {
     'bench': None,
     'derivatives_reference': None,
     'c3d': None,
+    'av': None,
+    'cv2': None,
     'dask': None,
     'distributed': None,
     'fsspec': None,
@@ -151,6 +153,7 @@ BELOW = {
         'linkage',
         'messages',
     },
+    'film': {'files', 'messages', 'bags'},
     'ros': {'settings', 'tracking', 'linkage', 'messages', 'bags'},
     'tools': {
         'files',
@@ -161,6 +164,7 @@ BELOW = {
         'linkage',
         'messages',
         'bags',
+        'film',
         'ros',
     },
 }

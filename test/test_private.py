@@ -12,17 +12,14 @@ import pytest
 import rclpy
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.executors import Executor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message, serialize_message
-from rclpy.service import Service
 from rclpy.subscription import Subscription
-from rclpy.timer import Timer
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 import kinpole_ros
 from kinpole_ros.ros import private
@@ -57,12 +54,9 @@ def until(condition: Callable[[], object], what: str) -> None:
         (rclpy_implementation, ['RCLError', 'WaitSet']),
         (
             rclpy_implementation.WaitSet,
-            ['clear_entities', 'add_subscription', 'add_service', 'wait', 'get_ready_entities'],
+            ['clear_entities', 'add_subscription', 'wait', 'get_ready_entities'],
         ),
-        (Service, ['handle']),
-        (Executor, ['wake', 'spin_once', 'shutdown']),
-        (Timer, ['is_ready', 'handle']),
-        (rclpy_implementation.Timer, ['call_timer', '__enter__', '__exit__']),
+        (Executor, ['can_execute', 'spin_once', 'wait_for_ready_callbacks', 'shutdown']),
         (rclpy_implementation.Subscription, ['take_message', '__enter__', '__exit__']),
         (Subscription, ['handle']),
         (Publisher, ['handle']),
@@ -112,49 +106,6 @@ def test_one_wait_set_serves_many_waits_and_take_has_all_messages(node: Node) ->
     assert not prepared.wait(0.0), 'rclpy has changed: WaitSet.wait keeps what was ready'
     node.destroy_subscription(heard)
     until(lambda: not publisher.get_subscription_count(), 'a subscription is held on')
-
-
-def test_a_wait_ends_with_a_request(node: Node) -> None:
-    service = node.create_service(Trigger, 'asked', lambda request, response: response)
-    client = node.create_client(Trigger, 'asked')
-    until(client.service_is_ready, 'a client does not find its service')
-    prepared = private.PreparedWait(node.context, services=[service])
-    assert not prepared.wait(0.05), 'rclpy has changed: WaitSet.get_ready_entities of none'
-    client.call_async(Trigger.Request())
-    assert prepared.wait(5.0), 'rclpy has changed: WaitSet.wait misses a request'
-
-
-def test_a_timer_that_is_ready_is_called_once_a_period(node: Node) -> None:
-    calls: list[int] = []
-    timer = node.create_timer(0.1, lambda: calls.append(1))
-    assert not timer.is_ready(), 'rclpy has changed: Timer.is_ready before its time'
-    until(timer.is_ready, 'Timer.is_ready stays false')
-    private.call(timer)
-    assert calls == [1], 'rclpy has changed: Timer.callback'
-    assert not timer.is_ready(), 'rclpy has changed: call_timer begins no period'
-    until(timer.is_ready, 'a timer has one period')
-    timer.cancel()
-    assert not timer.is_ready(), 'rclpy has changed: Timer.is_ready of a canceled one'
-
-
-def test_rclpy_tells_an_executor_of_entities_that_come_and_go(node: Node) -> None:
-    told: list[int] = []
-
-    class Told(SingleThreadedExecutor):
-        def wake(self) -> None:
-            told.append(1)
-            super().wake()
-
-    executor = Told()
-    executor.add_node(node)
-    subscription = node.create_subscription(String, 'heard', print, 10)
-    service = node.create_service(Trigger, 'asked', print)
-    assert len(told) >= 2, 'rclpy has changed: Executor.wake for what is created'
-    before = len(told)
-    node.destroy_subscription(subscription)
-    node.destroy_service(service)
-    assert len(told) >= before + 2, 'rclpy has changed: Executor.wake for what is destroyed'
-    executor.shutdown()
 
 
 def test_the_node_of_an_endpoint_is_known_but_for_a_moment(node: Node) -> None:

@@ -126,8 +126,9 @@ def turned(q: Any, vector: np.ndarray) -> np.ndarray:
 
 def test_the_topics_are_those_of_the_interface() -> None:
     one = ['odom', *RATE_NAMES, *POLE_NAMES, *(f'{pole}/with_covariance' for pole in POLE_NAMES)]
-    alone = [*RATE_NAMES, 'icr_velocity', 'centrode_curvature']
-    one += ['icr_velocity', 'centrode_curvature', 'centrode/fixed', 'centrode/moving', 'event']
+    alone = [*RATE_NAMES, 'icr_velocity', 'centrode_curvature', 'inflection_circle']
+    one += ['icr_velocity', 'centrode_curvature', 'inflection_circle']
+    one += ['centrode/fixed', 'centrode/moving', 'event']
     one += [f'{topic}/deviation' for topic in alone]
     pair = ['coupler/wrt/crank/icr', 'coupler/wrt/crank/angular_velocity']
     pair += [f'{topic}/deviation' for topic in pair]
@@ -137,15 +138,15 @@ def test_the_topics_are_those_of_the_interface() -> None:
 
 
 def test_standard_topics_are_those_that_people_read() -> None:
-    """Of two bodies 24 topics, of eight 84: 56 and 308 were more than anybody looked through."""
+    """Of two bodies 26 topics, of eight 92: 56 and 308 were more than anybody looked through."""
     one = ['odom', *RATE_NAMES[:3], 'icr', 'icr/with_covariance', 'iap/with_covariance']
-    one += ['icr_velocity', 'centrode_curvature', 'event']
+    one += ['icr_velocity', 'centrode_curvature', 'inflection_circle', 'event']
     expected = [f'{body}/{topic}' for body in BODIES for topic in one]
     expected += ['state', 'visualization', '/tf', 'view']
     settings = Settings(bodies=dict.fromkeys(BODIES, ('0', '1')))
     assert sorted(row.topic for row in live_outputs(settings, None)) == sorted(expected)
     eight = Settings(bodies={f'b{k}': (str(k), '9') for k in range(8)})
-    assert len(live_outputs(eight, None)) == 84
+    assert len(live_outputs(eight, None)) == 92
 
 
 def test_standard_topics_have_the_pairs_that_a_joint_joins() -> None:
@@ -219,6 +220,9 @@ def test_points_are_in_the_plane_at_the_height_of_the_markers(plane: str) -> Non
             assert isinstance(message, PointStamped)
             expected = placed(plane, now.pole(order).value[b], now.height[b])
             np.testing.assert_array_equal(xyz(message.point), expected)
+        message = rows(plane)[f'{body}/inflection_circle'].build(now)
+        expected = placed(plane, now.inflection_circle.value[b], now.height[b])
+        np.testing.assert_array_equal(xyz(message.point), expected)
     message = rows(plane)['coupler/wrt/crank/icr'].build(now)
     expected = placed(plane, now.relative_icr.value[0], now.height[0])
     np.testing.assert_array_equal(xyz(message.point), expected)

@@ -161,6 +161,52 @@ def test_points_of_the_scene_are_published_to_their_jerk(bag: Path, tmp_path: Pa
         assert np.mean(np.abs(off) < 1.96 * sigma) > 0.85
 
 
+def test_paths_of_points_have_centers_which_are_withheld_near_an_inflection(
+    bag: Path, tmp_path: Path
+) -> None:
+    """In topics and in tables: a radius there would be thousands of meters of either sign."""
+    path = scene(tmp_path, 'bent', bent=('P: [0.1, 0.15]', 'P: [0.5, -0.1]'))
+    messages = replayed(bag, tmp_path, path)
+    begin = stamp_to_ns(decoded(bag)['/markers'][0].markers[0].header.stamp)
+    loaded = load_scene(path)
+    body, place = loaded.points['coupler.P']
+    every = np.array([stamp_to_ns(m.header.stamp) for m in messages['/kinpole/coupler/odom']])
+    topic = '/kinpole/coupler/points/P/path_radius'
+    stamps = np.array([stamp_to_ns(message.header.stamp) for message in messages[topic]])
+
+    def true(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        motion = loaded.motion((at - begin) * 1e-9)[body]
+        v, a = (motion.position[k] + place * rotation_derivatives(motion.angle)[k] for k in (1, 2))
+        radius = np.abs(v) ** 3 / (v.conj() * a).imag
+        at_point = motion.position[0] + place * rotation_derivatives(motion.angle)[0]
+        return radius, at_point + 1j * v / np.abs(v) * radius
+
+    radius, center = true(stamps)
+    assert {*np.sign(radius)} == {-1, 1}
+    said, sigma = (
+        np.array([message.vector.z for message in messages[name]])
+        for name in (topic, f'{topic}/deviation')
+    )
+    assert (np.abs(said / radius - 1) < 1).all()
+    assert np.mean(np.abs(said - radius) < 1.96 * sigma) > 0.9
+    withheld = np.setdiff1d(every, stamps)
+    assert 0 < len(withheld) < len(every) / 4
+    assert np.abs(true(withheld)[0]).min() > np.median(np.abs(radius))
+    points = messages['/kinpole/coupler/points/P/path_center']
+    spreads = messages['/kinpole/coupler/points/P/path_center/deviation']
+    off = np.array([complex(m.point.x, m.point.y) for m in points]) - center
+    spread = np.array([complex(m.point.x, m.point.y) for m in spreads])
+    for part in (np.real, np.imag):
+        assert np.mean(np.abs(part(off)) < 1.96 * part(spread)) > 0.9
+    table = tmp_path / 'out.csv'
+    words = ['--config', str(config(tmp_path, path)), '--csv', str(table)]
+    assert cli.main(['replay', str(bag), *words]) == 0
+    columns = np.genfromtxt(table, delimiter=',', names=True)
+    known = columns['coupler_points_P_path_radius']
+    np.testing.assert_array_equal(known[np.isfinite(known)], said)
+    assert np.isfinite(columns['coupler_points_P_path_center_x_sigma']).sum() == len(said)
+
+
 def test_centers_of_bodies_that_are_as_the_scene_says_are_on_the_line_of_the_pins(
     bag: Path, tmp_path: Path
 ) -> None:

@@ -12,7 +12,7 @@ from kinpole_ros.bags._files import (
     in_place_of,
     recorder_of,
 )
-from kinpole_ros.bags._import import Imported, import_points
+from kinpole_ros.bags._import import Imported, import_points, write_points
 from kinpole_ros.bags._marker_frames import NODE_NAME, read_frames
 from kinpole_ros.bags._replay import replay
 from kinpole_ros.bags._replayed import Replayed
@@ -44,4 +44,5 @@ __all__ = [
     'topics',
     'type_name',
     'warnings_of',
+    'write_points',
 ]

@@ -2,7 +2,8 @@
 
 import math
 import os
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -119,7 +120,7 @@ def import_points(
         raise _incomplete(path, name, read, used_scale, rate)
     poses = _scale(path, read, used_scale, read.y_down if y_down is None else y_down)
     stamps, stamp_notes = _stamps(path, read, rate)
-    _write(output, replace(read, poses=poses), stamps, progress)
+    write_points(output, read.names, stamps, read.points, progress, read.bodies, poses)
     return _describe(name, read, stamps, used_scale, stamp_notes)
 
 
@@ -196,20 +197,49 @@ def _incomplete(
     return BagError(f'{path} ({name}) {" and ".join(faults)}; fix: {"; and ".join(fixes)}')
 
 
-def _write(output: Path, read: Points, stamps: np.ndarray, progress: Progress | None) -> None:
+def write_points(
+    output: str | Path,
+    names: Sequence[str],
+    stamps: np.ndarray,
+    points: np.ndarray,
+    progress: Progress | None = None,
+    bodies: Sequence[str] = (),
+    poses: np.ndarray | None = None,
+) -> None:
+    """
+    Write markers to a bag, as visualization_msgs/MarkerArray on /markers, and poses to /tf.
+
+    Parameters
+    ----------
+    output : str or Path
+        The .mcap file, which is replaced when all is written.
+    names : sequence of str
+        Names of the n markers.
+    stamps : ndarray
+        (T,) int64, ns.
+    points : ndarray
+        (T, n, 3), m; NaN for a marker that is not seen.
+    progress : callable, optional
+        Called with the fraction of frames written, at most some 200 times.
+    bodies : sequence of str
+        Names of the B bodies of `poses`.
+    poses : ndarray, optional
+        (T, B, 7), points and quaternions x, y, z, w.
+
+    """
     # Some 300 bytes a marker, and at most some 200 calls of `progress`.
-    rows = max(1, min(math.ceil(len(stamps) / 200), _BLOCK_BYTES // (300 * len(read.names) + 1)))
+    rows = max(1, min(math.ceil(len(stamps) / 200), _BLOCK_BYTES // (300 * len(names) + 1)))
     due = 0.0
     with in_place_of(output) as part, BagWriter(part, name=output) as bag:
         for start in range(0, len(stamps), rows):
             block = slice(start, start + rows)
             times = stamps[block].tolist()
-            data = marker_arrays(stamps[block], _FRAME, read.names, read.points[block])
+            data = marker_arrays(stamps[block], _FRAME, names, points[block])
             columns = [('/markers', INPUT_TYPES['marker_array'], times, data)]
-            if read.poses is not None:
+            if poses is not None:
                 tf = [
-                    poses_data('tf', stamp, _FRAME, read.bodies, poses)
-                    for stamp, poses in zip(times, read.poses[block], strict=True)
+                    poses_data('tf', stamp, _FRAME, bodies, row)
+                    for stamp, row in zip(times, poses[block], strict=True)
                 ]
                 columns.append((TF, INPUT_TYPES['tf'], times, tf))
             bag.write_many(columns)

@@ -160,6 +160,7 @@ class _Replaying:
             self._positions = Positions(theory.scene, theory.matches)
         self._tracker = Tracker(settings)
         self._reader = messages.reader_of(self._kind, settings)
+        self._registered = theory.quantities(tuple(settings.bodies)) if theory else []
         self._outputs = messages.outputs_of(settings, theory)
         compare = theory.comparison() if theory else None
         self._diagnostics = _PeriodicDiagnostics(
@@ -184,7 +185,9 @@ class _Replaying:
                 writer = stack.enter_context(BagWriter(files['mcap'], name=names['mcap']))
                 self._add_topics(writer)
             takers = [
-                stack.enter_context(table(files[kind], self._settings, names[kind]))
+                stack.enter_context(
+                    table(files[kind], self._settings, names[kind], self._registered)
+                )
                 for kind, table in TABLES.items()
                 if kind in files
             ]

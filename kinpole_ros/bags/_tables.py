@@ -1,7 +1,7 @@
 """Results as tables, CSV or Parquet: a row for each instant, empty where undetermined."""
 
 import csv
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeAlias
@@ -13,10 +13,18 @@ from kinpole_ros.files import as_cell
 from kinpole_ros.packages import install_command
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors, measured_pairs
+from kinpole_ros.tracking.values import (
+    Numbers,
+    RegisteredQuantity,
+    Vectors,
+    measured_pairs,
+    quantity_names,
+)
 
 AddRows: TypeAlias = Callable[[Estimate], None]
 
+# Registered quantities of these kinds are numbers.
+_NUMBERS = ('number', 'torque')
 _GROUP_ROWS = 8192  # of a Parquet file, which are in memory at once
 # The event of a body that was found with an instant: its time, and the step of the derivative of
 # this order, of the angle and of the origin of the body's frame.
@@ -26,18 +34,24 @@ EVENT_COLUMNS = (
 )
 
 
-def column_names(bodies: tuple[str, ...], order: int) -> list[str]:
+def column_names(
+    bodies: tuple[str, ...], order: int, registered: Sequence[RegisteredQuantity] = ()
+) -> list[str]:
     """
     Return the names of the quantities of an instant, up to the derivative of `order`.
 
-    Of every body x, y, angle, the rates and curvature each with the column NAME_sigma behind it,
-    and the poles and the ICR's velocity as NAME_x, NAME_y and their sigmas; of every pair the
-    relative rate and center. Last come the EVENT_COLUMNS of every body. SI units, sigma is one
+    Of every body x, y, angle, the numbers of `quantity_names` each with the column NAME_sigma
+    behind it, and the vectors as NAME_x, NAME_y and their sigmas; of every pair the
+    relative rate and center; of every quantity that is `registered` with a topic, the name of that
+    with _ for /. Last come the EVENT_COLUMNS of every body. SI units, sigma is one
     standard deviation. x and y are along the axes of the plane: those of the frame in xy, yz and
     zx, else those of `messages.plane_words`.
     """
-    numbers = [*RATE_NAMES[:order], *(['centrode_curvature'] if order >= 3 else [])]
-    vectors = [*POLE_NAMES[:order], *(['icr_velocity'] if order >= 2 else [])]
+    quantities = quantity_names(order)
+    numbers, vectors = (
+        [name for name, is_vector in quantities.items() if is_vector == wanted]
+        for wanted in (False, True)
+    )
     names = []
     for body in bodies:
         names += [f'{body}_{name}' for name in ('x', 'y', 'angle')]
@@ -46,7 +60,15 @@ def column_names(bodies: tuple[str, ...], order: int) -> list[str]:
         names += _value_and_sigma_names(
             f'{bodies[j]}_wrt_{bodies[i]}', ['angular_velocity'], ['icr']
         )
+    for quantity in _up_to(order, registered):
+        name, is_vector = quantity.topic.replace('/', '_'), quantity.kind not in _NUMBERS
+        ends = ('_x', '_y', '_x_sigma', '_y_sigma') if is_vector else ('', '_sigma')
+        names += [name + end for end in ends]
     return names + [f'{body}_{name}' for body in bodies for name in EVENT_COLUMNS]
+
+
+def _up_to(order: int, registered: Sequence[RegisteredQuantity]) -> list[RegisteredQuantity]:
+    return [quantity for quantity in registered if quantity.order <= order]
 
 
 def _event_columns(estimate: Estimate, shape: tuple[int, int]) -> np.ndarray:
@@ -68,26 +90,31 @@ def _value_and_sigma_names(prefix: str, numbers: list[str], vectors: list[str]) 
         yield from (f'{prefix}_{name}_{end}' for end in ('x', 'y', 'x_sigma', 'y_sigma'))
 
 
-def table_rows(estimate: Estimate, order: int) -> np.ndarray:
+def table_rows(
+    estimate: Estimate, order: int, registered: Sequence[RegisteredQuantity] = ()
+) -> np.ndarray:
     """Return the quantities of `column_names` at T instants, (T, columns); NaN if undetermined."""
     count = np.size(estimate.stamp)
     shape = (count, len(estimate.bodies))
     is_known = np.reshape(np.asarray(estimate.missing), (*shape, 1)) == ''
     origin = estimate.origin(0).reshape(shape)
     pose = np.stack((origin.real, origin.imag, estimate.angle[0].reshape(shape)), axis=-1)
-    body_columns = [np.where(is_known, pose, np.nan)]
-    body_columns += [_number_columns(estimate.rate(k), shape) for k in range(1, order + 1)]
-    if order >= 3:
-        body_columns.append(_number_columns(estimate.centrode_curvature, shape))
-    body_columns += [_vector_columns(estimate.pole(k), shape) for k in range(1, order + 1)]
-    if order >= 2:
-        body_columns.append(_vector_columns(estimate.icr_velocity, shape))
+    quantities = estimate.quantities(order).values()
+    body_columns = [
+        np.where(is_known, pose, np.nan),
+        *(_number_columns(one, shape) for one in quantities if isinstance(one, Numbers)),
+        *(_vector_columns(one, shape) for one in quantities if isinstance(one, Vectors)),
+    ]
     pairs = (count, len(measured_pairs(shape[1])))
     pair_columns = [
         _number_columns(estimate.relative_rate, pairs),
         _vector_columns(estimate.relative_icr, pairs),
     ]
     blocks = [np.concatenate(columns, axis=-1) for columns in (body_columns, pair_columns)]
+    for quantity in _up_to(order, registered):
+        values = quantity.values(estimate)
+        of_kind = _number_columns if isinstance(values, Numbers) else _vector_columns
+        blocks.append(of_kind(values, (count, 1)))  # type: ignore[arg-type]
     blocks.append(_event_columns(estimate, shape))
     return np.concatenate([block.reshape(count, -1) for block in blocks], axis=1)
 
@@ -110,7 +137,10 @@ def _vector_columns(vectors: Vectors, shape: tuple[int, int]) -> np.ndarray:
 
 @contextmanager
 def csv_table(
-    path: str | Path, settings: Settings, name: str | Path | None = None
+    path: str | Path,
+    settings: Settings,
+    name: str | Path | None = None,
+    registered: Sequence[RegisteredQuantity] = (),
 ) -> Iterator[AddRows]:
     """
     Give a function that writes the rows of an estimate to a spreadsheet.
@@ -121,10 +151,11 @@ def csv_table(
     order, named = settings.highest_order, name or path
     with write_errors(named), open(path, 'w', newline='', encoding='utf-8') as file:
         table = csv.writer(file)
-        table.writerow(['t', *map(as_cell, column_names(tuple(settings.bodies), order))])
+        names = column_names(tuple(settings.bodies), order, registered)
+        table.writerow(['t', *map(as_cell, names)])
 
         def add(estimate: Estimate) -> None:
-            rows = table_rows(estimate, order)
+            rows = table_rows(estimate, order, registered)
             cells = rows.astype(object)
             cells[np.isnan(rows)] = None
             stamps = np.atleast_1d(estimate.stamp).tolist()
@@ -139,7 +170,10 @@ def csv_table(
 
 @contextmanager
 def parquet_table(
-    path: str | Path, settings: Settings, name: str | Path | None = None
+    path: str | Path,
+    settings: Settings,
+    name: str | Path | None = None,
+    registered: Sequence[RegisteredQuantity] = (),
 ) -> Iterator[AddRows]:
     """
     Give a function that writes the rows of an estimate to a file for pandas, Polars and the like.
@@ -155,7 +189,7 @@ def parquet_table(
         raise BagError(
             f'{named} needs pyarrow; fix: {install_command("parquet")}, or write a CSV table'
         ) from None
-    names = ('t', *column_names(tuple(settings.bodies), order))
+    names = ('t', *column_names(tuple(settings.bodies), order, registered))
     columns = [('stamp', pyarrow.int64()), *((column, pyarrow.float64()) for column in names)]
     schema = pyarrow.schema(columns)
     blocks: list[tuple[np.ndarray, np.ndarray]] = []
@@ -176,7 +210,8 @@ def parquet_table(
                 writer.write_table(pyarrow.table(arrays, schema=schema))
 
         def add(estimate: Estimate) -> None:
-            blocks.append((np.atleast_1d(estimate.stamp), table_rows(estimate, order)))
+            rows = table_rows(estimate, order, registered)
+            blocks.append((np.atleast_1d(estimate.stamp), rows))
             if sum(len(stamps) for stamps, _ in blocks) >= _GROUP_ROWS:
                 write_group()
 

@@ -25,7 +25,8 @@ screens, events   4: the search of steps
 mean              5: derivatives and covariances; uneven samples move along the estimated motion
 derive            the order of these for one signal
 _poses.py         `derive_poses`: arrays to the library and back; keeps the tables
-_events.py        `find_events`: reports events some time after them, by polynomials
+_event_search.py  `find_event`: reports events some time after them
+change_points     the search of these, by polynomials with steps
 ================= ===============================================================================
 
 Names without an ending are files of core/src. To understand the estimator, read _models.py,
@@ -33,7 +34,7 @@ evidence.h and events.h, in this order. A slower version with numpy is in
 test/derivatives_reference.
 """
 
-from kinpole_ros.derivatives._event_search import Event, Samples, find_events
+from kinpole_ros.derivatives._event_search import Event, Samples, find_event
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES
 from kinpole_ros.derivatives._pose_derivatives import (
     Call,
@@ -55,7 +56,7 @@ __all__ = [
     'Samples',
     'Windows',
     'derive_poses',
-    'find_events',
+    'find_event',
     'go_on',
     'new_call',
     'pass_tables',

@@ -15,12 +15,12 @@ from kinpole_ros.linkage._matches import BodyMatch, MismatchError, match_bodies
 from kinpole_ros.linkage.positions import LivePositions
 from kinpole_ros.mechanism import GROUND, Force, Load, Scene, SceneError, load_scene
 from kinpole_ros.mechanism._equations import part_sum
-from kinpole_ros.planar import Port, covariance, measured_balance
+from kinpole_ros.planar import Port, covariance, measured_balance, propagate
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.planar._poles import point_motion
 from kinpole_ros.settings import POSE_TYPES, ParameterError, Settings, of_poses
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.reasons import SIGNIFICANT
+from kinpole_ros.tracking.reasons import FARTHEST, SIGNIFICANT
 from kinpole_ros.tracking.values import Numbers, RegisteredQuantity, Vectors
 
 # Ends of the topics of a point, and their units, by the order of the derivative.
@@ -76,6 +76,21 @@ class Theory(NamedTuple):
             )
             for point in points_of_interest(self)
             for order, (end, unit) in enumerate(_POINT_TOPICS)
+        ]
+        found += [
+            RegisteredQuantity(
+                f'{point.body}/points/{point.name}/{name}',
+                kind,
+                2,
+                'm',
+                partial(measure, self, point),
+                bodies.index(point.body),
+            )
+            for point in points_of_interest(self)
+            for name, kind, measure in (
+                ('path_radius', 'number', path_radius),
+                ('path_center', 'point', path_center),
+            )
         ]
         if self.balances:
             holder = self.scene.held_by
@@ -240,17 +255,67 @@ def measured_point(
     theory: Theory, point: PointOfInterest, order: int, estimate: Estimate
 ) -> Vectors:
     """Position of a point (T,), m, or its derivative of `order` 1 to 4, as measured."""
+    arm, motion = _motion_of(theory, point, estimate)
+    found = point_motion(order, arm, *motion[:2])
+    return _known(theory, point, estimate, found.value, covariance(found, *motion[2:]))
+
+
+def path_center(theory: Theory, point: PointOfInterest, estimate: Estimate) -> Vectors:
+    """
+    Center of curvature (T,), m, of the path of a point, as measured.
+
+    Undetermined near an inflection, where its distance does not stand out of its noise.
+    """
+    return _center_of_path(theory, point, estimate)[0]
+
+
+def path_radius(theory: Theory, point: PointOfInterest, estimate: Estimate) -> Numbers:
+    """Radius (T,), m, of `path_center`, positive where the path turns left along its velocity."""
+    return _center_of_path(theory, point, estimate)[1]
+
+
+def _center_of_path(
+    theory: Theory, point: PointOfInterest, estimate: Estimate
+) -> tuple[Vectors, Numbers]:
+    arm, motion = _motion_of(theory, point, estimate)
+
+    def center_and_radius(position: Complex, angle: Real) -> Complex:
+        place, v, acc = (point_motion(k, arm, position, angle).value for k in range(3))
+        across = (v.conj() * acc).imag
+        square = np.abs(v) ** 2
+        return np.stack((place + 1j * v * square / across, np.abs(v) * square / across), axis=1)
+
+    low = [array[:3] for array in motion[:2]] + [array[:3, :3] for array in motion[2:]]
+    (center, radius), (of_center, of_radius) = propagate(center_and_radius, *low)
+    variance, size = of_radius[..., 0, 0], estimate.size[..., theory.matches[point.body].tracked]
+    found = _known(theory, point, estimate, center, of_center)
+    with np.errstate(invalid='ignore'):
+        is_near = np.abs(radius) < FARTHEST * size
+        is_known = found.determined & is_near & (radius.real**2 > SIGNIFICANT**2 * variance)
+    return found._replace(determined=is_known), Numbers(radius.real, variance, is_known)
+
+
+def _motion_of(
+    theory: Theory, point: PointOfInterest, estimate: Estimate
+) -> tuple[Complex, tuple[Complex, Real, Real, Real]]:
+    """
+    Return a point in the frame of its body's reference (T,), and the motion of that.
+
+    The motion is position and angle with their derivatives and covariances. The point is NaN where
+    the shape of the body is unknown.
+    """
     b = theory.matches[point.body].tracked
-    frames = body_frames(theory, estimate)
-    if point.body not in frames:
-        nan = np.full(np.shape(estimate.stamp), complex(np.nan, np.nan))
-        return Vectors(nan, np.zeros((*nan.shape, 2, 2)), np.zeros(nan.shape, bool))
-    origin, turn = frames[point.body]
     position, angle = estimate.position[..., b], estimate.angle[..., b]
+    spreads = estimate.position_covariance[..., b], estimate.angle_covariance[..., b]
+    nothing = np.full(np.shape(estimate.stamp), np.nan)
+    origin, turn = body_frames(theory, estimate).get(point.body, (nothing + 0j, nothing))
     arm = origin + point.point * np.exp(1j * turn) - estimate.reference[..., b]
-    motion = point_motion(order, arm, position, angle)
-    matrix = covariance(
-        motion, estimate.position_covariance[..., b], estimate.angle_covariance[..., b]
-    )
-    is_finite = np.isfinite(motion.value) & np.isfinite(matrix).all(axis=(-2, -1))
-    return Vectors(motion.value, matrix, is_finite & (estimate.missing[..., b] == ''))
+    return arm, (position, angle, *spreads)
+
+
+def _known(
+    theory: Theory, point: PointOfInterest, estimate: Estimate, value: Complex, matrix: Real
+) -> Vectors:
+    is_finite = np.isfinite(value) & np.isfinite(matrix).all(axis=(-2, -1))
+    is_seen = estimate.missing[..., theory.matches[point.body].tracked] == ''
+    return Vectors(value, matrix, is_finite & is_seen)

@@ -17,10 +17,15 @@ from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.planar import (
+    ball_point,
     centrode_curvature,
+    icr_acceleration,
     icr_velocity,
+    inflection_circle,
     moving_centrode_curvature,
     pole,
+    to_complex,
+    to_plane,
 )
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -264,8 +269,9 @@ class Poles(NamedTuple):
     The poles `icr`, `iap`, `ijp` and `isp` (B, T) of bodies, complex, m, in the ground's frame.
 
     `velocity` (B, T), complex, m/s, is that of the ICR along the centrodes, `curvature` (B, T),
-    1/m, that of the fixed centrode. NaN where it does not exist: at infinity, at a dead point, and
-    of curvatures where the ICR stands still.
+    1/m, that of the fixed centrode. `inflection_circle` and `ball_point` (B, T) are complex, m, and
+    `inflection_diameter` (B, T) is in m. NaN where it does not exist: at infinity, at a dead point,
+    and of what is behind `velocity` where the ICR stands still.
     """
 
     icr: Complex
@@ -274,6 +280,9 @@ class Poles(NamedTuple):
     isp: Complex
     velocity: Complex
     curvature: Real
+    inflection_circle: Complex
+    inflection_diameter: Real
+    ball_point: Complex
 
 
 def poles(mechanism: Mechanism, motion: Motion) -> Poles:
@@ -302,6 +311,11 @@ def poles(mechanism: Mechanism, motion: Motion) -> Poles:
         still = _STILL * size * np.abs(angle[1])
         velocity = np.where(np.isfinite(icr), icr_velocity(position, angle).value, _NAN)
         velocity = np.where(np.abs(velocity) < still, 0.0, velocity)
-        curvature = centrode_curvature(position, angle).value
-        curvature = np.where(np.abs(velocity) > still, curvature, np.nan)
-    return Poles(icr, iap, ijp, isp, velocity, curvature)
+        moves = np.abs(velocity) > still
+        curvature = np.where(moves, centrode_curvature(position, angle).value, np.nan)
+        moving = to_plane(icr), to_plane(np.where(moves, velocity, _NAN))
+        circle = inflection_circle(angle[1], *moving)
+        acceleration = to_plane(icr_acceleration(position, angle).value)
+        ball = ball_point(angle[1], angle[2], *moving, acceleration)
+    of_circle = to_complex(circle.center), circle.diameter, to_complex(ball)
+    return Poles(icr, iap, ijp, isp, velocity, curvature, *of_circle)

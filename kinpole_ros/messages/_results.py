@@ -45,7 +45,7 @@ from kinpole_ros.messages._view import VIEW, VIEW_INTERVAL, view_builder
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import XY, Plane, PlaneSetting, plane_of
-from kinpole_ros.tracking.quantities import CURVATURE, VELOCITY
+from kinpole_ros.tracking.quantities import CIRCLE_CENTER, CURVATURE, VELOCITY
 from kinpole_ros.tracking.values import (
     POLE_NAMES,
     RATE_NAMES,
@@ -206,6 +206,9 @@ OF_BODY = (
     TopicRow(
         'centrode_curvature', Vector3Stamped, 3, '1/m', _compiled(NORMAL, CURVATURE), True, True
     ),
+    TopicRow(
+        'inflection_circle', PointStamped, 2, 'm', _compiled(POINT, CIRCLE_CENTER), True, True
+    ),
     TopicRow('centrode/fixed', Path, 1, 'm', _fixed_centrode, is_standard=False),
     TopicRow('centrode/moving', Path, 1, 'm', _moving_centrode, is_standard=False),
     TopicRow('event', PointCloud2, 1, '', _events, of_events=True),
@@ -219,6 +222,7 @@ _OF_PAIR = (
 _OF_REGISTERED = {
     'point': PointStamped,
     'vector': Vector3Stamped,
+    'number': Vector3Stamped,
     'force': WrenchStamped,
     'torque': WrenchStamped,
 }

@@ -45,6 +45,7 @@ _DOUBLES = dict.fromkeys((NORMAL, VECTOR, POINT), _SIZES['VECTOR_DOUBLES']) | {
 _REGISTERED = {
     'point': (POINT, 0, 0),
     'vector': (VECTOR, 0, 0),
+    'number': (NORMAL, 0, 0),
     'force': (VECTOR, 0, 3),
     'torque': (NORMAL, 3, 0),
 }

@@ -20,9 +20,8 @@ from kinpole_ros.messages._types import (
     PointField,
     deserialize_message,
 )
-from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
-from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors
+from kinpole_ros.tracking.values import Numbers, Vectors, quantity_names
 
 STATE = 'state'
 """The topic."""
@@ -58,13 +57,8 @@ def state_fields(order: int) -> dict[str, list[str]]:
     """
     pose = [*_fields_of('position', True), *_fields_of('angle'), *_fields_of('velocity', True)]
     fields = {'pose': pose}
-    fields |= {name: _fields_of(name) for name in RATE_NAMES[:order]}
-    fields |= {name: _fields_of(name, True) for name in POLE_NAMES[:order]}
-    if order >= 2:
-        fields['icr_velocity'] = _fields_of('icr_velocity', True)
-    if order >= 3:
-        fields['centrode_curvature'] = _fields_of('centrode_curvature')
-    return fields
+    names = quantity_names(order)
+    return fields | {name: _fields_of(name, is_vector) for name, is_vector in names.items()}
 
 
 def _fields_of(name: str, is_vector: bool = False) -> list[str]:
@@ -80,19 +74,6 @@ def state(given: Plane, order: int) -> Rows:
     `given` is the plane of estimates that have none.
     """
     return Rows([Row(STATE_POINTS, order, partial(_template, order), order)], given)
-
-
-def quantities_of(estimate: Estimate, order: int) -> Quantities:
-    """Return rates, poles and their motion by name, up to the derivative of `order`."""
-    quantities: Quantities = {
-        name: estimate.rate(k) for k, name in enumerate(RATE_NAMES[:order], 1)
-    }
-    quantities |= {name: estimate.pole(k) for k, name in enumerate(POLE_NAMES[:order], 1)}
-    if order >= 2:
-        quantities['icr_velocity'] = estimate.icr_velocity
-    if order >= 3:
-        quantities['centrode_curvature'] = estimate.centrode_curvature
-    return quantities
 
 
 def _template(order: int, frame_id: str, bodies: int) -> tuple[bytes, int]:
@@ -193,14 +174,14 @@ def read_states(messages: Iterable[bytes]) -> Iterator[tuple[np.ndarray, Quantit
 def _fields_in(cloud: Any) -> dict[str, list[str]]:
     """Return the fields of a message by quantity; ValueError for a cloud of another topic."""
     names = [field.name for field in cloud.fields]
-    for order in range(1, 5):
-        fields = state_fields(order)
-        expected = [*_FIRST_FIELDS, *chain(*fields.values())]
-        if names == expected:
-            break
-    else:
+    possible = [state_fields(order) for order in range(1, 5)]
+    # Of bags of versions without the inflection circle, which is last.
+    possible += [dict(list(fields.items())[:-2]) for fields in possible[1:]]
+    found = (one for one in possible if names == [*_FIRST_FIELDS, *chain(*one.values())])
+    fields = next(found, None)
+    if fields is None:
         raise ValueError('its fields are not those of a topic `state`')
-    doubles = _FIRST_DOUBLES + len(expected) - len(_FIRST_FIELDS)
+    doubles = _FIRST_DOUBLES + len(names) - len(_FIRST_FIELDS)
     if cloud.is_bigendian or len(cloud.data) != 8 * doubles * cloud.width:
         raise ValueError(f'it has {len(cloud.data)} bytes of data for {cloud.width} bodies')
     return fields

@@ -16,11 +16,11 @@ import numpy as np
 
 from kinpole_ros.messages._cdr import serialize_message
 from kinpole_ros.messages._rows import Build, Built
-from kinpole_ros.messages._state import STATE, quantities_of
+from kinpole_ros.messages._state import STATE
 from kinpole_ros.messages._types import PointCloud2, String, type_name
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane, as_parameter
-from kinpole_ros.tracking.values import POLE_NAMES, Numbers, Vectors, ellipse_axes, sigma_along
+from kinpole_ros.tracking.values import Numbers, Vectors, ellipse_axes, sigma_along
 
 VIEW = 'view'
 """The topic."""
@@ -67,7 +67,10 @@ def view_of(estimate: Estimate, default_plane: Plane) -> dict[str, Any]:
         the others are undetermined, under 'all' for the whole body.
     """
     bodies: list[dict[str, Any]] = []
-    quantities = quantity_lists(quantities_of(estimate, estimate.order))
+    determined = estimate.quantities(estimate.order)
+    if estimate.order >= 3:
+        determined['ball_point'] = estimate.ball_point
+    quantities = quantity_lists(determined)
     for b, name in enumerate(estimate.bodies):
         body = {'name': name, 'reasons': estimate.reasons(b)} | _pose(estimate, b)
         if 'x' in body:
@@ -116,16 +119,17 @@ def quantity_lists(
     -------
     dict
         By name, a list for each body, None where the quantity is undetermined: of a number
-        [value, standard deviation]; of a vector [x, y, standard deviation of its length]; of a pole
-        [x, y, major, minor, direction], with the semi-axes of its ellipse of one standard deviation
-        and the direction of the major one, rad.
+        [value, standard deviation]; of a velocity [x, y, standard deviation of its length]; of a
+        point [x, y, major, minor, direction], with the semi-axes of its ellipse of one standard
+        deviation and the direction of the major one, rad.
     """
     lists = {}
     for name, quantity in quantities.items():
         if isinstance(quantity, Numbers):
             lists[name] = _numbers(quantity)
         else:
-            lists[name] = _points(quantity) if name in POLE_NAMES else _vectors(quantity)
+            is_velocity = name == 'icr_velocity'
+            lists[name] = _vectors(quantity) if is_velocity else _points(quantity)
     return lists
 
 

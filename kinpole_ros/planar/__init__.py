@@ -53,7 +53,7 @@ from kinpole_ros.planar._procrustes import (
     ProcrustesFactors,
     fit_pose,
 )
-from kinpole_ros.planar._uncertainty import Linear, covariance, variance
+from kinpole_ros.planar._uncertainty import Linear, covariance, propagate, variance
 
 __all__ = [
     'Fit',
@@ -85,6 +85,7 @@ __all__ = [
     'point_derivatives',
     'pole',
     'pole_from_reference',
+    'propagate',
     'relative_acceleration',
     'relative_center',
     'relative_pole',

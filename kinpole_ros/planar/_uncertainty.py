@@ -3,9 +3,13 @@ First-order uncertainty of quantities computed from a pose and its derivatives.
 
 Every quantity of this package is a function of a body's reference point z (complex, m), its angle
 (rad) and their time derivatives. `Linear` holds the value with its partial derivatives, and
-`covariance` and `variance` propagate the covariance of the pose through them.
+`covariance` and `variance` propagate the covariance of the pose through them. `propagate` does so
+for any function, without its partial derivatives.
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -94,6 +98,73 @@ def variance(linear: Linear, position_covariance: Real, angle_covariance: Real) 
     by = by_angle.real
     from_angle = np.einsum('km...,k...,m...->...', angle_covariance[a, a], by, by)
     return np.asarray(from_angle + mean_square(by_position, position_covariance[p, p]))
+
+
+def propagate(
+    function: Callable[[Complex, Real], Complex],
+    position: Complex,
+    angle: Real,
+    position_covariance: Real,
+    angle_covariance: Real,
+) -> tuple[Complex, Real]:
+    """
+    Value and covariance of any function of a pose and its derivatives, to second order.
+
+    Parameters
+    ----------
+    function
+        Returns numbers or vectors of the plane (..., *shape), complex, of poses like the following
+        with axes (...) behind the first.
+    position, angle
+        Reference point (K, *shape), complex, m, and angle (K, *shape), rad, with their derivatives.
+    position_covariance, angle_covariance
+        Of them (K, K, *shape), as for `covariance`.
+
+    Returns
+    -------
+    value : ndarray
+        Of shape (*shape), complex.
+    covariance : ndarray
+        Of shape (*shape, 2, 2), in its unit squared; not finite where the function is not.
+
+    Notes
+    -----
+    Differences over one standard deviation along each axis of the covariance. With the slope g and
+    the bend h along an axis, the variance is g^2 + h^2 / 2, to which the square of the mean shift,
+    h / 2, is added.
+
+    """
+    orders, *shape = angle.shape
+    place, turn = _roots(position_covariance), _roots(angle_covariance)
+    count = 3 * orders
+    positions, angles = (
+        np.repeat(array[:, None], 2 * count + 1, axis=1) for array in (position, angle)
+    )
+    axes = np.zeros((orders, count, *shape), complex)
+    axes[:, :orders], axes[:, orders : 2 * orders] = place, 1j * place
+    for sign, first in ((1, 1), (-1, 1 + count)):
+        positions[:, first : first + count] += sign * axes
+        angles[:, first + 2 * orders : first + count] += sign * turn
+    with np.errstate(all='ignore'):
+        values = function(positions, angles)
+        value, above, below = values[0], values[1 : 1 + count], values[1 + count :]
+        slope, bend = _components((above - below) / 2), _components(above + below - 2 * value)
+        shift = bend.sum(axis=1) / 2
+        result = np.einsum('xk...,yk...->...xy', slope, slope)
+        result += np.einsum('xk...,yk...->...xy', bend, bend) / 2
+        return value, result + np.einsum('x...,y...->...xy', shift, shift)
+
+
+def _roots(matrix: Real) -> Real:
+    """Return columns (K, K, ...) whose products sum to a covariance (K, K, ...); NaN as it is."""
+    matrix = np.moveaxis(matrix, (0, 1), (-2, -1))
+    scale = np.sqrt(np.maximum(np.einsum('...kk->...k', matrix), 0.0))
+    is_known = np.isfinite(matrix).all(axis=(-2, -1), keepdims=True)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        even = matrix / (scale[..., :, None] * scale[..., None, :])
+    values, vectors = np.linalg.eigh(np.where(np.isfinite(even), even, 0.0))
+    roots = scale[..., None] * vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    return np.moveaxis(np.where(is_known, roots, np.nan), (-2, -1), (0, 1))
 
 
 def mean_square(factors: Complex, matrix: Real) -> Real:

@@ -14,9 +14,7 @@ from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.service import Service
 from rclpy.subscription import Subscription
-from rclpy.timer import Timer
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 # Nearly every call of rclpy raises it when rcl fails. rclpy.exceptions does not have it, and its
@@ -26,53 +24,32 @@ RCLError: type[RuntimeError] = rclpy_implementation.RCLError
 
 class PreparedWait:
     """
-    A wait set for some subscriptions and services, made once for many waits.
+    A wait set for some subscriptions, made once for many waits.
 
     Executors wait for all entities of a node, and make a wait set for each wait, which takes 0.2
-    ms. The documented rclpy.wait_for_message subscribes for each wait. The entities must not be
-    destroyed before the last wait. Raises AttributeError or TypeError where the internals of rclpy
-    differ.
+    ms. The documented rclpy.wait_for_message subscribes for each wait. The subscriptions must not
+    be destroyed before the last wait. Raises AttributeError or TypeError where the internals of
+    rclpy differ.
     """
 
-    def __init__(
-        self,
-        context: Context,
-        subscriptions: Sequence[Subscription] = (),
-        services: Sequence[Service] = (),
-    ) -> None:
-        self._subscriptions = [subscription.handle for subscription in subscriptions]
-        self._services = [service.handle for service in services]
-        counts = len(subscriptions), 0, 0, 0, len(services), 0
-        self._wait_set = rclpy_implementation.WaitSet(*counts, context.handle)
+    def __init__(self, context: Context, subscriptions: Sequence[Subscription]) -> None:
+        self._handles = [subscription.handle for subscription in subscriptions]
+        self._wait_set = rclpy_implementation.WaitSet(
+            len(subscriptions), 0, 0, 0, 0, 0, context.handle
+        )
         # Fails here where the internals differ.
         self.wait(0.0)
 
     def wait(self, seconds: float) -> bool:
-        """Wait until a message or a request can be taken; return whether one can be."""
+        """Wait until a message can be taken; return whether one can be."""
         wait_set = self._wait_set
         wait_set.clear_entities()
         with ExitStack() as stack:
-            for handle in self._subscriptions:
+            for handle in self._handles:
                 stack.enter_context(handle)
                 wait_set.add_subscription(handle)
-            for handle in self._services:
-                stack.enter_context(handle)
-                wait_set.add_service(handle)
             wait_set.wait(round(seconds * 1e9))
-        return bool(
-            wait_set.get_ready_entities('subscription') or wait_set.get_ready_entities('service')
-        )
-
-
-def call(timer: Timer) -> None:
-    """
-    Begin the next period of a timer that is ready, and run its callback, which is no coroutine.
-
-    Executors make a wait set and a task for it.
-    """
-    with timer.handle:
-        timer.handle.call_timer()
-    timer.callback()
+        return bool(wait_set.get_ready_entities('subscription'))
 
 
 def take(subscription: Subscription, count: int) -> Iterator[tuple[bytes, Mapping[str, Any]]]:

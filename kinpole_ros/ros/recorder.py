@@ -18,7 +18,7 @@ from rclpy.qos import (
 from rclpy.subscription import Subscription
 
 from kinpole_ros.bags import RECORDER, BagError, BagWriter, message_class, type_name
-from kinpole_ros.ros.executor import SubscriptionGroup, make_executor, start_ros
+from kinpole_ros.ros.executor import make_executor, start_ros
 from kinpole_ros.ros.player import bag_errors, with_slash
 from kinpole_ros.ros.private import received_at, take
 
@@ -84,7 +84,6 @@ class Recorder(Node):
         self._recorded: list[tuple[Subscription, Callable[..., None]]] = []
         # Those with a publisher that offers less than was requested.
         self._incompatible: set[Subscription] = set()
-        self.group = SubscriptionGroup()
         self.messages = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_DISCOVERY_INTERVAL, self._discover, clock=steady)
@@ -145,7 +144,7 @@ class Recorder(Node):
             incompatible_qos=lambda _: self._incompatible.add(subscription)
         )
         subscription: Subscription = self.create_subscription(
-            cls, name, save, qos, callback_group=self.group, event_callbacks=events, raw=True
+            cls, name, save, qos, event_callbacks=events, raw=True
         )
         self._recorded.append((subscription, save))
 

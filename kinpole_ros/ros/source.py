@@ -28,7 +28,6 @@ from kinpole_ros.messages import (
     message_class,
     reader_of,
 )
-from kinpole_ros.ros.executor import SubscriptionGroup
 from kinpole_ros.ros.private import has_known_node, received_at, sequence_number, take
 from kinpole_ros.settings import ParameterError, Settings
 from kinpole_ros.tracking.frame import MarkerFrames
@@ -69,7 +68,6 @@ class MarkerSource:
         self._on_markers, self._note = on_markers, note
         self.topic = node.resolve_topic_name(settings.marker_topic)
         self._subscription: Any = None
-        self.group = SubscriptionGroup()
         self._kind = ''
         self._update_due = 0.0
         self._depth, self._largest_size = SUBSCRIPTION_DEPTH, 0
@@ -202,7 +200,6 @@ class MarkerSource:
                 self._settings.marker_topic,
                 self._on_markers,
                 qos,
-                callback_group=self.group,
                 event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
                 qos_overriding_options=QoSOverridingOptions(policies),
                 raw=True,

@@ -19,6 +19,8 @@ from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.quantities import (
+    CIRCLE_CENTER,
+    CIRCLE_DIAMETER,
     CURVATURE,
     DETERMINED,
     FREE,
@@ -28,15 +30,24 @@ from kinpole_ros.tracking.quantities import (
     motion_of,
     relative_centers,
 )
-from kinpole_ros.tracking.reasons import stands_out, why_no_curvature, why_no_poles
+from kinpole_ros.tracking.reasons import (
+    FARTHEST,
+    SIGNIFICANT,
+    STRAIGHT,
+    stands_out,
+    why_no_motion_of_icr,
+    why_no_poles,
+)
 from kinpole_ros.tracking.rejection import REASONS_OF_MARKERS, REASONS_OF_POSES
 from kinpole_ros.tracking.result_layout import COUNT, INSTANT_AXIS, ArrayPart, layout_of
 from kinpole_ros.tracking.values import (
     POLE_NAMES,
+    RATE_NAMES,
     FramePoses,
     Numbers,
     Vectors,
     pair_indices,
+    quantity_names,
 )
 
 _Arrays = TypeVar('_Arrays', bound=Vectors | Numbers | FramePoses)
@@ -334,6 +345,53 @@ class Estimate:
         value, spread, flags = compute_quantity(CURVATURE, self.compiled_motion)
         return Numbers(value.real, spread[..., 0, 0], (flags & DETERMINED) > 0)
 
+    @cached_property
+    def inflection_circle(self) -> Vectors:
+        """Center of the inflection circle (m); undetermined where the ICR stands still."""
+        value, spread, flags = compute_quantity(CIRCLE_CENTER, self.compiled_motion)
+        return Vectors(value, spread, (flags & DETERMINED) > 0)
+
+    @cached_property
+    def inflection_diameter(self) -> Numbers:
+        """Diameter of the inflection circle (m); undetermined where the ICR stands still."""
+        value, spread, flags = compute_quantity(CIRCLE_DIAMETER, self.compiled_motion)
+        return Numbers(value.real, spread[..., 0, 0], (flags & DETERMINED) > 0)
+
+    @cached_property
+    def ball_point(self) -> Vectors:
+        """Ball's point (m); undetermined where it does not stand out of its noise on the circle."""
+
+        def ball(position: np.ndarray, angle: np.ndarray) -> np.ndarray:
+            icr, u, du = (
+                planar.to_plane(one.value)
+                for one in (
+                    planar.pole(1, position, angle),
+                    planar.icr_velocity(position, angle),
+                    planar.icr_acceleration(position, angle),
+                )
+            )
+            return planar.to_complex(planar.ball_point(angle[1], angle[2], icr, u, du))
+
+        motion = self.position[:4], self.angle[:4]
+        spreads = self.position_covariance[:4, :4], self.angle_covariance[:4, :4]
+        value, spread = planar.propagate(ball, *motion, *spreads)
+        with np.errstate(invalid='ignore'):
+            deviation = np.sqrt(np.trace(spread, axis1=-2, axis2=-1))
+            known = SIGNIFICANT * deviation < self.inflection_diameter.value
+        return Vectors(value, spread, self.inflection_diameter.determined & known)
+
+    def quantities(self, order: int) -> dict[str, Numbers | Vectors]:
+        """Return the quantities of `quantity_names`."""
+        found: dict[str, Numbers | Vectors] = {}
+        for name in quantity_names(order):
+            if name in RATE_NAMES:
+                found[name] = self.rate(RATE_NAMES.index(name) + 1)
+            elif name in POLE_NAMES:
+                found[name] = self.pole(POLE_NAMES.index(name) + 1)
+            else:
+                found[name] = getattr(self, name)
+        return found
+
     @property
     def icr_moves(self) -> np.ndarray:
         """Where (T, B) the velocity of the ICR exceeds its noise; nowhere for a pinned body."""
@@ -391,18 +449,22 @@ class Estimate:
         """
         Return why each quantity (T, B) is undetermined, '' where it is determined.
 
-        The quantities are the poles and, from order 3 on, the curvature of the centrode. A reason
-        in `missing` holds for all of them.
+        The quantities are the poles, the curvature of the centrode and the inflection circle, up to
+        the order. A reason in `missing` holds for all of them.
         """
         poles = [self.pole(order) for order in range(1, self.order + 1)]
         reasons = dict(
             zip(POLE_NAMES, why_no_poles(poles, self.position[0], self.size), strict=False)
         )
-        if self.order >= 3:
-            reasons['centrode_curvature'] = why_no_curvature(
-                *(self.pole(1).determined, self.pinned, self.icr_moves),
-                self.centrode_curvature.determined,
-            )
+        quantities = self.quantities(self.order)
+        for name in ('centrode_curvature', 'inflection_circle'):
+            if name in quantities:
+                about = self.pole(1).determined, self.pinned, self.icr_moves
+                reasons[name] = why_no_motion_of_icr(*about, quantities[name].determined)
+        if 'inflection_circle' in reasons:
+            with np.errstate(invalid='ignore'):
+                far = np.abs(self.inflection_circle.value - self.position[0]) > FARTHEST * self.size
+            reasons['inflection_circle'][far & self.icr_moves] = STRAIGHT
         return {
             name: np.where(self.missing == '', why, self.missing) for name, why in reasons.items()
         }

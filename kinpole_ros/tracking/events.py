@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives import Event, Samples, find_events
+from kinpole_ros.derivatives import Event, Samples, find_event
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
 
 # Frames after which the poses of those before are sure: see `wrong_before_last` in rejection.c.
-_SETTLED = 6
+FRAMES_BEHIND = 6
 # Places are searched a share of the window at a time, when motion has gone on for a window.
 _SHARE = 8
 _BEFORE = 2
@@ -58,7 +58,7 @@ class EventSearch:
     Attributes
     ----------
     due : int
-        The time, ns, of the newest frame before which there is nothing to search.
+        The time, ns, of the newest settled frame before which there is nothing to search.
 
     """
 
@@ -85,7 +85,7 @@ class EventSearch:
         """
         hub = np.where(np.isfinite(pin), 0.0, bodies.hub)
         time = history.columns['time'][history.first : history.end]
-        if len(time) <= _SETTLED:
+        if len(time) <= FRAMES_BEHIND:
             return []
         if self._next is None:
             # Shares begin at multiples of their length, wherever the search begins.
@@ -93,43 +93,35 @@ class EventSearch:
             self._next = -(-begin // self._share) * self._share
             self._last = [self._next - self._window] * len(self._last)
         self.due = self._next + self._window + self._share
-        settled = int(time[-1 - _SETTLED]) - self._window - self._share
+        settled = int(time[-1 - FRAMES_BEHIND]) - self._window - self._share
         if self._next > settled:
             return []
         begins = np.arange(self._next, settled + 1, self._share)
         self._next = int(begins[-1]) + self._share
         self.due = self._next + self._window + self._share
-        asked: list[tuple[int, int, slice]] = []
-        samples: list[Samples] = []
-        values_and_variances = _poses(history, bodies, hub)
+        body_events = []
+        values, variance = _poses(history, bodies, hub)
         for begin in begins.tolist():
             first, last = np.searchsorted(
                 time,
                 (begin - _BEFORE * self._window - self._share, begin + self._window + self._share),
             )
             rows = slice(int(first), int(last))
-            if last - first < 2:
-                continue
             since = (time[rows] - begin) * 1e-9
             for b in np.flatnonzero(np.isfinite(bodies.noise)).tolist():
-                values, variance = (
-                    values_and_variances[0][rows, b],
-                    values_and_variances[1][rows, b],
+                samples = Samples(
+                    since, values[rows, b], variance[rows, b], 0.0, self._share * 1e-9
                 )
-                asked.append((begin, b, rows))
-                samples.append(Samples(since, values, variance, 0.0, self._share * 1e-9))
-        body_events = []
-        events = find_events(samples, self._window * 1e-9)
-        for (begin, b, rows), event in zip(asked, events, strict=True):
-            at = begin if event is None else begin + round(event.time * 1e9)
-            if event is None or at - self._last[b] < self._share // 2:
-                continue
-            self._last[b] = at
-            # The frame that showed it: the sixth after a window after the places.
-            ready = begin + self._window + self._share
-            with_frame = int(np.searchsorted(time, ready)) + _SETTLED
-            number = int(numbers[max(len(numbers) - (len(time) - with_frame), 0)])
-            body_events.append(_body_event(event, b, at, rows, history, hub[b], number))
+                event = find_event(samples, self._window * 1e-9)
+                at = begin if event is None else begin + round(event.time * 1e9)
+                if event is None or at - self._last[b] < self._share // 2:
+                    continue
+                self._last[b] = at
+                # The frame that showed it: the sixth after a window after the places.
+                ready = begin + self._window + self._share
+                with_frame = int(np.searchsorted(time, ready)) + FRAMES_BEHIND
+                number = int(numbers[max(len(numbers) - (len(time) - with_frame), 0)])
+                body_events.append(_body_event(event, b, at, rows, history, hub[b], number))
         return body_events
 
 

@@ -1,4 +1,4 @@
-"""Poles, the velocity of the ICR and the curvature of centrodes, and where they are determined."""
+"""Poles, their motion and the inflection circle, and where they are determined."""
 
 from ctypes import byref
 
@@ -17,9 +17,12 @@ from kinpole_ros.planar._plane import Complex, Real
 # What is computed: see codes.h. Poles have their order, 1 to 4, and FREE is added for a pole by the
 # motion alone, whatever is known of pins.
 QUANTITIES = codes_of('QUANTITIES')
-VELOCITY, CURVATURE, FREE = (QUANTITIES[name] for name in ('VELOCITY', 'CURVATURE', 'FREE'))
+VELOCITY, CURVATURE, CIRCLE_CENTER, CIRCLE_DIAMETER, FREE = (
+    QUANTITIES[name]
+    for name in ('VELOCITY', 'CURVATURE', 'CIRCLE_CENTER', 'CIRCLE_DIAMETER', 'FREE')
+)
 # The highest derivative that each of them needs; poles need their own order.
-_NEEDED = {VELOCITY: 2, CURVATURE: 3}
+_NEEDED = {VELOCITY: 2, CURVATURE: 3, CIRCLE_CENTER: 2, CIRCLE_DIAMETER: 2}
 # Bits of the flags: a quantity stands out of its noise; the ICR is seen to move.
 _FLAGS = codes_of('QUANTITY_FLAGS')
 DETERMINED, MOVES = _FLAGS['DETERMINED'], _FLAGS['MOVES']
@@ -73,16 +76,16 @@ def compute_quantity(what: int, motion: Motion) -> tuple[Complex, Real, np.ndarr
     Parameters
     ----------
     what : int
-        Order of a pole, 1 to 4, that plus FREE, VELOCITY or CURVATURE.
+        Order of a pole, 1 to 4, that plus FREE, or another of QUANTITIES.
     motion : Motion
         What it follows from.
 
     Returns
     -------
     value : (...) complex
-        m, m/s or 1/m; a curvature is real.
+        m, m/s or 1/m; a curvature and a diameter are real.
     covariance : (..., 2, 2) float
-        Its covariance; the variance of a curvature is its first element.
+        Its covariance; the variance of a real one is its first element.
     flags : (...) uint8
         DETERMINED and MOVES.
 

@@ -11,9 +11,10 @@ from kinpole_ros.tracking.values import Vectors
 # many body sizes a pole is as good as at infinity.
 SIGNIFICANT, FARTHEST = codes_of('POLE_LIMITS').values()
 IN_NOISE, NO_ROTATION, AT_INFINITY = 'lost in its noise', 'no rotation', 'pole at infinity'
-# Reasons why a body with a determined ICR has no curvature of the centrode.
+# Reasons why a body with a determined ICR has no curvature of the centrode, or inflection circle.
 PINNED = 'pinned: the ICR stands still'
 SLOW_ICR = 'the velocity of the ICR does not stand out of its noise'
+STRAIGHT = 'at infinity: the inflection circle is a line'
 
 
 def stands_out(values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -54,22 +55,22 @@ def why_no_poles(
     return reasons
 
 
-def why_no_curvature(
+def why_no_motion_of_icr(
     has_icr: np.ndarray, is_pinned: np.ndarray, icr_moves: np.ndarray, is_known: np.ndarray
 ) -> np.ndarray:
     """
-    Return why the curvature of the centrode is undetermined.
+    Return why a quantity that follows from the motion of the ICR is undetermined.
 
     Parameters
     ----------
     has_icr, is_pinned, icr_moves, is_known : (T, B) bool
         Whether the ICR is determined, the body turns about a pin, the velocity of the ICR exceeds
-        its noise, and the curvature is determined.
+        its noise, and the quantity is determined.
 
     Returns
     -------
     (T, B) str
-        A reason, '' where the curvature is determined, and where no ICR is.
+        A reason, '' where the quantity is determined, and where no ICR is.
 
     """
     # A velocity within its noise does not show a pin; all poses together do.

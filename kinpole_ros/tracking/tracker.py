@@ -14,7 +14,7 @@ from kinpole_ros.tracking.before_plane import keep_frame, take_again
 from kinpole_ros.tracking.correction import correct_next
 from kinpole_ros.tracking.deformed_results import add_deformation
 from kinpole_ros.tracking.estimate import Estimate, Results, estimate_of
-from kinpole_ros.tracking.events import BodyEvent
+from kinpole_ros.tracking.events import FRAMES_BEHIND, BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import note_gap
 from kinpole_ros.tracking.placed_frames import PlacedFrames
@@ -223,10 +223,13 @@ class Tracker(TrackerSummary):
 
     def _search_events(self, times: np.ndarray, numbers: np.ndarray) -> None:
         """Search for events in the history, to which frames with these times were appended."""
-        state, pin = self.state, self.state.pins.center
-        if self._events_needed and len(times) and times[-1] >= state.event_search.due:
-            numbers = numbers[: len(times)]
-            self._events += state.event_search.search(state.history, state.bodies, pin, numbers)
+        if not self._events_needed or not len(times):
+            return
+        state, history, search = self.state, self.state.history, self.state.event_search
+        settled = max(history.first, history.end - 1 - FRAMES_BEHIND)
+        if history.columns['time'][settled] >= search.due:
+            pin, numbers = state.pins.center, numbers[: len(times)]
+            self._events += search.search(history, state.bodies, pin, numbers)
 
     def _keep_results(self, results: Results, numbers: np.ndarray) -> None:
         """Keep results for the next estimate; `numbers` count the frames passed to the step."""

@@ -15,6 +15,22 @@ POLE_NAMES = ('icr', 'iap', 'ijp', 'isp')
 RATE_NAMES = ('angular_velocity', 'angular_acceleration', 'angular_jerk', 'angular_snap')
 
 
+def quantity_names(order: int) -> dict[str, bool]:
+    """
+    Return the quantities of a body, and whether each is a vector.
+
+    They are those up to the derivative of `order`, in the order of the topic `state`.
+    """
+    names = dict.fromkeys(RATE_NAMES[:order], False) | dict.fromkeys(POLE_NAMES[:order], True)
+    if order >= 2:
+        names['icr_velocity'] = True
+    if order >= 3:
+        names['centrode_curvature'] = False
+    if order >= 2:
+        names |= {'inflection_circle': True, 'inflection_diameter': False}
+    return names
+
+
 class Vectors(NamedTuple):
     """Vectors of the plane (complex) with covariance (..., 2, 2) and where they are determined."""
 
@@ -54,8 +70,8 @@ class RegisteredQuantity(NamedTuple):
     """
     A quantity that another package computes from estimates, for the table of topics.
 
-    `kind` is point, vector, force or torque; numbers (T,) are along the normal of the plane. It
-    needs derivatives up to `order`, and has the height of a `body`.
+    `kind` is point, vector, number, force or torque; numbers (T,) are along the normal of the
+    plane. It needs derivatives up to `order`, and has the height of a `body`.
     """
 
     topic: str

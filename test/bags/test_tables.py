@@ -15,7 +15,7 @@ from kinpole_ros.bags import BagError, replay
 from kinpole_ros.bags._tables import TABLES, column_names, csv_table, parquet_table, table_rows
 from kinpole_ros.settings import Settings
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tracking.values import Numbers, Vectors
+from kinpole_ros.tracking.values import Numbers, Vectors, quantity_names
 
 Simulated = Callable[..., Path]
 FOUR_BAR = Settings(bodies=bodies_of('four_bar'), window=0.3, lag=0.1)
@@ -35,13 +35,15 @@ class Known:
         self.angle = draw.standard_normal((5, *shape))
         self.origin = lambda order: self.position[order]
         pairs = (instants, len(bodies) * (len(bodies) - 1) // 2)
-        numbers = [self._numbers(draw, shape) for _ in range(5)]
-        vectors = [self._vectors(draw, shape) for _ in range(5)]
-        self.rate = lambda order: numbers[order - 1]
-        self.pole = lambda order: vectors[order - 1]
-        self.centrode_curvature, self.icr_velocity = numbers[4], vectors[4]
+        self._quantities = {
+            name: self._vectors(draw, shape) if is_vector else self._numbers(draw, shape)
+            for name, is_vector in quantity_names(4).items()
+        }
         self.relative_rate = self._numbers(draw, pairs)
         self.relative_icr = self._vectors(draw, pairs)
+
+    def quantities(self, order: int) -> dict[str, Any]:
+        return {name: self._quantities[name] for name in quantity_names(order)}
 
     @staticmethod
     def _numbers(draw: Any, shape: tuple[int, ...]) -> Numbers:
@@ -78,14 +80,15 @@ def test_a_block_of_instants_makes_the_rows_of_its_instants(tmp_path: Path) -> N
             expected = [place.real, place.imag, known.angle[0, k, b]]
             cells = [row[f'{body}_{name}'] for name in ('x', 'y', 'angle')]
             assert cells == ([repr(float(v)) for v in expected] if there else ['', '', ''])
-            jerk = known.rate(3)
+            quantities = known.quantities(4)
+            jerk, velocity = quantities['angular_jerk'], quantities['icr_velocity']
             cells = [row[f'{body}_angular_jerk'], row[f'{body}_angular_jerk_sigma']]
             expected = [jerk.value[k, b], math.sqrt(max(jerk.variance[k, b], 0))]
             assert cells == (
                 [repr(float(v)) for v in expected] if jerk.determined[k, b] else ['', '']
             )
             undetermined += not jerk.determined[k, b]
-            assert bool(row[f'{body}_icr_velocity_x']) == known.icr_velocity.determined[k, b]
+            assert bool(row[f'{body}_icr_velocity_x']) == velocity.determined[k, b]
         for pair, p in pairs.items():
             center = known.relative_icr
             sigma = math.sqrt(center.covariance[k, p, 1, 1])

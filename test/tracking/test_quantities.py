@@ -9,6 +9,8 @@ from kinpole_ros import planar
 from kinpole_ros.planar._poles import pole, rotation
 from kinpole_ros.planar._uncertainty import covariance, mean_square, variance
 from kinpole_ros.tracking.quantities import (
+    CIRCLE_CENTER,
+    CIRCLE_DIAMETER,
     CURVATURE,
     DETERMINED,
     FREE,
@@ -26,9 +28,11 @@ QUANTITIES = {
     **{f'free pole of order {n}': FREE + n for n in range(1, 5)},
     'velocity': VELOCITY,
     'curvature': CURVATURE,
+    'circle center': CIRCLE_CENTER,
+    'circle diameter': CIRCLE_DIAMETER,
 }
 # The highest derivatives that each needs.
-NEEDED = {VELOCITY: 2, CURVATURE: 3}
+NEEDED = {VELOCITY: 2, CURVATURE: 3, CIRCLE_CENTER: 2, CIRCLE_DIAMETER: 2}
 
 
 class Arrays(NamedTuple):
@@ -113,8 +117,33 @@ def curvature_of_numpy(m: Arrays) -> Expected:
     return Expected(found.value, noise[..., None, None] * np.ones((2, 2)), determined, u.moves)
 
 
+def circle_of_numpy(what: int, m: Arrays) -> Expected:
+    """By differences over so little noise that they are partial derivatives."""
+    little = 1e-6 / np.sqrt(np.nanmax(m.angle_covariance))
+
+    def circle(position: np.ndarray, angle: np.ndarray) -> np.ndarray:
+        icr, u = planar.pole(1, position, angle).value, planar.icr_velocity(position, angle).value
+        vectors = planar.to_plane(icr), planar.to_plane(u)
+        center, diameter = planar.inflection_circle(angle[1], *vectors)
+        return diameter + 0j if what == CIRCLE_DIAMETER else planar.to_complex(center)
+
+    spreads = m.position_covariance * little**2, m.angle_covariance * little**2
+    value, spread = planar.propagate(circle, m.position, m.angle, *spreads)
+    spread = spread / little**2
+    if what == CIRCLE_DIAMETER:
+        spread = spread[..., :1, :1] * np.ones((2, 2))
+    u, center = velocity_of_numpy(m), value
+    if what == CIRCLE_DIAMETER:
+        center = of_numpy(CIRCLE_CENTER, m).value
+    near = np.abs(center - m.position[0]) < 1e3 * m.size
+    known = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
+    return Expected(value, spread, u.moves & u.determined & near & known, u.moves)
+
+
 @np.errstate(divide='ignore', invalid='ignore', over='ignore')
 def of_numpy(what: int, m: Arrays) -> Expected:
+    if what in (CIRCLE_CENTER, CIRCLE_DIAMETER):
+        return circle_of_numpy(what, m)
     if what == VELOCITY:
         return velocity_of_numpy(m)
     if what == CURVATURE:
@@ -143,9 +172,19 @@ def test_compiled_as_numpy(quantity: str, noise: float) -> None:
             value, spread, flags = compute_quantity(what, motion_of(*m))
             expected = of_numpy(what, m)
             assert_equal(value, expected.value)
-            if what == CURVATURE:
+            if what in (CURVATURE, CIRCLE_DIAMETER):
                 spread = spread[..., :1, :1] * np.ones((2, 2))
-            assert_equal(spread, expected.spread)
+            if what in (CIRCLE_CENTER, CIRCLE_DIAMETER):
+                # Differences have half the digits.
+                size = np.einsum('...ii->...', expected.spread)[..., None, None]
+                with np.errstate(invalid='ignore'):
+                    spread, expected = (
+                        spread / size,
+                        expected._replace(spread=expected.spread / size),
+                    )
+                np.testing.assert_allclose(spread, expected.spread, atol=1e-6)
+            else:
+                assert_equal(spread, expected.spread)
             assert np.array_equal(flags & DETERMINED, expected.determined)
             assert np.array_equal((flags & MOVES) > 0, expected.moves)
 
@@ -212,7 +251,7 @@ def test_arrays_that_do_not_fit() -> None:
     ):
         with pytest.raises(ValueError, match='expected covariances of shape'):
             motion_of(*m._replace(**bad))
-    for what in (0, 4, 7, FREE, FREE + 5):
+    for what in (0, 4, 9, FREE, FREE + 5):
         with pytest.raises(ValueError, match='expected derivatives up to order'):
             compute_quantity(what, motion_of(*m))
     with pytest.raises(ValueError, match='expected derivatives up to order'):

@@ -57,7 +57,7 @@ enum { REASONS(DECLARE_CODE) };
 
 /* What a quantity is. A pole has its order, and FREE plus that order is the pole by the motion alone; RATE
    plus its order is a derivative of the angle. VELOCITY is that of the ICR, CURVATURE that of the centrode,
-   and GIVEN a quantity that a row of messages has with it. */
+   CIRCLE_CENTER and CIRCLE_DIAMETER are of the inflection circle, and GIVEN is a quantity that a row of messages has with it. */
 #define QUANTITIES(CODE)      \
     CODE(POLE_1, 1)           \
     CODE(POLE_2, 2)           \
@@ -65,6 +65,8 @@ enum { REASONS(DECLARE_CODE) };
     CODE(POLE_4, 4)           \
     CODE(VELOCITY, 5)         \
     CODE(CURVATURE, 6)        \
+    CODE(CIRCLE_CENTER, 7)    \
+    CODE(CIRCLE_DIAMETER, 8)  \
     CODE(FREE, 10)            \
     CODE(FREE_POLE_1, 11)     \
     CODE(FREE_POLE_2, 12)     \

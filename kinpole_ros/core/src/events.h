@@ -16,7 +16,7 @@
  * `search_events` returns the sets, and `differentiate` averages all models with all of them. The
  * evidence of a set less that of the first set, without events, says how sure its events are.
  *
- * _events.py detects the events that are reported. It has polynomials instead of these models, and
+ * change_points.c finds the events that are reported. It has polynomials instead of these models, and
  * excludes what only looks like an event. Both have the same columns of steps and nothing more.
  */
 

@@ -1,6 +1,6 @@
 /*
- * Poles, the velocity of the ICR and the curvature of the centrode, with covariances, and where they
- * stand out of their noise. numpy needs about 50 calls for each, however few instants there are.
+ * Poles, the velocity of the ICR, the inflection circle and the curvature of the centrode, with
+ * covariances, and where they stand out of their noise. numpy needs about 50 calls for each, however few instants there are.
  * The formulas are those of planar/, and test_quantities.py compares both.
  */
 
@@ -84,6 +84,25 @@ curvature(const Number *z, const double *rate, Linear *out)
     for (int k = 1; k <= 3; k++)
         p[k] = by_du * dp[k] + by_u * p[k], a[k] = by_du * da[k] + by_u * a[k];
     out->value = -I * g * slowness;
+}
+
+/* The center of the inflection circle, and its diameter from the ICR to the inflection pole: see
+   planar/_curvature.py. */
+static void
+circle(const Number *z, const double *rate, Linear *center, Linear *diameter)
+{
+    Linear icr = {0}, u = {0}, turn = {0};
+    pole(1, z, rate, &turn, &icr);
+    velocity(z, rate, &u);
+    Number slowness = inverse_of(rate[1]), factor = -I * slowness;
+    diameter->value = factor * u.value;
+    center->value = icr.value + diameter->value / 2;
+    for (int k = 0; k <= 2; k++) {
+        diameter->by_position[k] = factor * u.by_position[k];
+        diameter->by_angle[k] = factor * u.by_angle[k] - (k == 1 ? diameter->value * slowness : 0.0);
+        center->by_position[k] = icr.by_position[k] + diameter->by_position[k] / 2;
+        center->by_angle[k] = icr.by_angle[k] + diameter->by_angle[k] / 2;
+    }
 }
 
 /* An ICR moves if its speed exceeds its standard deviation this many times, and this share of the
@@ -216,6 +235,32 @@ curvature_at(const Motion *m, long long t)
     return q;
 }
 
+/* The center or the diameter of the inflection circle, where the ICR is seen to move. */
+static Quantity
+circle_at(const Motion *m, long long t, int what)
+{
+    double rate[3];
+    Number z[3];
+    Linear center = {0}, diameter = {0}, *linear = &center;
+    Quantity q = {0}, u = velocity_at(m, t);
+    motion_at(m, t, 2, z, rate);
+    circle(z, rate, &center, &diameter);
+    if (what == CIRCLE_DIAMETER) {
+        linear = &diameter;
+        double length = cabs(diameter.value);
+        Number along = conj(diameter.value) / length;
+        diameter.value = length;
+        for (int k = 0; k <= 2; k++)
+            diameter.by_position[k] *= along, diameter.by_angle[k] *= along;
+    }
+    q.value = linear->value;
+    add_covariance(m, t, 2, linear, q.spread);
+    q.flags = u.flags & MOVES;
+    if (u.flags == (DETERMINED | MOVES) && is_near(m, t, center.value) && is_known(&q))
+        q.flags |= DETERMINED;
+    return q;
+}
+
 int
 kinpole_is_known(const Motion *m, long long t)
 {
@@ -245,6 +290,8 @@ kinpole_quantity(const Motion *m, long long t, int what)
         return velocity_at(m, t);
     case CURVATURE:
         return curvature_at(m, t);
+    case CIRCLE_CENTER: case CIRCLE_DIAMETER:
+        return circle_at(m, t, what);
     case RATE_1: case RATE_2: case RATE_3: case RATE_4:
         return kinpole_rate(m, t, what - RATE);
     default:

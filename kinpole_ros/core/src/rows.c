@@ -244,7 +244,7 @@ write_state_quantity(const Task *task, long long at, int what, unsigned *bit, un
     Quantity q = kinpole_quantity(task->motion, at, what);
     StateVector vector = {0};
     StateScalar scalar = {0};
-    int is_scalar = what > RATE || what == CURVATURE;
+    int is_scalar = what > RATE || what == CURVATURE || what == CIRCLE_DIAMETER;
     if (q.flags & DETERMINED) {
         vector = state_vector(q.value, q.spread[0], q.spread[1], q.spread[2]);
         scalar = (StateScalar){creal(q.value), root_of(q.spread[0])};
@@ -281,6 +281,8 @@ write_state_point(const Task *task, long long at, int order, unsigned char *out)
         next = write_state_quantity(task, at, VELOCITY, &bit, &point.determined, next);
     if (order >= 3)
         next = write_state_quantity(task, at, CURVATURE, &bit, &point.determined, next);
+    for (int what = CIRCLE_CENTER; order >= 2 && what <= CIRCLE_DIAMETER; what++)
+        next = write_state_quantity(task, at, what, &bit, &point.determined, next);
     memcpy(out, &point, sizeof point);
     return next;
 }

@@ -6,7 +6,14 @@ comes at once.
 """
 
 # The order of these imports is the order of the list in `kinpole --help`.
-from kinpole_ros.tools.commands import replay, markers, mechanisms, results, live  # noqa: F401, I001
+from kinpole_ros.tools.commands import (  # noqa: F401, I001
+    replay,
+    markers,
+    films,
+    mechanisms,
+    results,
+    live,
+)
 from kinpole_ros.tools.commands._command import COMMANDS
 
 __all__ = ['COMMANDS']

@@ -35,7 +35,7 @@ ODOMETRY = 'nav_msgs/msg/Odometry'
 _MARKER_ARRAY = 'visualization_msgs/msg/MarkerArray'
 _DIAGNOSTICS = '/diagnostics'
 # Quantities that may be withheld while the pose is known.
-_WITHHELD = (*POLE_NAMES, 'centrode_curvature')
+_WITHHELD = (*POLE_NAMES, 'centrode_curvature', 'inflection_circle')
 # The last drawings that are kept: a body may be missing in some.
 _DRAWINGS = 20
 # Odometry that is read: all of the first messages of a body, and one of so many afterwards.

@@ -6,7 +6,6 @@ import numpy as np
 
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import LinkageError
-from kinpole_ros.messages._state import quantities_of
 from kinpole_ros.tools.record.lost import lost_count
 from kinpole_ros.tools.record.record import Columns, MotionRecord, quantity_columns
 from kinpole_ros.tracking.estimate import Estimate
@@ -71,7 +70,9 @@ def _estimate_columns(estimate: Estimate) -> Columns:
         ('', 'run'): np.full(len(estimate), estimate.run),
     }
     reasons = estimate.withheld()
-    quantities = quantities_of(estimate, estimate.order)
+    quantities = estimate.quantities(estimate.order)
+    if estimate.order >= 3:
+        quantities['ball_point'] = estimate.ball_point
     with np.errstate(invalid='ignore'):
         for b, body in enumerate(estimate.bodies):
             columns[body, 'missing'] = estimate.missing[:, b].astype(object)

@@ -34,8 +34,8 @@ _ELLIPSE_STEP = 0.02  # rad, for the direction of an ellipse
 _FOLDER = Path(__file__).parent / 'page'
 # In this order: each script uses those before it.
 _SCRIPTS = (
-    'data', 'drawing', 'motion', 'instant', 'stage', 'table', 'charts', 'polygons', 'input', 'live',
-    'solver', 'editor', 'page',
+    'data', 'drawing', 'motion', 'curvature', 'instant', 'stage', 'table', 'charts', 'polygons',
+    'input', 'live', 'solver', 'editor', 'page',
 )  # fmt: skip
 # The page loads nothing; a live page reads its stream of events.
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
@@ -109,11 +109,11 @@ def _body(record: MotionRecord, body: str) -> Json:
         'vx': rounded(velocity.real),
         'vy': rounded(velocity.imag),
     }
-    for name in (*RATE_NAMES, 'centrode_curvature'):
+    for name in (*RATE_NAMES, 'centrode_curvature', 'inflection_diameter'):
         if (body, name) in columns:
             value, sigma = columns[body, name], columns[body, f'{name}_sigma']
             packed[name] = {'value': rounded(value, sigma), 'sigma': _rounded_sigma(sigma)}
-    for name in POLE_NAMES:
+    for name in (*POLE_NAMES, 'ball_point'):
         if (body, name) in columns:
             packed[name] = _point(columns, body, name)
     if (body, 'icr_velocity') in columns:

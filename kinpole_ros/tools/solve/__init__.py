@@ -34,7 +34,8 @@ def solve_scene(options: Namespace) -> list[str]:
     if the linkage does not reach the position.
     """
     # Drawings are written as SVG without matplotlib.
-    drawings = [path for path in (options.polygon, *options.decompose[1:]) if path]
+    files = options.polygon, options.curvature, *options.decompose[1:]
+    drawings = [path for path in files if path]
     for path in (options.plot, *(path for path in drawings if _ending(path) != 'svg')):
         if path:
             from kinpole_ros.tools.plot import picture_format  # which needs mcap
@@ -157,6 +158,13 @@ class _Analysis:
             yield from polygon_lines(self.here)
             title = 'velocity and acceleration polygons'
             yield self._draw(options.polygon, title, polygon_panels(self.here, self.drawn))
+        if options.curvature:
+            from kinpole_ros.tools.solve import _curvature_drawing
+
+            bodies = _curvature_drawing.curved_bodies(self.here)
+            yield from _curvature_drawing.curvature_lines(bodies)
+            panels = _curvature_drawing.curvature_panels(self.here, self.drawn, bodies)
+            yield self._draw(options.curvature, 'curvature of paths', panels)
         if options.decompose:
             from kinpole_ros.tools.solve import _decomposition
 

@@ -176,8 +176,8 @@ class _Model:
                     stiffness=_numbers(spring.stiffness),
                     springlength=_numbers(spring.free),
                 )
-                for end in ((spring.one, spring.a), (spring.other, spring.b)):
-                    ElementTree.SubElement(spatial, 'site', site=names_of[end])
+                for point in ((spring.one, spring.a), (spring.other, spring.b)):
+                    ElementTree.SubElement(spatial, 'site', site=names_of[point])
 
     def _add_motors(self, root: _Element) -> None:
         motors = ElementTree.SubElement(root, 'actuator')

@@ -122,10 +122,12 @@ def _body_columns(solution: SolvedScene) -> Columns:
         columns[body, 'missing'] = np.full(count, '', object)
         numbers = dict(zip(RATE_NAMES, angles[1:, b], strict=True))
         numbers['centrode_curvature'] = body_poles.curvature[b]
+        numbers['inflection_diameter'] = body_poles.inflection_diameter[b]
         for name, values in numbers.items():
             columns[body, name], columns[body, f'{name}_sigma'] = values, no_sigma
         points = {name: getattr(body_poles, name)[b] for name in POLE_NAMES}
         points['icr_velocity'] = body_poles.velocity[b]
+        points['ball_point'] = body_poles.ball_point[b]
         for name, values in points.items():
             columns[body, name], columns[body, f'{name}_covariance'] = values, no_covariance
         for name, reason in reasons.items():
@@ -146,8 +148,12 @@ def _reasons(motion: Motion, angles: np.ndarray, body_poles: Poles) -> dict[str,
     # `poles` sets the velocity of an ICR that stands still to 0.
     causes = {'dead point': ~motion.regular, 'the ICR stands still': body_poles.velocity == 0}
     causes |= {reason: reasons['icr'] == reason for reason in (_ROUNDED, 'at rest')}
-    curvature = body_poles.curvature
-    reasons['centrode_curvature'] = _first_cause(curvature, causes, 'at infinity')
+    of_motion = {
+        'centrode_curvature': body_poles.curvature,
+        'inflection_circle': body_poles.inflection_diameter,
+    }
+    for name, values in of_motion.items():
+        reasons[name] = _first_cause(values, causes, 'at infinity')
     return reasons
 
 

@@ -60,6 +60,9 @@ def write_table(path: Path, solution: SolvedScene, centers: bool, statics: bool)
             columns.set_point(f'{body}_{name}', getattr(body_poles, name)[b])
         columns.set_point(f'{body}_icr_velocity', body_poles.velocity[b])
         columns[f'{body}_centrode_curvature'] = body_poles.curvature[b]
+        columns.set_point(f'{body}_inflection_circle', body_poles.inflection_circle[b])
+        columns[f'{body}_inflection_diameter'] = body_poles.inflection_diameter[b]
+        columns.set_point(f'{body}_ball_point', body_poles.ball_point[b])
     for (name, _), gains in _solution.advantages(solution).items():
         columns[f'advantage_{name.replace("the force at ", "force_").replace(".", "_")}'] = gains
     for names, angles in transmission_angles(mechanism, solution.values).items():

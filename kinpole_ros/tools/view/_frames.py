@@ -16,8 +16,8 @@ _POSE = ('x', 'y', 'angle', 'vx', 'vy')
 # The number of values of a quantity; a point has its coordinates and its ellipse.
 _POINT = 5
 _SIZES = {
-    **dict.fromkeys((*RATE_NAMES, 'centrode_curvature'), 2),
-    **dict.fromkeys(POLE_NAMES, _POINT),
+    **dict.fromkeys((*RATE_NAMES, 'centrode_curvature', 'inflection_diameter'), 2),
+    **dict.fromkeys((*POLE_NAMES, 'ball_point'), _POINT),
     'icr_velocity': 3,
 }
 _END_OF_TIME = 1 << 63  # ns
@@ -115,11 +115,12 @@ def frame_of_state(data: bytes, names: Sequence[str]) -> Frame:
     z, u = position.value, velocity.value
     columns = [part.tolist() for part in (z.real, z.imag, angle.value, u.real, u.imag)]
     lists = quantity_lists(quantities)
+    nothing = [None] * len(bodies)
     frames: list[dict[str, Any] | None] = []
     for b, determined in enumerate(position.determined):
         pose = {name: float(column[b]) for name, column in zip(_POSE, columns, strict=True)}
         frames.append(
-            pose | {name: values[b] for name, values in lists.items()} if determined else None
+            pose | {name: lists.get(name, nothing)[b] for name in _SIZES} if determined else None
         )
     rig = Rig(bodies, tuple(name for name in _SIZES if name in lists), ())
     return Frame(stamp, ('x', 'y'), rig, frames, [], {}, {}, [None] * len(bodies))

@@ -81,14 +81,15 @@ def test_page_shows_the_linkage_its_curves_and_the_figures_at_the_cursor(opened)
     strips.scroll_into_view_if_needed()
     assert 'pinned: the ICR stands still' in strips.inner_text()
     assert SLOW_ICR in strips.inner_text()
-    # Two whole strips, of the crank and nearly of the rocker: first not known, then on a pin.
+    # Two whole strips, of the crank and nearly of the rocker, each of curvature and circle: first
+    # not known, then on a pin.
     width = strips.bounding_box()['width'] - 58 - 92
     unknown, pinned = (
         colored(page, '[data-name=withheld] canvas', color) / (13 * width)
         for color in ('#d9a441', '#7d6aa8')
     )
-    assert pinned > 1
-    assert 1.9 < unknown + pinned <= 2
+    assert pinned > 2
+    assert 3.8 < unknown + pinned <= 4
 
 
 def test_charts_of_a_long_run_open_at_as_much_time_as_can_be_read(opened, long) -> None:
@@ -234,7 +235,7 @@ def test_print_holds_all_charts_and_no_buttons(opened) -> None:
     charts = page.locator('.chart')
     names = [charts.nth(k).get_attribute('data-name') for k in range(charts.count())]
     assert names.pop() == 'withheld'
-    assert len(names) == 7
+    assert len(names) == 8
     for name in names:
         curves = sum(colored(page, f'[data-name={name}] canvas', c) for c in (RED, '#56a0d0'))
         assert curves > 50, name
@@ -289,6 +290,74 @@ def test_images_of_points_are_their_velocities_and_accelerations(opened) -> None
     ):
         assert image[0] == 'P'
         assert complex(*image[1:]) == pytest.approx(complex(truth), rel=1e-9)
+
+
+def test_curvature_layers_draw_and_the_pointer_shows_its_path(opened) -> None:
+    page = opened()
+    for name in ('crank', 'rocker'):
+        page.locator('#bodies button', has_text=name).click()
+    for layer in ('bodies', 'tracks', 'fixed centrode', 'moving centrode', 'velocities'):
+        page.locator('#layers button', has_text=layer).first.click()
+    drawn(page)
+    for layer in ('inflection circle', 'cubic'):
+        button = page.locator('#layers button', has_text=layer)
+        assert button.get_attribute('aria-pressed') == 'false'
+        before = colored(page, '#stage canvas', RED)
+        button.click()
+        drawn(page)
+        assert colored(page, '#stage canvas', RED) > before + 50, layer
+    box = page.locator('#stage').bounding_box()
+    before = colored(page, '#stage canvas', '#1c2127')
+    page.mouse.move(box['x'] + 0.4 * box['width'], box['y'] + 0.4 * box['height'])
+    drawn(page)
+    assert colored(page, '#stage canvas', '#1c2127') > before + 100
+    page.mouse.move(box['x'] - 5, box['y'] - 5)
+    drawn(page)
+    assert colored(page, '#stage canvas', '#1c2127') <= before
+    value, spread = cell(page, 'inflection_diameter', 1).split('±')
+    assert float(value) > 0 and float(spread) > 0
+    assert cell(page, 'inflection_diameter', 0) == 'pinned: the ICR stands still'
+
+
+def test_circle_of_a_path_and_the_cubic_are_those_of_the_theory(opened) -> None:
+    """What the page's script makes of the ICR and Ball's point, of a body that turns either way."""
+    page = opened()
+    folder = Path(_record_page.__file__).parent / 'page'
+    scripts = ('data', 'drawing', 'motion', 'curvature')
+    code = '\n'.join((folder / f'{name}.js').read_text() for name in scripts)
+    for time in (0.1, 0.6):
+        motion = load_scene('four_bar').motion(time)['coupler']
+        position, angle = motion.position, motion.angle
+        icr, u, du = (
+            planar.to_plane(one.value)
+            for one in (
+                planar.pole(1, position, angle),
+                planar.icr_velocity(position, angle),
+                planar.icr_acceleration(position, angle),
+            )
+        )
+        about = angle[1], angle[2], icr, u, du
+        ball, circle = planar.ball_point(*about), planar.inflection_circle(angle[1], icr, u)
+        curvature = planar.centrode_curvature(position, angle).value.real
+        body = {
+            'angular_velocity': {'value': [float(angle[1])]},
+            'icr': {'x': [icr[0]], 'y': [icr[1]]},
+            'icr_velocity': {'x': [u[0]], 'y': [u[1]], 'value': [float(np.linalg.norm(u))]},
+            'inflection_diameter': {'value': [float(circle.diameter)]},
+            'ball_point': {'x': [ball[0]], 'y': [ball[1]]},
+            'centrode_curvature': {'value': [float(curvature)]},
+        }
+        point = [0.2, 0.1]
+        path, cubic = page.evaluate(
+            f'([body, point]) => {{ {code}; '
+            'return [pathAt(body, 0, point), cubicAt(body, 0, poleMotion(body, 0))]; }',
+            [body, point],
+        )
+        expected = planar.path_curvature(point, angle[1], icr, u)
+        assert path['radius'] == pytest.approx(1 / expected.curvature, rel=1e-9)
+        assert path['center'] == pytest.approx(expected.center, rel=1e-9)
+        theory = planar.stationary_curvature(*about)
+        assert cubic == pytest.approx([theory.over_m, theory.over_n], rel=1e-9)
 
 
 def test_page_shows_lost_frames_apart_from_undetermined_ones(opened, gappy_bag, tmp_path) -> None:

@@ -418,7 +418,11 @@ def test_a_bag_of_results_is_shown_by_its_topic_state(replayed) -> None:
     for body, other in zip(frame['bodies'], expected.bodies, strict=True):
         assert other is not None
         assert body.keys() == other.keys()
+        # Ball's point is in the node's message for pages only.
+        del body['ball_point']
         for name, value in other.items():
+            if name == 'ball_point':
+                continue
             assert (body[name] is None) == (value is None), name
             if value is not None:
                 np.testing.assert_allclose(body[name], value, rtol=1e-4, atol=1e-7, err_msg=name)

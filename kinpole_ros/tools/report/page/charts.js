@@ -7,7 +7,7 @@ const [ROW, GAP] = [13, 3]; // of the chart of withheld quantities, pixels
 
 function chartSpecs(data) {
   const specs = [];
-  for (const name of [...RATES, 'icr_velocity', 'centrode_curvature']) {
+  for (const name of [...RATES, 'icr_velocity', 'centrode_curvature', 'inflection_diameter']) {
     const series = data.bodies.filter((body) => body[name]).map((body) => ({
       name: body.name, bodies: [body.name], color: body.color, ...body[name],
       theory: body.theory[name], events: body.events ?? [],

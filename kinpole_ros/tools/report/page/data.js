@@ -14,9 +14,13 @@ const QUANTITIES = {
   isp: ['ISP, snap pole', 'mm', 'ISP'],
   icr_velocity: ['speed of the ICR', 'm/s', '|u|'],
   centrode_curvature: ['curvature of the fixed centrode', '1/m', 'κ'],
+  inflection_diameter: ['diameter of the inflection circle', 'm', 'circle'],
+  ball_point: ["Ball's point", 'mm', 'Ball'],
 };
 // Quantities that may be undetermined while the pose is known.
-const WITHHELD = [...POLES, 'centrode_curvature'];
+const WITHHELD = [...POLES, 'centrode_curvature', 'inflection_diameter'];
+// Of the inflection circle there is one reason.
+const REASON_NAMES = { inflection_diameter: 'inflection_circle', ball_point: 'inflection_circle' };
 // The colors of Okabe and Ito, which the color-blind can distinguish; darker ones first.
 const COLORS = ['#0072b2', '#d55e00', '#007a5a', '#a8558a', '#8a6d00', '#56a0d0', '#444444', '#c2273d'];
 const MOST_PAIRS = 6;
@@ -104,7 +108,8 @@ function* columnsIn(data) {
 const isGap = (data, k) => data.live && data.t[k] - data.t[k - 1] > 2.5 * data.period;
 
 // [start, end, reason] of the instants at which a quantity of a body is withheld.
-const withheldIntervals = (body, name) => [...body.missing, ...(body.withheld[name] ?? [])];
+const withheldIntervals = (body, name) =>
+  [...body.missing, ...(body.withheld[REASON_NAMES[name] ?? name] ?? [])];
 
 // Why a quantity is not determined at instant k; without an ICR its velocity is not either.
 function reasonAt(body, name, k) {

@@ -129,11 +129,16 @@ function tickText(value, step) {
 
 // ---- Marks ----
 
-const MARKS = { icr: 'circle', iap: 'triangle', ijp: 'square', isp: 'diamond', relative: 'cross' };
+const MARKS = {
+  icr: 'circle', iap: 'triangle', ijp: 'square', isp: 'diamond', relative: 'cross', ball_point: 'star',
+};
 const MARK_CORNERS = {
   triangle: [[0, -1.3], [1.15, 0.8], [-1.15, 0.8]],
   square: [[-0.9, -0.9], [0.9, -0.9], [0.9, 0.9], [-0.9, 0.9]],
   diamond: [[0, -1.35], [1.1, 0], [0, 1.35], [-1.1, 0]],
+  star: [0, 1, 2, 3, 4, 5, 6, 7, 8, 9].map((k) => [
+    (k % 2 ? 0.6 : 1.4) * Math.sin((k * Math.PI) / 5), (k % 2 ? -0.6 : -1.4) * Math.cos((k * Math.PI) / 5),
+  ]),
 };
 
 function markPath(kind, x, y, r) {

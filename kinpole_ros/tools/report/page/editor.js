@@ -62,7 +62,8 @@ function makeEditor({ data, page, stage, redraw, play }) {
       body.outlines = [[0, [...own.map(([, , u, v]) => [u, v]), ...rims]]];
       body.missing = open.map((k) => [k, k + 1, 'the loops do not close']);
       const isPinned = body.icr_velocity.value.includes(0);
-      body.withheld = isPinned ? { centrode_curvature: [[0, data.n, 'the ICR stands still']] } : {};
+      const still = [[0, data.n, 'the ICR stands still']];
+      body.withheld = isPinned ? { centrode_curvature: still, inflection_circle: still } : {};
     });
     for (const end of data.spans.flatMap(({ ends }) => ends)) {
       const owner = end.body ? data.bodies.indexOf(data.byName[end.body]) : ground;
@@ -221,6 +222,14 @@ function setInstant(data, solver, k) {
     body.icr_velocity.y[k] = isPinned ? 0 : uy;
     body.icr_velocity.value[k] = isPinned ? 0 : speed;
     body.centrode_curvature.value[k] = isPinned ? NaN : (ux * ay - uy * ax) / speed ** 3;
+    body.inflection_diameter.value[k] = isPinned ? NaN : speed / Math.abs(w);
+    // Along g = i u + d(u / ω)/dt from the ICR, as far as the inflection circle goes.
+    const gx = (ax - first * ux) / w - uy;
+    const gy = (ay - first * uy) / w + ux;
+    const isBall = !isPinned && Math.hypot(gx, gy) > AT_REST * speed;
+    const share = isBall ? (gx * uy - gy * ux) / (w * (gx * gx + gy * gy)) : NaN;
+    body.ball_point.x[k] = body.icr.x[k] + share * gx;
+    body.ball_point.y[k] = body.icr.y[k] + share * gy;
   });
   for (const { j, i, icr, rate } of data.pairs) {
     const [v, w] = [j.angular_velocity.value[k], i.angular_velocity.value[k]];

@@ -86,7 +86,13 @@ function listenToStage(element, actions) {
     element.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, position(event));
   });
+  const point = (at) => {
+    actions.page.pointer = at;
+    if (actions.stage.isOn('path')) actions.redraw('instant');
+  };
+  element.addEventListener('pointerleave', () => point(null));
   element.addEventListener('pointermove', (event) => {
+    point(position(event));
     if (!fingers.has(event.pointerId)) return;
     const [before, [px, py]] = [fingers.size > 1 && pinch(), fingers.get(event.pointerId)];
     const [x, y] = position(event);

@@ -3,6 +3,7 @@
 // Returns a function that draws instant k.
 function makeInstantDrawer(stage) {
   const { page, data, view, isOn, shownBodies } = stage;
+  const drawCurvature = makeCurvatureDrawer(stage);
   // Outlines of bodies, for the points that the stage has.
   let [outlines, outlinePoints] = [new Map(), null];
 
@@ -21,8 +22,13 @@ function makeInstantDrawer(stage) {
     }
     if (isOn('velocities')) for (const body of bodies) drawVelocities(context, body, k);
     if (isOn('relative')) drawRelativeCenters(context, k);
+    for (const body of bodies) drawCurvature(context, body, k);
+    if (isOn('path')) drawPathAtPointer(context, bodies, k);
     for (const name of [...POLES].reverse()) {
       for (const body of bodies) if (isOn(name) && body[name]) drawPole(context, body, name, k);
+    }
+    for (const body of bodies) {
+      if (isOn('ball') && body.ball_point) drawPole(context, body, 'ball_point', k);
     }
     if (isOn('names')) drawNames(context, bodies, k);
     if (isOn('velocities')) drawArrowScale(context);
@@ -63,6 +69,19 @@ function makeInstantDrawer(stage) {
     context.fill();
     // A body without markers shows its angle by an axis.
     if (!markers.length) strokeLines(context, [[0, 0], [2 * stage.thickness, 0]]);
+  }
+
+  // The body under the pointer, or the only one that is shown.
+  function drawPathAtPointer(context, bodies, k) {
+    if (!page.pointer) return;
+    const isUnder = (body) => {
+      stage.useMeters(context, body.angle[k], body.x[k], body.y[k]);
+      const { ratio } = stage.sizes;
+      return context.isPointInPath(outlineOf(body, k), page.pointer[0] * ratio, page.pointer[1] * ratio);
+    };
+    const body = bodies.length === 1 ? bodies[0] : [...bodies].reverse().find(isUnder);
+    stage.usePixels(context);
+    if (body) drawPathCurvature(context, stage, body, k);
   }
 
   function drawMovingCentrode(context, body, k) {
@@ -162,8 +181,10 @@ function makeInstantDrawer(stage) {
     const length = (step * longestArrow()) / stage.fastest;
     context.strokeStyle = context.fillStyle = GRAY;
     context.lineWidth = 1.3;
-    drawArrow(context, [12, 14], [length, 0]);
-    drawText(context, `${tickText(step, step)} m/s`, 18 + length, 18, GRAY);
+    // Below the buttons, which fill the width of a telephone.
+    const top = stage.sizes.height - 34;
+    drawArrow(context, [12, top], [length, 0]);
+    drawText(context, `${tickText(step, step)} m/s`, 18 + length, top + 4, GRAY);
   }
 
   const isInside = (x, y) => x > 0 && y > 0 && x < stage.sizes.width && y < stage.sizes.height;

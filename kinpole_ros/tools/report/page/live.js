@@ -3,8 +3,10 @@
 // Frames that are kept, and the time (s) that the charts show.
 const [FRAMES, SPAN] = [300, 10];
 // Charts that can be hidden, and layers and charts that are hidden at first.
-const OPTIONAL_CHARTS = [...RATES.slice(1), 'icr_velocity', 'centrode_curvature'];
-const HIDDEN_LIVE = [...POLES.slice(1), ...OPTIONAL_CHARTS, 'relative'];
+const OPTIONAL_CHARTS = [
+  ...RATES.slice(1), 'icr_velocity', 'centrode_curvature', 'inflection_diameter',
+];
+const HIDDEN_LIVE = [...HIDDEN, 'iap', ...OPTIONAL_CHARTS, 'relative'];
 // The stage is fitted to the motion, and time, numbers and charts are drawn, only every so many
 // frames: ten updates a second are enough to read.
 const [FIT_EVERY, CHARTS_EVERY] = [15, 3];
@@ -117,7 +119,7 @@ function setReasons(body, reasons) {
 const POINT_COLUMNS = ['x', 'y', 'a', 'b', 'd'];
 
 function columnNames(quantity) {
-  if (POLES.includes(quantity)) return POINT_COLUMNS;
+  if (POLES.includes(quantity) || quantity === 'ball_point') return POINT_COLUMNS;
   return quantity === 'icr_velocity' ? ['x', 'y', 'sigma'] : ['value', 'sigma'];
 }
 

@@ -8,6 +8,10 @@ const MEANINGS = {
   relative: 'relative center: the point at which two bodies have the same velocity, such as their pin',
   fixed: 'fixed centrode: the path of the ICR in the plane',
   moving: 'moving centrode: its path in the body, which rolls on the fixed one without slip',
+  circle: 'inflection circle: the points of the body whose paths are straight at this instant',
+  ball: "Ball's point: the one whose path is straight for longest",
+  cubic: 'cubic of stationary curvature: the points whose paths stay on their circles for longest',
+  path: 'path at the pointer: the circle on which the point of the body under the pointer moves',
 };
 // The parts to draw again, from least to most: the moving part of the stage, the stage, all parts that
 // move with the cursor, everything.
@@ -153,7 +157,8 @@ function addButtons({ page, data, toggle }) {
     addToggle('bodies', page.hidden, name, {}, tag('i', undefined, { style: `background:${color}` }), name);
   }
   for (const [layer, title] of Object.entries(LAYERS)) {
-    if (POLES.includes(layer) && !data.bodies.some((body) => body[layer])) continue;
+    const needed = LAYER_NEEDS[layer] ?? (POLES.includes(layer) ? layer : 'angle');
+    if (!data.bodies.some((body) => body[needed])) continue;
     if (layer === 'relative' && !data.pairs.length) continue;
     addToggle('layers', page.off, layer, {}, layerIcon(layer), title);
   }
@@ -180,6 +185,10 @@ function layerIcon(layer) {
     isp: '<path d="M9 0l5.5 7-5.5 7-5.5-7z" fill="none" stroke="#1c2127" stroke-width="1.6"/>',
     relative: '<circle cx="9" cy="7" r="5" fill="none" stroke="#1c2127"/>'
       + '<path d="M4 7h10M9 2v10" stroke="#1c2127"/>',
+    circle: '<circle cx="9" cy="7" r="5.5" fill="none" stroke="#0072b2" stroke-dasharray="2 2"/>',
+    ball: '<path d="M9 1l1.6 4h4.2l-3.4 2.6 1.3 4.2L9 9.3l-3.7 2.5 1.3-4.2L3.2 5h4.2z" fill="none" stroke="#1c2127"/>',
+    cubic: '<path d="M1 13C6 12 15 11 13 5S4 3 9 8s5 5 8 5" fill="none" stroke="#0072b2" stroke-dasharray="1 2"/>',
+    path: '<path d="M2 12A9 9 0 0 1 16 12" fill="none" stroke="#1c2127"/><path d="M9 9v4" stroke="#1c2127"/>',
     velocities: '<path d="M1 11L12 4" stroke="#1c2127"/><path d="M17 1l-8 2 3 4z"/>',
     names: '<text x="2" y="12" font-size="12" font-weight="600">ab</text>',
   };

@@ -3,9 +3,10 @@
 const LAYERS = {
   outlines: 'bodies', tracks: 'tracks', fixed: 'fixed centrode', moving: 'moving centrode',
   icr: 'ICR', iap: 'IAP', ijp: 'IJP', isp: 'ISP', relative: 'relative centers',
-  velocities: 'velocities', names: 'names',
+  circle: 'inflection circle', ball: "Ball's point", cubic: 'cubic of stationary curvature',
+  path: 'path at the pointer', velocities: 'velocities', names: 'names',
 };
-const HIDDEN = ['ijp', 'isp'];
+const HIDDEN = ['ijp', 'isp', 'circle', 'ball', 'cubic'];
 // Thickness of a bar, in sizes of the motion.
 const THICKNESS = 0.022;
 

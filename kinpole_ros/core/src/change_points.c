@@ -1,0 +1,562 @@
+/*
+ * Polynomials with steps of their derivatives, by evidence: which events are reported.
+ *
+ * Within a window a signal is a polynomial and white noise. An event adds multiples of (t - p)^k / k!
+ * after its place p, of one or two orders k. The evidence of polynomials with these steps is held
+ * against that of polynomials without, of higher degrees too: each coefficient costs about the
+ * logarithm of how far it exceeds its noise (the evidence of a Gaussian prior as wide as the estimate).
+ * Angle and position have evidence of their own. Windows of several lengths are searched, because a
+ * short one sees little but is simple.
+ *
+ * Polynomials are orthonormal on the samples, so steps need no columns: their products with
+ * polynomials, with samples and with each other are sums over the samples after the place, which a
+ * place takes over from the next later one (`sum_after`).
+ */
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "../include/change_points.h"
+#include "numbers.h"
+
+/* Samples after the event in the shortest window, and lengths, each half of the one before. */
+#define SHORTEST 8
+#define MAX_WINDOWS 16
+/* A window has so many times as many samples before the middle as after it. */
+#define BEFORE 2
+/* Degrees of polynomials with steps. Those without are at least FEWER higher, and one for so many samples:
+   what these do not explain shall not be explained by a step. */
+#define STEP_DEGREE 8
+#define FEWER 4
+#define SAMPLES_PER_DEGREE 7
+#define MAX_DEGREE 27
+/* Samples that the noise is known from beforehand. */
+#define PRIOR_SAMPLES 30.0
+/* What a size costs besides the logarithm of how far it exceeds its noise: of a step, of a degree. */
+#define STEP_COST 2.4
+#define DEGREE_COST 1.0
+/* The log evidence that an event must have, by its order, and have more than its rivals. */
+static const double enough[] = {0.0, 18.0, 20.0, 24.0};
+#define AHEAD 3.0
+/* An event of order 2 or 3 is less distinct from smooth motion: its rivals must have less than this share of
+   its evidence, and signals of at most this degree must show it, */
+#define RIVAL_SHARE 0.65
+#define SIMPLE_DEGREE 4
+/* with so much evidence. */
+#define ENOUGH_SIMPLE 11.0
+/* A step of the lowest of two orders must exceed its noise by this, as a sum of squares of all signals. */
+#define STANDS_OUT 25.0
+/* In a window half as long there must be this share of the evidence expected there, less an offset. */
+#define CONFIRMED 0.6
+#define CONFIRMED_LESS 3.0
+/* Samples at either end of a window where no event is found, and places that are tried there at most, about. */
+#define EDGE 2
+#define MAX_PLACES 192
+/* Degrees added where sizes are estimated, for the bias of the likeliest one. */
+#define MORE_DEGREES 2
+/* Squares below this share of a step's own are rounding. */
+#define ROUNDING 1e-9
+/* Log evidence below the best that does not matter. */
+#define NEGLIGIBLE 20.0
+/* Places at once around an event that is refined, and rounds of it. */
+#define REFINED 17
+#define ROUNDS 6
+
+#define MOST_ORDER 6
+/* Orders of a set of steps at most. */
+#define PAIR 2
+
+/* Orders that step together: the first is the event, another may step with it. */
+typedef struct {
+    int count, order[PAIR];
+} Orders;
+
+#define SETS 5
+static const Orders events[SETS] = {{1, {1}}, {2, {1, 2}}, {1, {2}}, {2, {2, 3}}, {1, {3}}};
+/* What may look like an event and is none: poses that jump, and motion that sets in gradually. */
+static const Orders rivals[SETS] = {{1, {0}}, {1, {4}}, {2, {4, 5}}, {1, {5}}, {2, {5, 6}}};
+
+/* Polynomials on the samples of a window, and how well they explain these. Index c is the angle or the
+   position. */
+typedef struct {
+    long long count;
+    int highest, simplest;
+    const double *time, *values[3];
+    double *basis;                            /* (highest + 1, count) */
+    double along[MAX_DEGREE + 1][3];          /* of the samples in the polynomials */
+    double squares[2][STEP_DEGREE + 1];       /* what is left of the samples */
+    double value[2][STEP_DEGREE + 1];         /* log evidence, over that of all degrees together */
+    double number[2];
+} Fit;
+
+enum { SUMS = STEP_DEGREE + 1 + 3 };
+
+/* Sums over the samples after a place, with (t - place)^k / k! for each order k: of the polynomials, then of
+   the signals; and of the powers alone. */
+typedef struct {
+    double sums[MOST_ORDER + 1][SUMS], powers[2 * MOST_ORDER + 1];
+} After;
+
+/* Columns that are added to polynomials: their products with each other, with the polynomials, and with the
+   signals. */
+typedef struct {
+    int count;
+    double own[PAIR][PAIR], along[STEP_DEGREE + 1][PAIR], product[3][PAIR];
+} Added;
+
+/* Make the polynomials orthonormal on the samples by their recurrence. Its rounding grows from a degree of about
+   twice the root of the number of samples on; these are made orthogonal once more. */
+static void
+find_basis(Fit *f)
+{
+    long long n = f->count;
+    double middle = (f->time[0] + f->time[n - 1]) / 2, half = (f->time[n - 1] - f->time[0]) / 2;
+    for (int d = 0; d <= f->highest; d++) {
+        double *own = f->basis + d * n;
+        const double *before = own - n;
+        for (long long t = 0; t < n; t++)
+            own[t] = d ? before[t] * (f->time[t] - middle) / half : 1.0;
+        for (int round = 0; round < (d * d > n ? 2 : 1); round++)
+            for (int e = round || d < 2 ? 0 : d - 2; e < d; e++) {
+                const double *other = f->basis + e * n;
+                double by = dot(own, other, n);
+                for (long long t = 0; t < n; t++)
+                    own[t] -= by * other[t];
+            }
+        double size = 1 / sqrt(dot(own, own, n));
+        for (long long t = 0; t < n; t++)
+            own[t] *= size;
+    }
+}
+
+static double
+log_of_sum(const double *values, int count)
+{
+    double most = values[0], sum = 0.0;
+    for (int k = 1; k < count; k++)
+        most = larger(most, values[k]);
+    for (int k = 0; k < count; k++)
+        sum += exp(values[k] - most);
+    return most + log(sum);
+}
+
+/* Fit the signals of a window. Curves without noise get `white` noise. */
+static void
+fit_signals(Fit *f, int white)
+{
+    for (int d = 0; d <= f->highest; d++)
+        for (int c = 0; c < 3; c++)
+            f->along[d][c] = dot(f->basis + d * f->count, f->values[c], f->count);
+    for (int part = 0; part < 2; part++) {
+        double value[MAX_DEGREE + 1], squares[MAX_DEGREE + 1] = {0.0}, cost = 0.0;
+        f->number[part] = (PRIOR_SAMPLES + (part + 1) * f->count) / 2;
+        for (int d = 0; d <= f->highest; d++) {
+            for (int c = part; c <= 2 * part; c++)
+                cost += log1p(f->along[d][c] * f->along[d][c]) / 2 + DEGREE_COST;
+            value[d] = -cost;
+        }
+        for (int c = part; c <= 2 * part; c++) {
+            double left = dot(f->values[c], f->values[c], f->count);
+            for (int d = 0; d <= f->highest; d++) {
+                left -= f->along[d][c] * f->along[d][c];
+                squares[d] += larger(left, 0.0) + (white ? f->count - 1 - d : 0);
+            }
+        }
+        for (int d = 0; d <= f->highest; d++)
+            value[d] -= f->number[part] * log(PRIOR_SAMPLES + squares[d]);
+        double smooth = log_of_sum(value + 1, f->highest);
+        for (int d = 0; d <= f->simplest; d++)
+            f->squares[part][d] = squares[d], f->value[part][d] = value[d] - smooth;
+    }
+}
+
+/* Fit the window with so many samples after its middle, of all `count`; returns 0 if there are too few. The
+   basis, of MAX_DEGREE + 1 times as many numbers as samples, is at `memory`. */
+static int
+fit_window(const double *time, const double *values, long long count, long long after,
+           double *memory, Fit *f)
+{
+    long long first = 0, last = count, before = 0;
+    while (first < last && time[first] < -BEFORE * after - 0.1)
+        first++;
+    while (last > first && time[last - 1] >= after + 0.1)
+        last--;
+    while (first + before < last && time[first + before] < 0)
+        before++;
+    long long n = last - first, highest = (n + SAMPLES_PER_DEGREE - 1) / SAMPLES_PER_DEGREE;
+    if (before < SHORTEST || n - before < SHORTEST - 2)
+        return 0;
+    highest = highest < STEP_DEGREE + FEWER ? STEP_DEGREE + FEWER : highest;
+    highest = highest < n / 2 ? highest : n / 2;
+    *f = (Fit){.count = n, .time = time + first, .basis = memory};
+    f->highest = highest < MAX_DEGREE ? highest : MAX_DEGREE;
+    f->simplest = f->highest - FEWER < STEP_DEGREE ? f->highest - FEWER : STEP_DEGREE;
+    for (int c = 0; c < 3; c++)
+        f->values[c] = values + c * count + first;
+    find_basis(f);
+    fit_signals(f, 0);
+    return 1;
+}
+
+/* Find the sums after places, which rise, with the orders up to `highest`. Sums move to a place by h earlier
+   with (t - p + h)^k / k! = sum of (t - p)^(k - j) / (k - j)! h^j / j!. */
+static void
+sum_after(const Fit *f, const double *places, int number, int highest, After *out)
+{
+    After now = {{{0.0}}, {0.0}};
+    long long t = f->count;
+    double last = f->time[f->count - 1];
+    for (int place = number - 1; place >= 0; place--) {
+        double by = last - places[place], power[2 * MOST_ORDER + 1] = {1.0};
+        for (int k = 1; k <= 2 * highest; k++)
+            power[k] = power[k - 1] * by / k;
+        for (int k = 2 * highest; k > 0; k--)
+            for (int j = 1; j <= k; j++) {
+                now.powers[k] += power[j] * now.powers[k - j];
+                for (int i = 0; i < (k <= highest ? SUMS : 0); i++)
+                    now.sums[k][i] += power[j] * now.sums[k - j][i];
+            }
+        for (last = places[place]; t > 0 && f->time[t - 1] > last; t--) {
+            double since = f->time[t - 1] - last, value[SUMS], of_power = 1.0;
+            for (int d = 0; d <= STEP_DEGREE; d++)
+                value[d] = d <= f->simplest ? f->basis[d * f->count + t - 1] : 0.0;
+            for (int c = 0; c < 3; c++)
+                value[STEP_DEGREE + 1 + c] = f->values[c][t - 1];
+            for (int k = 0; k <= 2 * highest; k++, of_power *= since / k) {
+                now.powers[k] += of_power;
+                for (int i = 0; i < (k <= highest ? SUMS : 0); i++)
+                    now.sums[k][i] += of_power * value[i];
+            }
+        }
+        out[place] = now;
+    }
+}
+
+/* Return the columns of the steps of a set at a place. */
+static Added
+steps_of(const Orders *set, const After *after)
+{
+    Added steps = {.count = set->count};
+    for (int k = 0; k < set->count; k++) {
+        const double *sums = after->sums[set->order[k]];
+        for (int l = 0; l <= k; l++) {
+            /* Powers j and k over their factorials are one power times a binomial. */
+            double binomial = 1.0;
+            for (int j = 1; j <= set->order[l]; j++)
+                binomial *= (set->order[k] + j) / (double)j;
+            steps.own[k][l] = steps.own[l][k] =
+                binomial * after->powers[set->order[k] + set->order[l]];
+        }
+        for (int d = 0; d <= STEP_DEGREE; d++)
+            steps.along[d][k] = sums[d];
+        for (int c = 0; c < 3; c++)
+            steps.product[c][k] = sums[STEP_DEGREE + 1 + c];
+    }
+    return steps;
+}
+
+/* What polynomials leave of columns, each without those before it (Cholesky); sizes that are rounding are 0. */
+typedef struct {
+    double inverse[PAIR], shared, value[PAIR][3];
+} Reduced;
+
+static Reduced
+reduce(const Added *added, const Added *left, int first, int last)
+{
+    Reduced out = {{0.0}, 0.0, {{0.0}}};
+    for (int k = 0; k < added->count; k++) {
+        double own = left->own[k][k];
+        if (k)
+            out.shared = left->own[1][0] * out.inverse[0], own -= out.shared * out.shared;
+        if (own > ROUNDING * added->own[k][k])
+            out.inverse[k] = 1 / sqrt(own);
+        for (int c = first; c <= last; c++)
+            out.value[k][c] = out.inverse[k] *
+                (left->product[c][k] - (k ? out.shared * out.value[0][c] : 0.0));
+    }
+    return out;
+}
+
+/* Subtract from columns what they have along the polynomial of a degree. */
+static void
+subtract_degree(const Fit *f, int degree, Added *left)
+{
+    const double *along = left->along[degree];
+    for (int k = 0; k < left->count; k++) {
+        for (int l = 0; l < left->count; l++)
+            left->own[k][l] -= along[k] * along[l];
+        for (int c = 0; c < 3; c++)
+            left->product[c][k] -= along[k] * f->along[degree][c];
+    }
+}
+
+/* Return the log evidence that columns add to the angle and to the position, each of which may be without; and
+   by part how much of it, and the likeliest degree. Degrees that cannot matter are skipped. */
+static double
+gain_of(const Fit *f, const Added *added, double *gain, int *degree)
+{
+    double value[2][STEP_DEGREE + 1], most[2] = {0.0};
+    Added left = *added;
+    subtract_degree(f, 0, &left);
+    degree[0] = degree[1] = 1;
+    for (int d = 1; d <= f->simplest; d++) {
+        subtract_degree(f, d, &left);
+        Reduced reduced = reduce(added, &left, 0, 2);
+        for (int part = 0; part < 2; part++) {
+            double signals = part + 1, explained = 0.0, ratio = 1.0;
+            for (int k = 0; k < added->count; k++) {
+                double square = 0.0;
+                for (int c = part; c <= 2 * part; c++)
+                    square += reduced.value[k][c] * reduced.value[k][c];
+                explained += square, ratio *= 1 + square / signals;
+            }
+            double all = PRIOR_SAMPLES + f->squares[part][d], *own = value[part] + d;
+            double z = smaller(explained, f->squares[part][d]) / all;
+            *own = f->value[part][d] - added->count * STEP_COST;
+            /* A bound of -log(1 - z). */
+            if (*own + f->number[part] * z * (2 - z) / (2 - 2 * z) > most[part] - NEGLIGIBLE)
+                *own -= f->number[part] * log(1 - z) + signals / 2 * log(ratio);
+            most[part] = larger(most[part], *own);
+            if (*own > value[part][degree[part]])
+                degree[part] = d;
+        }
+    }
+    double sum[2] = {0.0};
+    for (int part = 0; part < 2; part++) {
+        sum[part] = exp(-most[part]);
+        for (int d = 1; d <= f->simplest; d++)
+            if (value[part][d] > most[part] - NEGLIGIBLE)
+                sum[part] += exp(value[part][d] - most[part]);
+        gain[part] = most[part] + log(sum[part] / 2);
+    }
+    return gain[0] + gain[1];
+}
+
+/* Find the gain, place and deviation of a set of steps, by moments of the evidence. */
+static double
+refine(const Fit *f, const Orders *set, double step, double *place, double *sigma)
+{
+    After after[REFINED];
+    double half = 3 * step, most = 0.0, parts[2];
+    int degree[2];
+    for (int round = 0; round < ROUNDS; round++) {
+        double places[REFINED], gain[REFINED], sum = 0.0, mean = 0.0, square = 0.0;
+        int number = 0;
+        for (int k = 0; k < REFINED; k++) {
+            double at = *place + half * (k / ((REFINED - 1) / 2.0) - 1);
+            if (at > f->time[0] + 1 && at < f->time[f->count - 1] - 1)
+                places[number++] = at;
+        }
+        sum_after(f, places, number, set->order[set->count - 1], after);
+        most = -INFINITY;
+        for (int k = 0; k < number; k++) {
+            Added steps = steps_of(set, after + k);
+            gain[k] = gain_of(f, &steps, parts, degree), most = larger(most, gain[k]);
+        }
+        for (int k = 0; k < number; k++)
+            gain[k] = exp(gain[k] - most), sum += gain[k], mean += gain[k] * places[k];
+        mean /= sum;
+        for (int k = 0; k < number; k++)
+            square += gain[k] / sum * (places[k] - mean) * (places[k] - mean);
+        *place = mean, *sigma = sqrt(square);
+        if (*sigma > half / 5 || half < 1e-3)
+            break;
+        half = larger(5 * *sigma, half / 8);
+    }
+    return most;
+}
+
+/* Estimate the sizes of steps, with polynomials of these degrees (2), and the deviations of the first. */
+static void
+estimate_sizes(const Fit *f, const Added *added, const int *degree, double size[PAIR][3],
+               double *sigma)
+{
+    for (int part = 0; part < 2; part++) {
+        Added left = *added;
+        for (int d = 0; d <= degree[part]; d++)
+            subtract_degree(f, d, &left);
+        Reduced reduced = reduce(added, &left, part, 2 * part);
+        for (int c = part; c <= 2 * part; c++) {
+            size[1][c] = reduced.value[1][c] * reduced.inverse[1];
+            size[0][c] =
+                (reduced.value[0][c] - reduced.shared * size[1][c]) * reduced.inverse[0];
+            sigma[c] = reduced.inverse[0] * hypot(1.0, reduced.shared * reduced.inverse[1]);
+        }
+    }
+}
+
+/* Places of a window that are tried. */
+typedef struct {
+    int number;
+    double step, place[2 * MAX_PLACES];
+    After after[2 * MAX_PLACES];
+} Places;
+
+/* List places at whole intervals from `first` to `last`, but the edges of the window, and sum after them. */
+static void
+list_places(const Fit *f, double first, double last, int highest, Places *p)
+{
+    p->step = ceil((f->time[f->count - 1] - f->time[0]) / MAX_PLACES);
+    first = larger(first, ceil(f->time[0]) + EDGE);
+    last = smaller(last, floor(f->time[f->count - 1]) - EDGE);
+    for (p->number = 0; first <= last && p->number < 2 * MAX_PLACES; first += p->step)
+        p->place[p->number++] = first;
+    sum_after(f, p->place, p->number, highest, p->after);
+}
+
+/* Return the gain of the best of SETS sets of steps, and at which place. */
+static double
+best_place(const Fit *f, const Orders *sets, const Places *p, int *at)
+{
+    double best = -INFINITY, parts[2];
+    int degree[2];
+    *at = 0;
+    for (int k = 0; k < SETS; k++)
+        for (int i = 0; i < p->number; i++) {
+            Added steps = steps_of(sets + k, p->after + i);
+            double gain = gain_of(f, &steps, parts, degree);
+            if (gain > best)
+                best = gain, *at = i;
+        }
+    return best;
+}
+
+/* An event at a place: the set of its steps, the gains (2) of angle and position, and their likeliest degrees. */
+typedef struct {
+    const Orders *set;
+    Added steps;
+    double gain[2];
+    int degree[2];
+} Hypothesis;
+
+/* Find the best set of steps near a place, of which the lowest order stands out, and describe it in `found`. */
+static void
+find_order(const Fit *f, double near, double step, Hypothesis *best, ChangePoint *found)
+{
+    found->gain = -INFINITY;
+    for (int k = 0; k < SETS; k++) {
+        ChangePoint one = {.place = near, .order = events[k].order[0]};
+        Hypothesis own = {.set = events + k};
+        After after;
+        int more[2];
+        double size[PAIR][3], square = 0.0;
+        one.gain = refine(f, own.set, step, &one.place, &one.place_sigma);
+        sum_after(f, &one.place, 1, MOST_ORDER / 2, &after);
+        own.steps = steps_of(own.set, &after);
+        gain_of(f, &own.steps, own.gain, own.degree);
+        for (int part = 0; part < 2; part++) {
+            more[part] = own.degree[part] + MORE_DEGREES;
+            more[part] = more[part] < f->simplest ? more[part] : f->simplest;
+        }
+        estimate_sizes(f, &own.steps, more, size, one.size_sigma);
+        memcpy(one.size, size[0], sizeof one.size);
+        for (int c = 0; c < 3; c++)
+            square += pow(one.size[c] / one.size_sigma[c], 2);
+        if (one.gain > found->gain && (own.set->count == 1 || square > STANDS_OUT))
+            *found = one, *best = own;
+    }
+}
+
+/* Whether a shorter window shows what the curve with the steps lets expect of it. `curve` has room for the
+   samples of the shorter window, three times. */
+static int
+is_confirmed(const Fit *f, const Fit *shorter, const Hypothesis *event, double place, double *curve)
+{
+    if (!(place > shorter->time[0] + 3 && place < shorter->time[shorter->count - 1] - 3))
+        return 1;
+    double size[PAIR][3], sigma[3], expected = 0.0, found = 0.0, gain[2];
+    int likeliest[2];
+    const Added *added = &event->steps;
+    Fit second = *shorter;
+    After after;
+    estimate_sizes(f, added, event->degree, size, sigma);
+    for (int c = 0; c < 3; c++) {
+        double *own = curve + c * second.count;
+        for (long long t = 0; t < second.count; t++) {
+            double since = second.time[t] - place;
+            long long row = second.time + t - f->time;
+            own[t] = 0.0;
+            for (int d = 0; d <= event->degree[c > 0]; d++) {
+                double along = f->along[d][c];
+                for (int k = 0; k < added->count; k++)
+                    along -= size[k][c] * added->along[d][k];
+                own[t] += along * f->basis[d * f->count + row];
+            }
+            for (int k = 0; k < added->count && since > 0; k++)
+                own[t] += size[k][c] * pow(since, event->set->order[k]) / tgamma(event->set->order[k] + 1);
+        }
+        second.values[c] = own;
+    }
+    fit_signals(&second, 1);
+    for (int k = 0; k < SETS; k++) {
+        sum_after(shorter, &place, 1, MOST_ORDER / 2, &after);
+        Added steps = steps_of(events + k, &after);
+        found = larger(found, gain_of(shorter, &steps, gain, likeliest));
+        sum_after(&second, &place, 1, MOST_ORDER / 2, &after);
+        steps = steps_of(events + k, &after);
+        expected = larger(expected, gain_of(&second, &steps, gain, likeliest));
+    }
+    return found >= CONFIRMED * expected - CONFIRMED_LESS;
+}
+
+/* Find an event in one window, of which `shorter` (0 or more) are parts; returns whether there is one. */
+static int
+search_window(const Fit *f, int shorter, double offset, double radius, Places *p, double *scratch,
+              ChangePoint *found)
+{
+    Hypothesis event;
+    int at, other;
+    double simple = 0.0;
+    list_places(f, -INFINITY, INFINITY, MOST_ORDER, p);
+    double best = best_place(f, events, p, &at);
+    if (best < enough[1] || fabs(p->place[at] - offset) > radius + 0.5 * p->step)
+        return 0;
+    double rival = best_place(f, rivals, p, &other);
+    if (best < rival + AHEAD)
+        return 0;
+    find_order(f, p->place[at], p->step, &event, found);
+    if (fabs(found->place - offset) > radius || found->gain < enough[event.set->order[0]])
+        return 0;
+    /* Without a shorter window nothing says whether more degrees would explain it. */
+    int most = found->order > 1 ? SIMPLE_DEGREE : shorter ? STEP_DEGREE : f->simplest - 1;
+    for (int part = 0; part < 2; part++)
+        simple += event.degree[part] <= most ? event.gain[part] : 0.0;
+    if ((found->order > 1 && rival > RIVAL_SHARE * found->gain) ||
+        ((found->order > 1 || !shorter) && simple < ENOUGH_SIMPLE))
+        return 0;
+    return !shorter || is_confirmed(f, f + 1, &event, found->place, scratch);
+}
+
+int
+kinpole_find_event(const double *time, const double *values, long long count, long long after,
+                   double offset, double radius, ChangePoint *found)
+{
+    Fit fits[MAX_WINDOWS];
+    int number = 0, is_likely[MAX_WINDOWS], any = 0, at;
+    size_t of_basis = (MAX_DEGREE + 1) * count;
+    double *memory = malloc((MAX_WINDOWS * of_basis + 3 * count) * sizeof(double));
+    Places *places = malloc(sizeof *places);
+    found->gain = -INFINITY;
+    for (int is_last = !memory || !places; !is_last && number < MAX_WINDOWS; after = (after + 1) / 2) {
+        is_last = after <= SHORTEST;
+        after = is_last ? SHORTEST : after;
+        Fit *f = fits + number;
+        if (!fit_window(time, values, count, after, memory + number * of_basis, f))
+            continue;
+        double around = ceil(radius) + ceil(3.0 * after / MAX_PLACES), center = rint(offset);
+        list_places(f, center - around, center + around, MOST_ORDER / 2, places);
+        is_likely[number] = best_place(f, events, places, &at) > enough[1];
+        any |= is_likely[number++];
+    }
+    for (int k = 0; k < (any ? number : 0); k++) {
+        ChangePoint one;
+        if (is_likely[k] && search_window(fits + k, number - 1 - k, offset, radius, places,
+                                          memory + MAX_WINDOWS * of_basis, &one) &&
+            one.gain > found->gain)
+            *found = one;
+    }
+    int code = !memory || !places ? -1 : found->gain > -INFINITY;
+    free(memory), free(places);
+    return code;
+}

@@ -1,0 +1,357 @@
+"""The tags of a film as markers in the plane of motion: four markers each, its corners."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kinpole_ros.bags import write_points
+from kinpole_ros.film._ground import PlaneMap, fit_plane, off_square, square_poses
+from kinpole_ros.film._lens import Lens, read_lens
+from kinpole_ros.film._tags import TagFinder
+from kinpole_ros.film._video import FilmError, Video
+
+Progress = Callable[[float], None]
+# m; the black square of a tag that `kinpole film --print` draws.
+SIZE = 0.04
+_LEAST_FRAMES = 5  # in which a tag is seen, else it is left out
+_MOST_OFF = 8.0  # residuals: a tag whose corners are farther off their square is partly hidden
+_LEAST_OFF = 0.03  # of the side, at least, which blur may well move a corner
+_MOVES = 3.0  # residuals that the ground moves in the picture, if the camera moves
+_SHOWN = 12  # tags that are named
+
+
+@dataclass(frozen=True)
+class FilmOptions:
+    """
+    What a film does not tell.
+
+    Attributes
+    ----------
+    size : float
+        Side of the black square of a tag, m.
+    ground : tuple of int
+        Tags that stand still; the center of the first is the origin, its top edge along x.
+    family : str
+        A key of `FAMILIES`, or 'auto'.
+    camera : str, optional
+        The file of the camera.
+    line_time : float
+        s from one row of a picture to the next (rolling shutter); the stamps are of the middle row.
+
+    """
+
+    size: float = SIZE
+    ground: tuple[int, ...] = (0,)
+    family: str = 'auto'
+    camera: str | None = None
+    line_time: float = 0.0
+
+    def check(self) -> None:
+        """Raise FilmError for a value out of range."""
+        if not 0 < self.size < 100:
+            raise FilmError(f'--size is {self.size}; it must be more than 0 m, the side of a tag')
+        if not 0 <= self.line_time < 0.01:
+            raise FilmError(f'--line-time is {self.line_time}; it must be from 0 to 0.01 s')
+
+
+@dataclass(frozen=True)
+class Filmed:
+    """
+    The tags of a film.
+
+    Attributes
+    ----------
+    tags : tuple of int
+        Their numbers.
+    stamps : ndarray
+        (T,) int64, ns, from the first picture on.
+    corners : ndarray
+        (T, n, 4), complex, m, in the plane of motion; NaN where not seen.
+    maps : list of PlaneMap
+        The map of each picture, or one for all.
+    lens : Lens or None
+        The camera, if its file was given.
+    assumed : list of str
+        What was assumed, and the options that change it, a line each.
+
+    """
+
+    tags: tuple[int, ...]
+    stamps: np.ndarray
+    corners: np.ndarray
+    maps: list[PlaneMap]
+    lens: Lens | None
+    assumed: list[str]
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the markers: tag3_1 is the top left corner of tag 3, then clockwise."""
+        return [f'tag{tag}_{k}' for tag in self.tags for k in range(1, 5)]
+
+    def to_pixels(self, points: np.ndarray, number: int) -> np.ndarray:
+        """Return the pixels (..., 2) of points (...), complex, m, in the picture of a number."""
+        pixels = self.maps[min(number, len(self.maps) - 1)].to_pixels(points)
+        return self.lens.curved(pixels) if self.lens is not None else pixels
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Tags in the pictures: numbers, stamps (T,), pixels (T, n, 4, 2), and the picture's size."""
+
+    tags: list[int]
+    stamps: np.ndarray
+    pixels: np.ndarray
+    picture: tuple[int, int]
+    family: str
+
+
+def read_film(
+    path: str | Path, options: FilmOptions | None = None, progress: Progress | None = None
+) -> Filmed:
+    """
+    Find the tags of a film, and place them in the plane of motion.
+
+    Parameters
+    ----------
+    path : str or Path
+        The video.
+    options : FilmOptions, optional
+        What it does not tell.
+    progress : callable, optional
+        Called with the fraction done.
+
+    Returns
+    -------
+    Filmed
+
+    Raises
+    ------
+    FilmError
+        If it cannot be read, or shows no tags.
+
+    """
+    options = options or FilmOptions()
+    options.check()
+    video = Video(path)
+    seen = _find_tags(video, options, progress)
+    lens = None
+    if options.camera is not None:
+        lens = read_lens(options.camera, seen.picture)
+    pixels = seen.pixels.astype(float)
+    if options.line_time:
+        pixels = _at_one_instant(seen, options.line_time)
+    if lens is not None:
+        pixels = lens.straight(pixels)
+    is_seen = np.isfinite(pixels).all(axis=(2, 3))
+    plane = fit_plane(pixels[is_seen], options.size, seen.picture, lens is not None)
+    corners = plane.to_plane(pixels)
+    pixel = options.size / np.median(np.linalg.norm(np.diff(pixels[is_seen], axis=1), axis=-1))
+    _leave_out_hidden(corners, options.size, plane.residual, pixel)
+    maps, ground_line = _on_ground(corners, seen.tags, plane, options, pixel)
+    for tag in options.ground:
+        if tag in seen.tags:  # it stands still, also where it is hidden
+            corners[:, seen.tags.index(tag)] = _median(corners[:, seen.tags.index(tag)])
+    assumed = [
+        _film_line(video, seen, options),
+        _tag_line(seen, corners, options),
+        ground_line,
+        _lens_line(plane, options),
+        f'noise of a corner {plane.residual:.2g} pixels or {plane.residual * pixel * 1e3:.2g} mm, '
+        'by its square; estimated again from the markers when they are replayed',
+    ]
+    return Filmed(tuple(seen.tags), seen.stamps, corners, maps, lens, assumed)
+
+
+def film_to_bag(
+    path: str | Path,
+    output: str | Path,
+    options: FilmOptions | None = None,
+    progress: Progress | None = None,
+) -> Filmed:
+    """
+    Write the tags of a film to a bag, as visualization_msgs/MarkerArray on /markers.
+
+    Parameters
+    ----------
+    path : str or Path
+        The video.
+    output : str or Path
+        The .mcap file.
+    options : FilmOptions, optional
+        What the film does not tell.
+    progress : callable, optional
+        Called with the fraction done.
+
+    Returns
+    -------
+    Filmed
+
+    """
+    filmed = read_film(path, options, progress)
+    flat = filmed.corners.reshape(len(filmed.stamps), -1)
+    points = np.stack((flat.real, flat.imag, np.where(np.isnan(flat), np.nan, 0.0)), axis=-1)
+    write_points(output, filmed.names, filmed.stamps, points)
+    return filmed
+
+
+def _find_tags(video: Video, options: FilmOptions, progress: Progress | None) -> _Seen:
+    """Find the tags in all pictures."""
+    finder = TagFinder(options.family)
+    stamps, found = [], []
+    picture = (0, 0)
+    for picture_seen in video.pictures():
+        height, width = picture_seen.gray.shape
+        if picture not in ((0, 0), (width, height)):
+            video.cut = f'{video.path}: the size of its pictures changes; what follows is left out'
+            break
+        picture = width, height
+        tags, corners = finder.find(picture_seen.gray)
+        stamps.append(picture_seen.stamp)
+        found.append((tags, corners.places.astype(np.float32)))
+        if progress is not None and video.count:
+            progress(min(1.0, len(stamps) / video.count))
+    counts: dict[int, int] = {}
+    for tags, _ in found:
+        for tag in tags:
+            counts[tag] = counts.get(tag, 0) + 1
+    kept = sorted(tag for tag, count in counts.items() if count >= _LEAST_FRAMES)
+    if not kept:
+        cut = f', and {video.cut}' if video.cut else ''
+        raise FilmError(
+            f'{video.path} shows no tag in {_LEAST_FRAMES} pictures ({len(stamps)} were searched'
+            f'{cut}); fix: tape tags of `kinpole film --print` on the links, and film nearer, in '
+            'more light'
+        )
+    columns = {tag: k for k, tag in enumerate(kept)}
+    pixels = np.full((len(stamps), len(kept), 4, 2), np.nan, np.float32)
+    for row, (tags, places) in enumerate(found):
+        for tag, place in zip(tags, places, strict=True):
+            if tag in columns:
+                pixels[row, columns[tag]] = place
+    return _Seen(kept, np.array(stamps, np.int64), pixels, picture, finder.family)
+
+
+def _at_one_instant(seen: _Seen, line_time: float) -> np.ndarray:
+    """
+    Return the pixels (T, n, 4, 2) at the stamps of their pictures.
+
+    A row is exposed later than the one above it. A corner is moved to the stamp along the parabola
+    through three pictures; one that is seen in fewer at a time is left out.
+    """
+    pixels = seen.pixels.astype(float)
+    stamp = (seen.stamps * 1e-9)[:, None, None]
+    time = stamp + line_time * (pixels[..., 1] - (seen.picture[1] - 1) / 2)
+    moved = np.full(pixels.shape, np.nan)
+    for first in (-1, -2, 0):  # the middle one of three pictures, else the last or the first
+        steps = [first, first + 1, first + 2]
+        rows = np.arange(max(0, -first), len(pixels) - max(0, first + 2))
+        near = [(time[rows + step], pixels[rows + step]) for step in steps]
+        total = np.zeros((len(rows), *pixels.shape[1:]))
+        for k, (own, place) in enumerate(near):
+            share = np.ones(own.shape)
+            for other, _ in near[:k] + near[k + 1 :]:
+                share = share * (stamp[rows] - other) / (own - other)
+            total += share[..., None] * place
+        target = moved[rows]
+        moved[rows] = np.where(np.isnan(target), total, target)
+    return moved
+
+
+def _leave_out_hidden(corners: np.ndarray, size: float, residual: float, pixel: float) -> None:
+    """Set the corners (T, n, 4) of tags that are no squares to NaN, in place."""
+    with np.errstate(invalid='ignore'):
+        off = np.abs(off_square(corners, size)).max(axis=-1) / pixel
+        corners[off > max(_MOST_OFF * residual, _LEAST_OFF * size / pixel)] = np.nan
+
+
+def _on_ground(
+    corners: np.ndarray, tags: list[int], plane: PlaneMap, options: FilmOptions, pixel: float
+) -> tuple[list[PlaneMap], str]:
+    """Move corners (T, n, 4), in place, and the map to the axes of the ground; return a line."""
+    own = [tags.index(tag) for tag in options.ground if tag in tags]
+    change = 'to change: --ground 7'
+    if not own:
+        ids = ', '.join(map(str, options.ground))
+        return [plane], (
+            f'ground: tag {ids} is not seen, so the origin is the middle of the picture, and the '
+            f'camera is taken to stand still; {change}'
+        )
+    center, turn = square_poses(corners[:, own])
+    name = f'tag {tags[own[0]]}'
+    place = complex(_median(center[:, 0]))
+    angle = float(np.angle(np.nanmean(turn[:, 0])))
+    noise = max(plane.residual * pixel, 1e-12)
+    spread = np.abs(center[:, 0] - place)
+    if not np.nanmedian(spread) > _MOVES * noise:
+        corners -= place
+        corners *= np.exp(-1j * angle)
+        line = f'ground: {name} is the origin, x along its top edge; the camera stands still'
+        return [plane.moved(place, angle)], f'{line}; {change}'
+    places, angles = _camera_motion(corners[:, own])
+    corners -= places[:, None, None]
+    corners *= np.exp(-1j * angles)[:, None, None]
+    maps = [plane.moved(complex(p), float(a)) for p, a in zip(places, angles, strict=True)]
+    moved = np.nanmedian(spread) / pixel
+    line = f'ground: {name} is the origin, x along its top edge; the camera moves by {moved:.2g} '
+    return maps, f'{line}pixels, which the ground corrects; a tripod is better; {change}'
+
+
+def _camera_motion(ground: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return places and angles (T,) of the ground, of which corners (T, G, 4) are seen."""
+    center, turn = square_poses(ground)
+    # The other tags of the ground, as the first one sees them.
+    shape = (ground - center[:, :1, None]) * np.conj(turn[:, :1, None])
+    shape = _median(shape)
+    is_seen = np.isfinite(ground) & np.isfinite(shape)
+    count = np.maximum(is_seen.sum(axis=(1, 2)), 1)
+    seen, wanted = np.where(is_seen, ground, 0), np.where(is_seen, shape, 0)
+    middle = seen.sum(axis=(1, 2)) / count
+    middle_wanted = wanted.sum(axis=(1, 2)) / count
+    arm = np.where(is_seen, ground - middle[:, None, None], 0)
+    arm_wanted = np.where(is_seen, shape - middle_wanted[:, None, None], 0)
+    angle = np.unwrap(np.angle((arm * np.conj(arm_wanted)).sum(axis=(1, 2))))
+    place = middle - middle_wanted * np.exp(1j * angle)
+    unseen = ~is_seen.any(axis=(1, 2))
+    place[unseen], angle[unseen] = np.nan, np.nan
+    return place, angle
+
+
+def _median(numbers: np.ndarray) -> np.ndarray:
+    """Return the medians (...) of both parts of complex numbers (T, ...), without NaN."""
+    return np.asarray(np.nanmedian(numbers.real, axis=0) + 1j * np.nanmedian(numbers.imag, axis=0))
+
+
+def _film_line(video: Video, seen: _Seen, options: FilmOptions) -> str:
+    count = len(seen.stamps)
+    seconds = float(seen.stamps[-1]) * 1e-9
+    rate = f' at {1e9 / float(np.median(np.diff(seen.stamps))):.4g} Hz' if count > 1 else ''
+    late = f', {video.late} left out whose stamps do not increase' if video.late else ''
+    cut = f'; {video.cut}' if video.cut else ''
+    shutter = f'{options.line_time * 1e6:.3g} us' if options.line_time else 'none'
+    return (
+        f'film: {count} pictures of {seen.picture[0]} x {seen.picture[1]} in {seconds:.4g} s{rate} '
+        f'by the stamps of the file{late}; rolling shutter: {shutter}{cut}; to change: --line-time'
+    )
+
+
+def _tag_line(seen: _Seen, corners: np.ndarray, options: FilmOptions) -> str:
+    shares = np.isfinite(corners).all(axis=-1).mean(axis=0)
+    names = ', '.join(map(str, seen.tags[:_SHOWN])) + (', ...' if len(seen.tags) > _SHOWN else '')
+    worst = int(shares.argmin())
+    side = float(np.nanmedian(np.linalg.norm(np.diff(seen.pixels, axis=2), axis=-1)))
+    return (
+        f'tags: {names} of family {seen.family}, {side:.3g} pixels and {options.size * 1e3:.4g} mm '
+        f'wide, seen in {shares.min():.0%} of the pictures or more (tag {seen.tags[worst]}); to '
+        'change: --size 40mm, --family'
+    )
+
+
+def _lens_line(plane: PlaneMap, options: FilmOptions) -> str:
+    if options.camera is not None:
+        return f'lens: corrected by {options.camera}; perspective: such that all tags are squares'
+    return (
+        f'lens and perspective: such that all tags are squares of one size; the lens bends by '
+        f'{abs(plane.bending):.1%} at the edge of the picture; to change: --camera FILE'
+    )

@@ -1,0 +1,179 @@
+"""A film of printed tags becomes markers in the plane, by the exact motion that it shows."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('cv2')
+pytest.importorskip('av')
+
+from rendered import FOUR_BAR, Camera, Film, Tag
+
+from kinpole_ros import replay
+from kinpole_ros.bags import read_frames
+from kinpole_ros.film import FilmError, FilmOptions, film_to_bag, read_film
+from kinpole_ros.mechanism import load_scene
+from kinpole_ros.tools.cli import main
+
+SIZE = FOUR_BAR[0].size
+GROUND = FOUR_BAR[0].center
+OPTIONS = FilmOptions(size=SIZE)
+BODIES = {'crank': (1, 2), 'coupler': (3, 4), 'rocker': (5, 6)}
+PARAMETERS = {
+    'bodies': list(BODIES),
+    **{
+        f'{body}.markers': [f'tag{tag}_{k}' for tag in tags for k in range(1, 5)]
+        for body, tags in BODIES.items()
+    },
+}
+SMALL = Camera((1152, 648), width=0.95, target=0.15 + 0.1j)
+
+
+def times(count: int, rate: float = 30.0) -> np.ndarray:
+    return 0.1 + np.arange(count) / rate
+
+
+def exact(film: Film) -> np.ndarray:
+    """The corners (T, n, 4) of the tags, complex, m, in the axes of the tag on the ground."""
+    square = np.array([-1 + 1j, 1 + 1j, 1 - 1j, -1 - 1j]) / 2
+    poses = film.poses(film.times).values()
+    corners = [
+        place[0][:, None] + tag.size * square * np.exp(1j * turn[0])[:, None]
+        for tag, (place, turn) in zip(film.tags, poses, strict=True)
+    ]
+    return np.stack(corners, axis=1) - GROUND
+
+
+def rms(off: np.ndarray) -> float:
+    """Per axis, m."""
+    return float(np.sqrt(np.nanmean(np.abs(off) ** 2) / 2))
+
+
+@pytest.fixture(scope='module')
+def four_bar(tmp_path_factory: pytest.TempPathFactory) -> tuple[Film, Path]:
+    """A second of the four-bar, 24 mm tags of 29 pixels, and its video."""
+    film = Film(times(45), camera=SMALL)
+    return film, film.write(tmp_path_factory.mktemp('film') / 'four_bar.mp4')
+
+
+def test_corners_are_where_the_tags_are(four_bar: tuple[Film, Path]) -> None:
+    film, path = four_bar
+    filmed = read_film(path, OPTIONS)
+    assert filmed.tags == tuple(range(7))
+    assert np.isfinite(filmed.corners).mean() > 0.99
+    # 0.1 pixels are 0.08 mm.
+    assert rms(filmed.corners - exact(film)) < 0.2e-3
+    assert np.abs(np.diff(filmed.stamps) - 1e9 / 30).max() < 1e5
+    pixels = np.stack(list(film.corners().values()), axis=1)
+    shown = np.stack([filmed.to_pixels(row, k) for k, row in enumerate(filmed.corners)])
+    assert np.nanmax(np.abs(shown - pixels)) < 1.5
+    assert len(filmed.assumed) == 5
+
+
+def test_rates_and_poles_of_the_bag_are_those_of_the_motion(
+    four_bar: tuple[Film, Path], tmp_path: Path
+) -> None:
+    film, path = four_bar
+    bag = tmp_path / 'four_bar.mcap'
+    film_to_bag(path, bag, OPTIONS)
+    result = replay(bag, **PARAMETERS)
+    motion = load_scene('four_bar').motion(result.t + film.times[0])['coupler']
+    coupler = result['coupler']
+    error = coupler.angular_velocity - motion.angle[1]
+    assert np.median(np.abs(error / motion.angle[1])) < 0.02
+    assert np.mean(np.abs(error) < 2 * coupler.angular_velocity_sigma) >= 0.9
+    center = motion.position[0] + 1j * motion.position[1] / motion.angle[1] - GROUND
+    off = np.abs(coupler.icr @ (1, 1j) - center)
+    assert np.nanmedian(off) < 0.01 * film.camera.width
+
+
+def test_a_lens_and_uneven_stamps_and_a_rolling_shutter_are_corrected(tmp_path: Path) -> None:
+    camera = replace(SMALL, lens=(-0.12, 0.02, 0.001, 0.0))
+    random = np.random.default_rng(1)
+    uneven = times(20) + random.uniform(-0.008, 0.008, 20)
+    line_time = 40e-6
+    film = Film(uneven, camera=camera, line_time=line_time)
+    path = film.write(tmp_path / 'phone.mp4')
+    camera.write(tmp_path / 'camera.yaml')
+    given = FilmOptions(size=SIZE, camera=str(tmp_path / 'camera.yaml'), line_time=line_time)
+    filmed = read_film(path, given)
+    assert np.abs(np.diff(filmed.stamps) * 1e-9 - np.diff(uneven)).max() < 1e-4
+    assert rms(filmed.corners - exact(film)) < 0.25e-3
+    # Without each of them it is worse.
+    others = [FilmOptions(size=SIZE, camera=given.camera), FilmOptions(SIZE, line_time=line_time)]
+    assert rms(read_film(path, others[0]).corners - exact(film)) > 0.5e-3
+
+
+def test_a_tag_behind_a_finger_is_left_out_and_found_again(tmp_path: Path) -> None:
+    film = Film(times(24), camera=SMALL, hidden={4: range(8, 14)})
+    filmed = read_film(film.write(tmp_path / 'finger.mp4'), OPTIONS)
+    is_seen = np.isfinite(filmed.corners).all(axis=-1)
+    assert not is_seen[8:14, 4].any()
+    assert is_seen[15:, 4].all()
+    assert is_seen[:, [0, 1, 2, 3, 5, 6]].mean() > 0.98
+    assert rms(filmed.corners - exact(film)) < 0.3e-3
+
+
+def test_markers_have_the_names_of_their_tags(four_bar: tuple[Film, Path], tmp_path: Path) -> None:
+    bag = tmp_path / 'named.mcap'
+    assert main(['film', str(four_bar[1]), '--size', '24mm', '--output', str(bag)]) == 0
+    frames, topic = read_frames(bag, None, 60.0)
+    assert topic == '/markers'
+    assert frames[0].identities[8:12] == tuple(f'tag2_{k}/{k + 7}' for k in range(1, 5))
+
+
+@pytest.mark.parametrize(
+    ('content', 'text'),
+    [(b'', 'cannot be read as a video'), (b'\0' * 5000, 'cannot be read as a video')],
+)
+def test_what_is_no_video_is_refused_in_one_line(
+    content: bytes, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'x.mp4'
+    path.write_bytes(content)
+    assert main(['film', str(path), '--output', str(tmp_path / 'x.mcap')]) == 2
+    error = capsys.readouterr().err
+    assert text in error and error.count('\n') == 1
+    assert not (tmp_path / 'x.mcap').exists()
+
+
+def test_a_film_without_tags_is_refused(tmp_path: Path) -> None:
+    film = Film(times(8), tags=(Tag(1, 'crank', 5.0 + 0j),), camera=Camera((320, 180)))
+    with pytest.raises(FilmError, match='shows no tag'):
+        read_film(film.write(tmp_path / 'empty.mp4'))
+
+
+@pytest.mark.parametrize('ending', ['mp4', 'mkv'])
+def test_damaged_videos_end_in_one_line(ending: str, tmp_path: Path) -> None:
+    film = Film(times(12), camera=SMALL)
+    whole = film.write(tmp_path / f'whole.{ending}').read_bytes()
+    random = np.random.default_rng(0)
+    path = tmp_path / f'damaged.{ending}'
+    read = 0
+    for number in range(12):
+        damaged = bytearray(whole)
+        for place in random.integers(0, len(whole), 1 + 3 * number):
+            damaged[place] = random.integers(256)
+        path.write_bytes(
+            damaged[: random.integers(len(whole) // 2, len(whole)) if number % 2 else None]
+        )
+        try:
+            read += bool(read_film(path, OPTIONS).tags)
+        except FilmError as error:
+            assert '\n' not in str(error)
+    assert read
+
+
+def test_without_the_extra_one_line_names_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in [name for name in sys.modules if name.startswith('kinpole_ros.film')]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, 'cv2', None)
+    monkeypatch.setitem(sys.modules, 'av', None)
+    assert main(['film', 'x.mp4', '--output', str(tmp_path / 'x.mcap')]) == 2
+    error = capsys.readouterr().err
+    assert "pip install 'kinpole_ros[film]'" in error and error.count('\n') == 1
