@@ -70,41 +70,47 @@ def curved_bodies(here: SolvedScene) -> list[BodyCurvature]:
     """Return the bodies whose pole moves; bodies that move alike are one. Raises SceneError."""
     scene, motion = here.scene, here.motion
     body_poles, rates = poles(scene.mechanism, motion), motion.angle[1, :, 0]
-    speed = np.abs(body_poles.velocity[:, 0])
-    found: dict[tuple[float, ...], BodyCurvature] = {}
-    fastest = np.nanmax(np.abs(rates), initial=0.0)
+    speeds = np.abs(body_poles.velocity[:, 0])
+    least_speed, least_rate = (
+        _ROUNDING * np.nanmax(np.abs(sizes), initial=0.0) for sizes in (speeds, rates)
+    )
+    alike: dict[tuple[float, ...], tuple[str, dict[str, complex]]] = {}
+    found: dict[str, BodyCurvature] = {}
     for b, body in enumerate(scene.mechanism.bodies):
-        pole, velocity = complex(body_poles.icr[b, 0]), complex(body_poles.velocity[b, 0])
-        if not speed[b] > _ROUNDING * np.nanmax(speed, initial=0.0) or abs(rates[b]) <= _ROUNDING * fastest:
+        # NaN where there is no pole.
+        if not speeds[b] > least_speed or abs(rates[b]) <= least_rate:
             continue
-        rate = float(rates[b])
         own = {_label(n): z for n, (of, z) in scene.points.items() if of == body}
         if not scene.mechanism.assembly.joints:
             own |= {f'{body} tail': 0j, f'{body} head': body_vector(scene, body)}
         turn, origin = np.exp(1j * motion.angle[0, b, 0]), motion.position[0, b, 0]
-        points = {name: complex(origin + z * turn) for name, z in own.items()}
-        key = tuple(np.round([rate / fastest, *planar.to_plane(pole)], 9))
-        if key in found:
-            points = found[key].points | points
-            body = found[key].name
-        about = [planar.to_plane(z) for z in (pole, velocity)]
-        circle = planar.inflection_circle(rate, *about)
-        inflection = complex(2 * planar.to_complex(circle.center) - pole)
-        ordered = _ordered(points, pole)
-        if not ordered:
-            continue
-        at = planar.to_plane(np.array(list(ordered.values())))
-        ends = planar.to_complex(planar.path_curvature(at, rate, *about).center)
-        # A center this far away is at infinity but for rounding.
-        near = np.abs(ends - pole) < np.abs(inflection - pole) / _ROUNDING
-        ends[~near] = np.nan
-        centers = dict(zip(ordered, ends.tolist(), strict=True))
-        found[key] = BodyCurvature(body, ordered, centers, pole, velocity, inflection)
+        pole, velocity = complex(body_poles.icr[b, 0]), complex(body_poles.velocity[b, 0])
+        share = _ROUNDING * rates[b] / least_rate
+        key = tuple(np.round([share, *planar.to_plane(pole)], 9))
+        name, points = alike.setdefault(key, (body, {}))
+        points |= {point: complex(origin + z * turn) for point, z in own.items()}
+        if ordered := _ordered(points, pole):
+            found[name] = _curvature(name, ordered, float(rates[b]), pole, velocity)
     if not found:
         raise SceneError(
             f'--curvature: no body of {scene.name} has a pole that moves here: give another --at'
         )
     return list(found.values())
+
+
+def _curvature(
+    name: str, points: dict[str, complex], rate: float, pole: complex, velocity: complex
+) -> BodyCurvature:
+    about = [planar.to_plane(z) for z in (pole, velocity)]
+    middle = complex(planar.to_complex(planar.inflection_circle(rate, *about).center))
+    inflection = 2 * middle - pole
+    at = planar.to_plane(np.array(list(points.values())))
+    centers = planar.to_complex(planar.path_curvature(at, rate, *about).center)
+    # A center this far away is at infinity but for rounding.
+    near = np.abs(centers - pole) < np.abs(inflection - pole) / _ROUNDING
+    centers[~near] = np.nan
+    named = dict(zip(points, centers.tolist(), strict=True))
+    return BodyCurvature(name, points, named, pole, velocity, inflection)
 
 
 def _label(name: str) -> str:
