@@ -127,6 +127,7 @@ setup(
             'hypothesis>=6.90',
             'mcap-ros2-support>=0.5',
             'mpmath>=1.3',
+            'mujoco>=3.2',
             # Fixed, since later ones find fault with what these let pass.
             'mypy==2.4.*',
             'packaging>=23',
@@ -135,6 +136,7 @@ setup(
             'pytest-xdist>=3.3',
             'ruff==0.17.*',
             'uv>=0.4',
+            'yourdfpy>=0.0.56',
         ],
     },
     zip_safe=False,

@@ -209,3 +209,21 @@ def browser() -> Iterator[Any]:
         browser = driver.chromium.launch(executable_path=path, args=['--no-sandbox'])
         yield browser
         browser.close()
+
+
+def polylines(path: Path) -> list[tuple[str, bool, np.ndarray]]:
+    """Layer, whether closed, and points (n,) of each polyline of a DXF file, R12."""
+    rows = path.read_text(encoding='ascii').splitlines()
+    pairs = list(zip(map(int, rows[::2]), rows[1::2], strict=True))
+    assert pairs[-1] == (0, 'EOF')
+    found: list[tuple[str, bool, list[complex]]] = []
+    kind, last = '', {}
+    for code, value in [*pairs, (0, '')]:
+        if code == 0:
+            if kind == 'POLYLINE':
+                found.append((last[8], last[70] == '1', []))
+            elif kind == 'VERTEX':
+                found[-1][2].append(complex(float(last[10]), float(last[20])))
+            kind, last = value, {}
+        last[code] = value
+    return [(layer, closed, np.array(points)) for layer, closed, points in found]

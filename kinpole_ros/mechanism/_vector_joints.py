@@ -64,9 +64,6 @@ def reactions(scene: Scene, values: Real, loads: Sequence[Load]) -> Statics:
         of the vectors, which has efforts alone.
 
     """
-    vectors = Statics(scene.mechanism, values, loads)
-    if scene.mechanism.assembly.joints:
-        return vectors
     sizes = np.array([dimension.value for dimension in scene.equations.dimensions])
     on_carriers = []
     for load in loads:
@@ -75,27 +72,40 @@ def reactions(scene: Scene, values: Real, loads: Sequence[Load]) -> Statics:
         if isinstance(load, Force):
             load = load._replace(point=load.point + part_sum(parts, sizes)[0])
         on_carriers.append(load)
-    joints = joints_of(scene, [load.body for load in on_carriers])
+    mechanism, here = jointed(scene, values, [load.body for load in on_carriers])
+    if mechanism is scene.mechanism:
+        return Statics(mechanism, values, loads)
+    return Statics(mechanism, here, on_carriers)
+
+
+def jointed(scene: Scene, values: Real, loaded: Sequence[str] = ()) -> tuple[Mechanism, Real]:
+    """
+    The mechanism of bodies and joints that vectors are, and its variables at theirs (n, T).
+
+    The scene's own mechanism and `values` if it has joints, or if its vectors are no such
+    mechanism.
+    """
+    joints = joints_of(scene, loaded)
+    if scene.mechanism.assembly.joints:
+        return scene.mechanism, values
     struts = {joint.name for joint in joints if joint.is_span}
     bodies = [body for body in scene.equations.bodies if body not in (GROUND, *struts)]
     try:
         assembly = assemble(bodies, joints)
     except LinkageError:
-        return vectors
+        return scene.mechanism, values
     poses = poses_of(scene.mechanism.assembly, values)
     own = {body: poses[body].angle for body in bodies}
     for joint in joints:
         own |= _own_values(joint, poses[joint.one], poses[joint.other])
     names = assembly.loops.variables
     drivers = tuple(
-        driver._replace(row=_row(scene, joints, names, driver.row))
-        for driver in scene.mechanism.drivers
+        driver._replace(row=_row(scene, names, driver.row)) for driver in scene.mechanism.drivers
     )
     here = np.array([own[name] for name in names])
-    mechanism = Mechanism(assembly, drivers, here[:, 0])
     if mobility(assembly, here[:, 0])[1] != len(drivers):
-        return vectors
-    return Statics(mechanism, here, on_carriers)
+        return scene.mechanism, values
+    return Mechanism(assembly, drivers, here[:, 0]), here
 
 
 def _own_values(joint: Joint, one: Pose, other: Pose) -> dict[str, Real]:
@@ -108,7 +118,7 @@ def _own_values(joint: Joint, one: Pose, other: Pose) -> dict[str, Real]:
     return {}
 
 
-def _row(scene: Scene, joints: Sequence[Joint], names: Sequence[str], row: Real) -> Real:
+def _row(scene: Scene, names: Sequence[str], row: Real) -> Real:
     """The row of a driver, with the names of the joints' variables in place of the vectors'."""
     equations = scene.equations
     slots = {

@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from conftest import polylines
 from test_centers import FOUR_BAR, four_bar, linkage, pin
 
 from kinpole_ros.mechanism import SceneError
@@ -283,24 +284,6 @@ def test_pitch_curves_are_drawn_to_scale_in_millimeters(tmp_path: Path) -> None:
         assert top < drawn[:, 1].min()
         assert drawn[:, 1].max() < top + height
         assert [text.text for text in group.findall(f'{space}text')][:2] == ['x', 'y']
-
-
-def polylines(path: Path) -> list[tuple[str, bool, np.ndarray]]:
-    """Layer, whether closed, and points (n,) of each polyline of a DXF file, R12."""
-    rows = path.read_text(encoding='ascii').splitlines()
-    pairs = list(zip(map(int, rows[::2]), rows[1::2], strict=True))
-    assert pairs[-1] == (0, 'EOF')
-    found: list[tuple[str, bool, list[complex]]] = []
-    kind, last = '', {}
-    for code, value in [*pairs, (0, '')]:
-        if code == 0:
-            if kind == 'POLYLINE':
-                found.append((last[8], last[70] == '1', []))
-            elif kind == 'VERTEX':
-                found[-1][2].append(complex(float(last[10]), float(last[20])))
-            kind, last = value, {}
-        last[code] = value
-    return [(layer, closed, np.array(points)) for layer, closed, points in found]
 
 
 def test_pitch_curves_as_dxf_are_closed_where_they_close(tmp_path: Path) -> None:

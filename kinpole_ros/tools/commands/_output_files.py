@@ -17,10 +17,11 @@ _ENDINGS = {
     'a PlotJuggler layout': ('.xml',),
     'a picture': ('.png', '.pdf', '.svg', '.jpg', '.jpeg'),
     'a pair of pitch curves': ('.csv', '.svg', '.dxf'),
+    'a linkage for other programs': ('.dxf', '.xml', '.urdf'),
 }
 # Kinds that need one of their endings: browsers go by the ending of a page, and the ending of pitch
 # curves is their format. Other kinds accept any ending that is not of another kind.
-_STRICT = ('an HTML page', 'a pair of pitch curves')
+_STRICT = ('an HTML page', 'a pair of pitch curves', 'a linkage for other programs')
 
 # The option that names a file, the file (None if not given), and its kind: a key of _ENDINGS, or ''
 # where the writer checks the ending.

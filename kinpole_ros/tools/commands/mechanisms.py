@@ -45,6 +45,11 @@ from kinpole_ros.tools.commands._terminal import UsageError, print_error, print_
         'time 0, or at the end of --time',
     ),
     option(
+        '--curvature FILE.svg',
+        'inflection circles and centers of curvature by Euler-Savary and Bobillier, to scale, .svg '
+        'or .png, at the same position',
+    ),
+    option(
         '--decompose BODY:A,B FILE.svg',
         "Poisson's decomposition: translation with the point A and rotation about it, and the same "
         'for B, from time 0 to --at or the end of --time, and of the velocities there',
@@ -53,6 +58,11 @@ from kinpole_ros.tools.commands._terminal import UsageError, print_error, print_
     option(
         '--animate FILE.gif',
         'the linkage in motion, over and over: .gif, .svg, or .mp4 if ffmpeg is installed',
+    ),
+    option(
+        '--export FILE.dxf',
+        'the linkage for other programs: .dxf with the paths of its points, in mm; .xml for MuJoCo '
+        'or .urdf, for pins, slots and cylinders',
     ),
     option(
         '--html FILE.html',
@@ -86,7 +96,9 @@ def solve(options: argparse.Namespace) -> int:
         ('--plot', options.plot, ''),
         ('--html', options.html, 'an HTML page'),
         ('--polygon', options.polygon, ''),
+        ('--curvature', options.curvature, ''),
         ('--animate', options.animate, ''),
+        ('--export', options.export, 'a linkage for other programs'),
         ('--pitch', options.pitch[2] if options.pitch else None, 'a pair of pitch curves'),
         ('--decompose', options.decompose[1] if options.decompose else None, ''),
     ]

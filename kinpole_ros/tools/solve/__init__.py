@@ -34,7 +34,8 @@ def solve_scene(options: Namespace) -> list[str]:
     if the linkage does not reach the position.
     """
     # Drawings are written as SVG without matplotlib.
-    drawings = [path for path in (options.polygon, *options.decompose[1:]) if path]
+    files = options.polygon, options.curvature, *options.decompose[1:]
+    drawings = [path for path in files if path]
     for path in (options.plot, *(path for path in drawings if _ending(path) != 'svg')):
         if path:
             from kinpole_ros.tools.plot import picture_format  # which needs mcap
@@ -150,12 +151,21 @@ class _Analysis:
             with _solution.open_output(options.animate) as part:
                 about = write_animation(part, kind, self.motion)
             yield f'written to {options.animate}: {about}'
+        if options.export:
+            yield from self._export(options.export)
         if options.polygon:
             from kinpole_ros.tools.solve._polygons import polygon_lines, polygon_panels
 
             yield from polygon_lines(self.here)
             title = 'velocity and acceleration polygons'
             yield self._draw(options.polygon, title, polygon_panels(self.here, self.drawn))
+        if options.curvature:
+            from kinpole_ros.tools.solve import _curvature_drawing
+
+            bodies = _curvature_drawing.curved_bodies(self.here)
+            yield from _curvature_drawing.curvature_lines(bodies)
+            panels = _curvature_drawing.curvature_panels(self.here, self.drawn, bodies)
+            yield self._draw(options.curvature, 'curvature of paths', panels)
         if options.decompose:
             from kinpole_ros.tools.solve import _decomposition
 
@@ -165,6 +175,21 @@ class _Analysis:
             yield from _decomposition.decomposition_lines(body)
             title = f'motion of {body.name} as translation and rotation'
             yield self._draw(file, title, _decomposition.decomposition_panels(body))
+
+    def _export(self, file: str) -> Iterator[str]:
+        """Write the linkage for another program; yield lines about it."""
+        kind, left_out = _ending(file), list[str]()
+        with _solution.open_output(file) as part:
+            if kind == 'dxf':
+                from kinpole_ros.tools.solve._dxf import write_linkage
+
+                write_linkage(part, self.motion, self.here)
+            else:
+                from kinpole_ros.tools.solve._robot_models import write_model
+
+                left_out = write_model(part, kind, self.motion, self.here)
+        yield f'written to {file}'
+        yield from left_out
 
     def _draw(self, file: str, title: str, panels: list[Panel]) -> str:
         """Write panels as one drawing; return a line."""

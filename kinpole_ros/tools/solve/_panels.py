@@ -31,6 +31,10 @@ STYLES: dict[str, tuple[str, float, str, bool]] = {
     'slide': ('#8a6100', 1.4, '6 3', True),
     'fixed': ('#c08a2b', 3.0, '', False),
     'moving': ('#0060a8', 1.5, '6 3', False),
+    'inflection': ('#00785a', 1.6, '', False),
+    'ray': ('#0060a8', 1.3, '', False),
+    'axis': ('#a83200', 1.8, '8 4', False),
+    'angle': ('#7a4fa0', 1.3, '', False),
     'bar': ('#1c2127', 1.4, '', False),
     'point': ('#1c2127', 1.0, '', False),
 }

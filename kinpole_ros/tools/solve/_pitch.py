@@ -1,6 +1,5 @@
 """Pitch curves: a pair of centrodes as a table, or drawn true to scale for a saw or a mill."""
 
-import re
 from collections.abc import Iterator
 from html import escape
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 
 from kinpole_ros.mechanism import Centrodes, LinkageError
 from kinpole_ros.planar._plane import Complex
+from kinpole_ros.tools.solve._dxf import LayerLine, LayerText, write_dxf
 from kinpole_ros.tools.solve._solution import open_output
 from kinpole_ros.tools.solve._spreadsheet import write_columns
 
@@ -136,30 +136,12 @@ def _svg(path: Path, curves: Centrodes) -> None:
 
 
 def _dxf(path: Path, curves: Centrodes) -> None:
-    """R12, which every program reads; it has no units, so a comment and a text say mm."""
     sheets, low, _ = _sheets(curves)
-    rows: list[tuple[int, str]] = [(999, f'Centrodes of {curves.one} and {curves.other}, in mm')]
-    rows += [(0, 'SECTION'), (2, 'ENTITIES')]
-
-    def add_text(layer: str, at: complex, text: str) -> None:
-        rows.extend([(0, 'TEXT'), (8, layer), *_coordinates(at), (40, f'{_LETTER}'), (1, text)])
-
+    lines: list[LayerLine] = []
+    texts: list[LayerText] = [('UNITS', low + _MARGIN, 'in mm')]
     for sheet in sheets:
-        layer = re.sub('[^A-Z0-9_-]', '_', sheet.body.upper())[:26]
-        lines = [(line, closed, layer) for line, closed in sheet.lines]
-        lines += [(line, False, f'{layer}_AXES') for line in sheet.marks()]
-        for line, closed, on in lines:
-            rows += [(0, 'POLYLINE'), (8, on), (66, '1'), *_coordinates(0j), (70, str(int(closed)))]
-            for point in line + sheet.x:
-                rows += [(0, 'VERTEX'), (8, on), *_coordinates(point)]
-            rows += [(0, 'SEQEND'), (8, on)]
-        for at, label in sheet.labels():
-            add_text(f'{layer}_AXES', at + sheet.x, label)
-    add_text('UNITS', low + _MARGIN, 'in mm')
-    rows += [(0, 'ENDSEC'), (0, 'EOF')]
-    text = ''.join(f'{code}\n{value}\n' for code, value in rows)
-    path.write_text(text, encoding='ascii', errors='replace')
-
-
-def _coordinates(z: complex) -> list[tuple[int, str]]:
-    return [(10, f'{z.real:.6f}'), (20, f'{z.imag:.6f}'), (30, '0.0')]
+        axes = f'{sheet.body}_axes'
+        lines += [(sheet.body, line + sheet.x, closed) for line, closed in sheet.lines]
+        lines += [(axes, line + sheet.x, False) for line in sheet.marks()]
+        texts += [(axes, at + sheet.x, label) for at, label in sheet.labels()]
+    write_dxf(path, f'Centrodes of {curves.one} and {curves.other}, in mm', lines, texts, _LETTER)
