@@ -6,10 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip('cv2')
-pytest.importorskip('av')
-
 from rendered import FOUR_BAR, Camera, Film, Tag
 
 from kinpole_ros import replay
