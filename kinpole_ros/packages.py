@@ -12,7 +12,7 @@ EXTRAS = MappingProxyType(
         'batch': ('dask', 'fsspec'),
         'bench': ('matplotlib', 'pynumdiff', 'scipy'),
         'cluster': ('dask', 'distributed'),
-        'film': ('opencv-python-headless', 'av'),
+        'film': ('av', 'opencv-python-headless'),
         'formats': ('h5py',),
         'pandas': ('pandas',),
         'parquet': ('pyarrow',),

@@ -580,6 +580,25 @@ def test_what_a_parabola_hides_is_covered(hidden: tuple[float, ...]) -> None:
     assert np.sqrt((deviations**2).mean(axis=1)).max() < 1.75
 
 
+def test_between_rebounds_a_body_in_free_flight_is_as_a_parabola() -> None:
+    """Two or three rebounds in a window; without them, ω has an error of 0.023, and α of 9."""
+    rng = np.random.default_rng(0)
+    noise, time = 1e-4, stamps(800)
+    since = (time * 1e-9 + 0.0013) % 0.23
+    gravity = -6.0 / 0.23
+    exact = 3.0 * since + gravity / 2 * since**2
+    angle, x, y = noise * rng.normal(size=(3, len(time), 1))
+    angle += exact[:, None]
+    now = np.flatnonzero((since > 0.015) & (since < 0.215))
+    now = now[(now > 120) & (now < 760)]
+    found = derive(time, angle, x + 1j * y, noise, now, order=3, count=101, ahead=20)
+    deviation = np.sqrt(np.einsum('kktb->ktb', found.angle_covariance))[:, :, 0]
+    due = np.array((3.0 + gravity * since[now], np.full(len(now), gravity), np.zeros(len(now))))
+    off = found.angle[1:, :, 0] - due
+    below(np.sqrt((off[:2] ** 2).mean(axis=1)), (0.01, 4.0))
+    assert (np.abs(off) < 4 * deviation[1:]).all()
+
+
 # --- stamps, gaps, and what is missing ----------------------------------------------------------
 
 

@@ -14,6 +14,8 @@ instant, the poses of a body in a window around it become one result, which depe
    searched, as at an impact. The best are columns of a regression, with which models are evaluated.
 5. Averaging. The derivatives are the mean of all models by probability. The covariance is the mean
    of theirs, by the root of the evidence, plus the variance between models and event places.
+6. Segments. Free flight between impacts, or turning between stops, is a low polynomial between
+   events. Such segments are mixed into the result by their evidence.
 
 ================= ===============================================================================
 _models.py        2: processes, spectra, modes, and their derivatives, as tables for the library
@@ -23,6 +25,7 @@ models            tables as the library sees them; columns of samples of low wei
 evidence          3: corrections for columns, evidence and probabilities; the formulas
 screens, events   4: the search of steps
 mean              5: derivatives and covariances; uneven samples move along the estimated motion
+segments          6: polynomials between events
 derive            the order of these for one signal
 _poses.py         `derive_poses`: arrays to the library and back; keeps the tables
 _event_search.py  `find_event`: reports events some time after them

@@ -4,7 +4,18 @@ Printed tags in a film: from a video to markers in the plane of motion.
 Nothing outside this package uses OpenCV or FFmpeg (PyAV), which the extra `film` installs.
 """
 
+from kinpole_ros.film._calibration import calibrate
 from kinpole_ros.film._film import SIZE, Filmed, FilmOptions, film_to_bag, read_film
+from kinpole_ros.film._printed import print_sheet
 from kinpole_ros.film._video import FilmError
 
-__all__ = ['SIZE', 'FilmError', 'FilmOptions', 'Filmed', 'film_to_bag', 'read_film']
+__all__ = [
+    'SIZE',
+    'FilmError',
+    'FilmOptions',
+    'Filmed',
+    'calibrate',
+    'film_to_bag',
+    'print_sheet',
+    'read_film',
+]

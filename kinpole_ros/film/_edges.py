@@ -80,9 +80,9 @@ def _fit_lines(offset: np.ndarray, is_step: np.ndarray) -> tuple[np.ndarray, np.
     weight = is_step.astype(float)
     for _ in range(2):
         normal = np.einsum('nes,si,sj->neij', weight, matrix, matrix)
-        right = np.einsum('nes,si,nes->nei', weight, matrix, offset)
-        covariance = np.linalg.pinv(normal, hermitian=True)
-        shift = (covariance @ right[..., None])[..., 0]
+        normal += 1e-9 * np.eye(2)  # an edge that is not seen keeps its place
+        covariance = np.linalg.inv(normal)
+        shift = (covariance @ ((weight * offset) @ matrix)[..., None])[..., 0]
         residual = offset - shift @ matrix.T
         count = weight.sum(axis=-1)
         spread = np.sqrt((weight * residual**2).sum(axis=-1) / np.maximum(count - 2, 1))

@@ -149,17 +149,19 @@ def read_film(
     corners = plane.to_plane(pixels)
     pixel = options.size / np.median(np.linalg.norm(np.diff(pixels[is_seen], axis=1), axis=-1))
     _leave_out_hidden(corners, options.size, plane.residual, pixel)
-    maps, ground_line = _on_ground(corners, seen.tags, plane, options, pixel)
+    maps, ground_text = _on_ground(corners, seen.tags, plane, options, pixel)
     for tag in options.ground:
         if tag in seen.tags:  # it stands still, also where it is hidden
             corners[:, seen.tags.index(tag)] = _median(corners[:, seen.tags.index(tag)])
+    lens_text = f'by {options.camera}'
+    if options.camera is None:
+        lens_text = f'too (it bends by {abs(plane.bending):.1%} at the edge of the picture)'
     assumed = [
         _film_line(video, seen, options),
-        _tag_line(seen, corners, options),
-        ground_line,
-        _lens_line(plane, options),
-        f'noise of a corner {plane.residual:.2g} pixels or {plane.residual * pixel * 1e3:.2g} mm, '
-        'by its square; estimated again from the markers when they are replayed',
+        f'{_tag_line(seen, corners, options)}; noise of a corner {plane.residual:.2g} pixels or '
+        f'{plane.residual * pixel * 1e3:.2g} mm; to change: --size 40mm, --family',
+        f'plane: {ground_text}; perspective such that all tags are squares of one size, lens '
+        f'{lens_text}; to change: --ground 7, --camera FILE',
     ]
     return Filmed(tuple(seen.tags), seen.stamps, corners, maps, lens, assumed)
 
@@ -269,14 +271,13 @@ def _leave_out_hidden(corners: np.ndarray, size: float, residual: float, pixel: 
 def _on_ground(
     corners: np.ndarray, tags: list[int], plane: PlaneMap, options: FilmOptions, pixel: float
 ) -> tuple[list[PlaneMap], str]:
-    """Move corners (T, n, 4), in place, and the map to the axes of the ground; return a line."""
+    """Move corners (T, n, 4), in place, and the map to the axes of the ground; return a text."""
     own = [tags.index(tag) for tag in options.ground if tag in tags]
-    change = 'to change: --ground 7'
     if not own:
         ids = ', '.join(map(str, options.ground))
         return [plane], (
-            f'ground: tag {ids} is not seen, so the origin is the middle of the picture, and the '
-            f'camera is taken to stand still; {change}'
+            f'tag {ids} is not seen, so the origin is the middle of the picture, and the camera is '
+            'taken to stand still'
         )
     center, turn = square_poses(corners[:, own])
     name = f'tag {tags[own[0]]}'
@@ -287,15 +288,17 @@ def _on_ground(
     if not np.nanmedian(spread) > _MOVES * noise:
         corners -= place
         corners *= np.exp(-1j * angle)
-        line = f'ground: {name} is the origin, x along its top edge; the camera stands still'
-        return [plane.moved(place, angle)], f'{line}; {change}'
+        text = f'{name} is the origin, x along its top edge; the camera stands still'
+        return [plane.moved(place, angle)], text
     places, angles = _camera_motion(corners[:, own])
     corners -= places[:, None, None]
     corners *= np.exp(-1j * angles)[:, None, None]
     maps = [plane.moved(complex(p), float(a)) for p, a in zip(places, angles, strict=True)]
     moved = np.nanmedian(spread) / pixel
-    line = f'ground: {name} is the origin, x along its top edge; the camera moves by {moved:.2g} '
-    return maps, f'{line}pixels, which the ground corrects; a tripod is better; {change}'
+    return maps, (
+        f'{name} is the origin, x along its top edge; the camera moves by {moved:.2g} pixels, '
+        'which the ground corrects, though a tripod is better'
+    )
 
 
 def _camera_motion(ground: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -343,15 +346,5 @@ def _tag_line(seen: _Seen, corners: np.ndarray, options: FilmOptions) -> str:
     side = float(np.nanmedian(np.linalg.norm(np.diff(seen.pixels, axis=2), axis=-1)))
     return (
         f'tags: {names} of family {seen.family}, {side:.3g} pixels and {options.size * 1e3:.4g} mm '
-        f'wide, seen in {shares.min():.0%} of the pictures or more (tag {seen.tags[worst]}); to '
-        'change: --size 40mm, --family'
-    )
-
-
-def _lens_line(plane: PlaneMap, options: FilmOptions) -> str:
-    if options.camera is not None:
-        return f'lens: corrected by {options.camera}; perspective: such that all tags are squares'
-    return (
-        f'lens and perspective: such that all tags are squares of one size; the lens bends by '
-        f'{abs(plane.bending):.1%} at the edge of the picture; to change: --camera FILE'
+        f'wide, seen in {shares.min():.0%} of the pictures or more (tag {seen.tags[worst]})'
     )

@@ -48,10 +48,7 @@ class TagFinder:
     """Finds the tags of a film, picture by picture; `family` is '' until a tag was seen."""
 
     def __init__(self, family: str = 'auto') -> None:
-        if family != 'auto' and family not in FAMILIES:
-            known = ', '.join(FAMILIES)
-            raise FilmError(f'--family is {family!r}; it must be auto or one of {known}')
-        self.family = '' if family == 'auto' else family
+        self.family = family_of(family)
         self._detectors = {
             name: _detector(name) for name in ([self.family] if self.family else FAMILIES)
         }
@@ -146,6 +143,14 @@ class TagFinder:
                 velocity = (places - last.corners).mean(axis=0) / steps
             self._tracks[tag] = _Track(self._number, places, velocity)
         return tags, corners
+
+
+def family_of(name: str) -> str:
+    """Return a key of `FAMILIES`, '' for 'auto'; raises FilmError for another name."""
+    if name != 'auto' and name not in FAMILIES:
+        known = ', '.join(FAMILIES)
+        raise FilmError(f'--family is {name!r}; it must be auto or one of {known}')
+    return '' if name == 'auto' else name
 
 
 def _detector(family: str, least: float = _LEAST_OF_WHOLE) -> 'cv2.aruco.ArucoDetector':

@@ -19,8 +19,6 @@ import numpy as np
 from kinpole_ros.bags import BagError
 from kinpole_ros.files import open_regular, printable
 
-# Files with these endings are videos.
-ENDINGS = ('.mp4', '.mov', '.m4v', '.mkv', '.webm', '.avi', '.3gp', '.mts', '.m2ts', '.mjpeg')
 _FORMATS = 'mov,matroska,webm,avi,mpegts,mjpeg'
 _CODECS = 'h264,hevc,av1,libdav1d,vp8,vp9,libvpx,libvpx-vp9,mpeg4,mjpeg,prores,rawvideo,ffv1'
 # A picture of 4K video has 8.8 million pixels; a decoder keeps up to 20 of them.
@@ -162,11 +160,6 @@ def _put(waiting: 'queue.Queue[Any]', item: Any, is_over: threading.Event) -> bo
             waiting.put(item, timeout=0.1)
             return True
     return False
-
-
-def is_video(path: str | Path) -> bool:
-    """Return whether the name of a file is that of a video."""
-    return Path(path).suffix.lower() in ENDINGS
 
 
 def _brightness(frame: Any) -> np.ndarray:

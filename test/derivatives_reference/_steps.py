@@ -16,6 +16,7 @@ import numpy as np
 from derivatives_reference._evidence import KNOWN, Found, derive, weights_of
 from derivatives_reference._models import FLAT, _layout, modes_of, stencils_of
 from derivatives_reference._samples import Window, seen_of
+from derivatives_reference._segments import FEW_SAMPLES, add_segments
 from kinpole_ros.planar._plane import Real
 
 # Steps of the motion itself, of its first and of its second derivative are looked for.
@@ -153,7 +154,7 @@ def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
         len(cells),
     )  # fmt: skip
     sets = _sets(window, samples, seen, weight[cells].T, empty)
-    mean, freedom = np.zeros((window.orders, 3)), np.zeros(2)
+    mean, freedom, evidence = np.zeros((window.orders, 3)), np.zeros(2), np.zeros(2)
     covariance = np.zeros((window.orders, window.orders, 2))
     for c in range(2):
         own = samples[:, [0]] if c == 0 else samples[:, 1:]
@@ -162,6 +163,9 @@ def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
             np.array([one.prior for one in sets]),
             modes.kinds,
         )
+        best = max(one.evidence[:, c].max() for one in sets)
+        # The best has the probability of one over their sum.
+        evidence[c] = best - np.log(likely.max())
         derived = []
         for one, by in zip(sets, weights[..., 0], strict=True):
             reach = one.here.T - bank.stencil @ one.columns.T  # (M, K, C)
@@ -179,7 +183,10 @@ def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
             covariance[:, :, c] += by.sum() * one.spread[c]
         events = np.array([one.events for one in sets])
         freedom[c] = np.sum(likely[..., 0] * (modes.freedom + events[:, None]))
-    return Found(mean, covariance, freedom, np.zeros(2))
+    found = Found(mean, covariance, freedom, evidence)
+    if len(sets) > 1 or window.size <= FEW_SAMPLES:
+        add_segments(window, samples, weight.min(axis=1), found)
+    return found
 
 
 def _evaluate(

@@ -539,6 +539,23 @@ def test_only_the_centrodes_asked_for_are_drawn(
         solve_scene(options_of('solve', 'four_bar', plot=picture, centrodes=['wheel']))
 
 
+def test_only_the_curvature_asked_for_is_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And of a rod of Cardan, whose points on the axes move straight, no circles without end."""
+    picture = tmp_path / 'a.png'
+    bare = figure_of(monkeypatch, scene='cardan', plot=picture)
+    figure = figure_of(monkeypatch, scene='cardan', plot=picture, inflection=['rod'])
+    added = {*figure.axes[0].patches}
+    assert not bare.axes[0].patches
+    rod = load_scene('cardan').motion(0.0)['rod']
+    (circle,) = (patch for patch in added if patch.get_linestyle() == '--')
+    assert complex(*circle.get_center()) == pytest.approx(complex(rod.position[0]), abs=1e-12)
+    assert all(patch.get_radius() < 100 for patch in added)
+    with pytest.raises(SceneError, match='--inflection: there is no moving body wheel'):
+        solve_scene(options_of('solve', 'four_bar', plot=picture, inflection=['wheel']))
+
+
 def test_axes_do_not_show_rounding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     figure = figure_of(monkeypatch, scene='cardan', plot=tmp_path / 'a.png')
     _, rate, acceleration = figure.axes

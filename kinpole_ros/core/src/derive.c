@@ -7,7 +7,8 @@
  *
  *   derive_signal    finds the grid, fills cells and blocks (window.c, samples.c)
  *   derive_uneven    fills missing samples, moves others to the even grid (samples.c, mean.c)
- *   derive_even      evaluates models (evidence.c), searches events (events.c), averages (mean.c)
+ *   derive_even      evaluates models (evidence.c), searches events (events.c), averages (mean.c), mixes
+ *                    segments into the result (segments.c)
  *   write_results    converts samples to seconds, and deviations of the noise to rad and m
  */
 
@@ -22,6 +23,7 @@
 #include "evidence.h"
 #include "lanes.h"
 #include "mean.h"
+#include "segments.h"
 #include "memory.h"
 #include "models.h"
 #include "numbers.h"
@@ -40,6 +42,9 @@
 /* Windows are searched if their best evidence is below that of a line by this many log widths of
    the flat prior. With 1 the errors are the same, and the search takes a sixth longer. */
 #define SEARCH_BELOW 3
+/* Windows of more samples are divided into segments only if an event was found. In fewer a process explains what is an
+   event. */
+#define FEW_SAMPLES 48
 
 /* Cells of a window at most: more than any has, and an integer. */
 #define MAX_LENGTH 1e15
@@ -149,11 +154,15 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
     long long modes = window->orders * m.rows;
     Stencils by = {window->orders, window->at + (s->count - 1) / 2.0, stencils->numbers,
                    (const Lanes *)(stencils->numbers + modes)};
-    if (!window->exact && (sets[0].best_evidence[0] < -SEARCH_BELOW * call->flat ||
-                           sets[0].best_evidence[1] < -SEARCH_BELOW * call->flat * 2))
+    int is_searched = !window->exact &&
+        (sets[0].best_evidence[0] < -SEARCH_BELOW * call->flat ||
+         sets[0].best_evidence[1] < -SEARCH_BELOW * call->flat * 2);
+    if (is_searched)
         code = search_events(call, &m, &by, s, &w, window->block, sets, &number);
     if (!code)
         differentiate(&m, &by, &w, sets, number, out);
+    if (!code && is_searched && (number > 1 || s->count <= FEW_SAMPLES))
+        code = add_segments(call, &by, s, out);
     return code;
 }
 

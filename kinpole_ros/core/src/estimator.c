@@ -14,4 +14,5 @@
 #include "mean.c"
 #include "screens.c"
 #include "events.c"
+#include "segments.c"
 #include "derive.c"

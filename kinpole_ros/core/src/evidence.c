@@ -227,7 +227,7 @@ evaluate_models(const Models *m, const Samples *s, const Work *w, Set *set)
     }
 }
 
-PRIVATE void
+PRIVATE double
 find_probabilities(const Models *m, int c, Set *sets, int number)
 {
     long long models = m->groups * LANES;
@@ -249,6 +249,7 @@ find_probabilities(const Models *m, int c, Set *sets, int number)
     for (int n = 0; n < number; n++)
         for (long long i = 0; i < models; i++)
             ((double *)(sets[n].probability + c * m->groups))[i] /= sum;
+    return best + log(sum);
 }
 
 PRIVATE void

@@ -94,7 +94,7 @@ differentiate(const Models *m, const Stencils *s, const Work *w, Set *sets, int 
     Sums sums;
     memset(&sums, 0, sizeof sums);
     for (int c = 0; c < 2; c++)
-        find_probabilities(m, c, sets, number), find_covariance_weights(m, c, sets, number);
+        out->evidence[c] = find_probabilities(m, c, sets, number), find_covariance_weights(m, c, sets, number);
     for (long long g = 0; g < m->groups; g++)
         add_group(m, s, g, w, sets, number, &sums);
     for (long long k = 0; k < 3 * orders; k++)

@@ -14,7 +14,7 @@
 /* The result at an instant: derivatives, their covariances, of the angle and of one coordinate, and
    the effective number of parameters of the motion of the angle. */
 typedef struct {
-    double mean[3][MAX_ORDERS], covariance[2][MAX_ORDERS][MAX_ORDERS], freedom;
+    double mean[3][MAX_ORDERS], covariance[2][MAX_ORDERS][MAX_ORDERS], freedom, evidence[2];
 } Estimate;
 
 /* Differentiate samples: the mean over all models with all sets by their probabilities, and its

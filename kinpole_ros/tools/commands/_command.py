@@ -138,3 +138,11 @@ POINT_OPTIONS = (
         argparse.BooleanOptionalAction,
     ),
 )
+# What a film does not tell.
+FILM_OPTIONS = (
+    option('--size M', 'side of the black square of a tag, m, or as 40mm (0.04)', LENGTH),
+    option('--ground ID...', 'tags that stand still; the first is the origin (0)', int),
+    option('--family NAME', 'family of the tags, as 36h11 (auto: by what is seen)'),
+    option('--camera FILE', "file of the camera, as OpenCV's calibration writes it"),
+    option('--line-time S', 'time between two rows of a rolling shutter, s, or as 20us (0)', TIME),
+)

@@ -16,12 +16,18 @@ _ENDINGS = {
     'a Foxglove layout': ('.json',),
     'a PlotJuggler layout': ('.xml',),
     'a picture': ('.png', '.pdf', '.svg', '.jpg', '.jpeg'),
+    'a sheet of tags': ('.svg', '.pdf'),
     'a pair of pitch curves': ('.csv', '.svg', '.dxf'),
     'a linkage for other programs': ('.dxf', '.xml', '.urdf'),
 }
-# Kinds that need one of their endings: browsers go by the ending of a page, and the ending of pitch
-# curves is their format. Other kinds accept any ending that is not of another kind.
-_STRICT = ('an HTML page', 'a pair of pitch curves', 'a linkage for other programs')
+# Kinds that need one of their endings: browsers go by the ending of a page, and the ending of the
+# others is their format. Other kinds accept any ending that is not of another kind.
+_STRICT = (
+    'an HTML page',
+    'a sheet of tags',
+    'a pair of pitch curves',
+    'a linkage for other programs',
+)
 
 # The option that names a file, the file (None if not given), and its kind: a key of _ENDINGS, or ''
 # where the writer checks the ending.

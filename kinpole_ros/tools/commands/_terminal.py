@@ -12,8 +12,7 @@ from kinpole_ros.packages import broken_import, install_command, package_of
 _FIXES_OF_PACKAGES = {
     **dict.fromkeys(
         ('av', 'cv2'),
-        f'films need OpenCV and PyAV; install them with {install_command("film")}, or with '
-        "pip install 'kinpole_ros[film]'",
+        f'films need OpenCV and PyAV; install them with {install_command("film")}',
     ),
     'bench': 'the benchmarks are in a checkout of the source, not in an installed package: run '
     'kinpole bench from one, after pip install --editable .',

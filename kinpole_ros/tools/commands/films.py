@@ -1,39 +1,18 @@
 """The command that makes markers of films: film."""
 
 import argparse
-from typing import TYPE_CHECKING
 
-from kinpole_ros.tools.commands._command import LENGTH, TIME, command, option
+from kinpole_ros.tools.commands._command import FILM_OPTIONS, command, option
 from kinpole_ros.tools.commands._output_files import check_outputs
-from kinpole_ros.tools.commands._terminal import print_lines, progress_bar
-
-if TYPE_CHECKING:
-    from kinpole_ros.film import FilmOptions
-
-# What a film does not tell; `report` has these options too.
-FILM_OPTIONS = (
-    option('--size M', 'side of the black square of a tag, m, or as 40mm (0.04)', LENGTH),
-    option('--ground ID...', 'tags that stand still; the first is the origin (0)', int),
-    option('--family NAME', 'family of the tags, as 36h11 (auto: by what is seen)'),
-    option('--camera FILE', "file of the camera, as OpenCV's calibration writes it"),
-    option('--line-time S', 'time between two rows of a rolling shutter, s, or as 20us (0)', TIME),
-)
-
-
-def film_options(options: argparse.Namespace) -> 'FilmOptions':
-    """Return the options of a film that are given; the others have their defaults."""
-    from kinpole_ros.film import FilmOptions
-
-    names = 'size', 'ground', 'family', 'camera', 'line_time'
-    given = {name: getattr(options, name) for name in names}
-    given['ground'] = given['ground'] and tuple(given['ground'])
-    return FilmOptions(**{name: value for name, value in given.items() if value is not None})
+from kinpole_ros.tools.commands._terminal import UsageError, print_lines, progress_bar
 
 
 @command(
     'film',
-    option('video VIDEO', 'a video of the mechanism with tags on its links'),
-    option('--output BAG', '.mcap file to write', required=True),
+    option('video VIDEO', 'a video of the mechanism with tags on its links', nargs='?'),
+    option('--output BAG', '.mcap file to write'),
+    option('--print SHEET', 'write a sheet of tags to print, .svg or .pdf, and end'),
+    option('--calibrate CAMERA', 'write the file of the camera that filmed the uncut sheet'),
     *FILM_OPTIONS,
 )
 def film(options: argparse.Namespace) -> int:
@@ -44,16 +23,44 @@ def film(options: argparse.Namespace) -> int:
     clockwise. Several tags may be on one link, and one on the ground. The stamps are those of the
     video. It prints what it assumed, and the option that changes it.
 
+    To calibrate a camera, film the uncut sheet, flat, from several sides, tilted by 30 degrees and
+    more. It corrects the lens better than the tags of a film do by themselves.
+
     Examples:
+      kinpole film --print tags.pdf
       kinpole film crank.mp4 --output crank.mcap --size 40mm
-      kinpole discover crank.mcap --output rig.yaml
+      kinpole film sheet.mp4 --calibrate phone.yaml
+      kinpole film crank.mp4 --output crank.mcap --camera phone.yaml
       kinpole report crank.mp4
     """
-    from kinpole_ros.film import film_to_bag
+    check_outputs(
+        [options.video, options.camera],
+        [
+            ('--output', options.output, 'an MCAP bag'),
+            ('--print', options.print, 'a sheet of tags'),
+            ('--calibrate', options.calibrate, 'a YAML file'),
+        ],
+    )
+    if options.print is None and options.video is None:
+        raise UsageError('film needs a VIDEO, or --print SHEET for tags to tape on the links')
+    if options.print is None and options.output is None and options.calibrate is None:
+        raise UsageError('film needs --output BAG or --calibrate CAMERA, for what it is to write')
+    from kinpole_ros.film import calibrate, film_to_bag, print_sheet
+    from kinpole_ros.tools.filmed import film_options
 
-    check_outputs([options.video, options.camera], [('--output', options.output, 'an MCAP bag')])
-    with progress_bar('film') as progress:
-        filmed = film_to_bag(options.video, options.output, film_options(options), progress)
-    print_lines(filmed.assumed)
-    print(f'{len(filmed.stamps)} frames of {len(filmed.names)} markers written to {options.output}')
+    given = film_options(options)
+    given.check()
+    if options.print is not None:
+        count = print_sheet(options.print, given.size, given.family)
+        print(f'{count} tags of {given.size * 1e3:g} mm written to {options.print}')
+        return 0
+    if options.calibrate is not None:
+        found = calibrate(options.video, options.calibrate, given.size, given.family)
+        print(f'{found}; written to {options.calibrate}')
+    if options.output is not None:
+        with progress_bar('film') as progress:
+            filmed = film_to_bag(options.video, options.output, given, progress)
+        print_lines(filmed.assumed)
+        frames = f'{len(filmed.stamps)} frames of {len(filmed.names)} markers'
+        print(f'{frames} written to {options.output}')
     return 0

@@ -34,6 +34,12 @@ from kinpole_ros.tools.commands._terminal import UsageError, print_error, print_
         default=(),
     ),
     option(
+        '--inflection BODY...',
+        "draw the inflection circles of these bodies, Ball's points, cubics of stationary "
+        'curvature, and the circles on which their points move, in the picture of --plot',
+        default=(),
+    ),
+    option(
         '--polygon FILE.svg',
         'velocity and acceleration polygons to scale, and the linkage, .svg or .png: at --at, at '
         'time 0, or at the end of --time',

@@ -3,7 +3,14 @@
 import argparse
 from pathlib import Path
 
-from kinpole_ros.tools.commands._command import POINT_OPTIONS, SET, TOPIC, command, option
+from kinpole_ros.tools.commands._command import (
+    FILM_OPTIONS,
+    POINT_OPTIONS,
+    SET,
+    TOPIC,
+    command,
+    option,
+)
 from kinpole_ros.tools.commands._output_files import check_outputs
 from kinpole_ros.tools.commands._terminal import print_error, print_lines, progress_bar
 from kinpole_ros.tools.commands.replay import settings_of
@@ -34,7 +41,7 @@ def plot(options: argparse.Namespace) -> int:
 
 @command(
     'report',
-    option('bag FILE', 'bag of markers or of results, or a file of points'),
+    option('bag FILE', 'bag of markers or of results, a file of points, or a video of tags'),
     option('--output FILE.html', 'report to write (named as FILE, in this folder)'),
     option('--config FILE', 'parameter file, as for replay'),
     SET,
@@ -43,6 +50,7 @@ def plot(options: argparse.Namespace) -> int:
         '--scene SCENE', 'show the theory of a scene too; without --config, its bodies are tracked'
     ),
     *POINT_OPTIONS,
+    *FILM_OPTIONS,
 )
 def report(options: argparse.Namespace) -> int:
     """
@@ -50,13 +58,15 @@ def report(options: argparse.Namespace) -> int:
 
     The report shows the linkage in motion with its poles, centrodes and velocities, all quantities
     over time with their bands, and what was withheld and why. It needs a browser and nothing else.
-    FILE may be any file that import reads. Without --config or --scene the bodies and the plane are
-    found first, as discover does; the assumptions are printed, with the option that changes each.
+    FILE may be any file that import reads, or a video of printed tags. Without --config or --scene
+    the bodies and the plane are found first, as discover does; the assumptions are printed, with
+    the option that changes each.
 
     Examples:
       kinpole report recording.mcap --config rig.yaml --output report.html
       kinpole report recording.mcap --scene four_bar --output report.html
       kinpole report walk.trc
+      kinpole report crank.mp4 --size 40mm
       kinpole report result.mcap --output report.html
     """
     from kinpole_ros.tools.report import prepared, settings_for

@@ -10,10 +10,15 @@ from typing import NamedTuple
 
 from kinpole_ros.bags import BagError, Imported, import_points
 from kinpole_ros.settings import Settings, assignments, load_settings
+from kinpole_ros.tools.filmed import film_options, given_names, is_video
 from kinpole_ros.tools.record.result_bag import has_results, is_bag
 
 _OF_POINTS = 'rate', 'scale', 'y_down'  # options for data that a file of points may lack
+_OF_FILM = 0.7  # of the time, which the search for tags takes
 _MOST_NAMES = 4  # bodies that are named in a line
+
+
+Progress = Callable[[float], None] | None
 
 
 class Prepared(NamedTuple):
@@ -26,7 +31,7 @@ class Prepared(NamedTuple):
 
 @contextmanager
 def prepared(
-    options: Namespace, settings: Settings, progress: Callable[[float], None] | None = None
+    options: Namespace, settings: Settings, progress: Progress = None
 ) -> Iterator[Prepared]:
     """
     Import the file of `kinpole report` if it is no bag; find its bodies if `settings` name none.
@@ -38,16 +43,20 @@ def prepared(
     assumed: list[str] = []
     with tempfile.TemporaryDirectory(prefix='kinpole_') as folder:
         bag = file
-        if not is_bag(file):
+        if is_video(file):
+            _refuse_given(options, f'{file} is a video, which has its stamps; its scale is --size')
+            bag = str(Path(folder) / f'{Path(file).stem}.mcap')
+            assumed += _film(file, bag, options, progress)
+        elif names := given_names(options):
+            raise BagError(
+                f'{file} is no video, and {", ".join(names)} are of videos; fix: leave them out'
+            )
+        elif not is_bag(file):
             bag = str(Path(folder) / f'{Path(file).stem}.mcap')
             imported = import_points(file, bag, options.rate, options.scale, options.y_down)
             assumed.append(_import_text(imported))
-        elif given := [one for one in _OF_POINTS if getattr(options, one) is not None]:
-            names = ', '.join(f'--{name.replace("_", "-")}' for name in given)
-            raise BagError(
-                f'{file} is a bag, which has its stamps and is in m; {names} are for files of '
-                'points; fix: leave them out, or set the parameter scale'
-            )
+        else:
+            _refuse_given(options, f'{file} is a bag, which has its stamps and is in m')
         has_bodies = settings.bodies != Settings().bodies
         if not has_bodies and (topic is not None or not has_results(bag)):
             rig, lines, found = _discover(file, bag, topic, Path(folder) / 'rig.yaml', progress)
@@ -62,13 +71,31 @@ def prepared(
         yield Prepared(bag, settings, assumed)
 
 
+def _refuse_given(options: Namespace, why: str) -> None:
+    """Raise BagError if options of files of points are given."""
+    if given := [one for one in _OF_POINTS if getattr(options, one) is not None]:
+        names = ', '.join(f'--{name.replace("_", "-")}' for name in given)
+        raise BagError(
+            f'{why}; {names} are for files of points; fix: leave them out, or set the parameter '
+            'scale'
+        )
+
+
+def _film(file: str, bag: str, options: Namespace, progress: Progress) -> list[str]:
+    """Write the tags of a video to a bag; return the assumptions."""
+    from kinpole_ros.film import film_to_bag
+
+    share = progress and (lambda done: progress(_OF_FILM * done))
+    return film_to_bag(file, bag, film_options(options), share).assumed
+
+
 def _import_text(imported: Imported) -> str:
     notes = ''.join(f'; {note}' for note in imported.notes)
     return f'file: {imported}{notes}; to change: --scale, --rate, --y-down'
 
 
 def _discover(
-    file: str, bag: str, topic: str | None, rig: Path, progress: Callable[[float], None] | None
+    file: str, bag: str, topic: str | None, rig: Path, progress: Progress
 ) -> tuple[Path | None, list[str], list[str]]:
     """Write the parameter file of a rig; return it or None, assumptions, and what was found."""
     from kinpole_ros.linkage import input_texts, joint_lines, marker_lines, parameter_file
@@ -84,10 +111,15 @@ def _discover(
     names = [f'{name} of {count} markers' for name, count in counts]
     suffix = f' and {len(names) - _MOST_NAMES} more' if len(names) > _MOST_NAMES else ''
     command = f'kinpole discover {shlex.quote(file if file == bag else "BAG")} --output rig.yaml'
-    first = '' if file == bag else 'kinpole import FILE --output BAG, then '
+    first = f'kinpole {"film" if is_video(file) else "import"} FILE --output BAG, then '
+    first = '' if file == bag else first
     lines = [
         f'plane: {values["plane"]}; to change: --set plane:=xy',
         f'unit: {values["unit"]}; names: {values["names"]}; to change: --set scale:=1',
+    ]
+    # The plane and the unit of a film are those of its tags.
+    lines = [
+        *([] if is_video(file) else lines),
         f'bodies: {", ".join(names[:_MOST_NAMES])}{suffix}, found from the motion; to change: '
         f'{first}{command}, edit it, and give --config rig.yaml',
     ]

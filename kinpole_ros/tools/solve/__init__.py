@@ -44,10 +44,11 @@ def solve_scene(options: Namespace) -> list[str]:
     if options.animate:
         animation_kind(options.animate)
     loaded = load_scene(options.scene)
-    for body in options.centrodes:
-        if body not in loaded.mechanism.bodies:
-            names = ', '.join(loaded.mechanism.bodies)
-            raise SceneError(f'--centrodes: there is no moving body {body}; give some of {names}')
+    for name in ('centrodes', 'inflection'):
+        for body in getattr(options, name):
+            if body not in loaded.mechanism.bodies:
+                names = ', '.join(loaded.mechanism.bodies)
+                raise SceneError(f'--{name}: there is no moving body {body}; give some of {names}')
     single = (
         _solution.over_time(loaded, np.zeros(1))
         if options.at is None
@@ -142,7 +143,7 @@ class _Analysis:
             if self.motion.times is None:
                 rate = float(self.motion.rates[0, 0])
                 position = _solution.at_rate(position.scene, position.inputs[0], rate)
-            extras = options.centers, options.centrodes
+            extras = options.centers, options.centrodes, options.inflection
             draw_solution(options.plot, self.motion, position, *extras)
             yield f'written to {options.plot}'
         if options.animate:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from kinpole_ros import planar
 from kinpole_ros.mechanism import poles
 from kinpole_ros.mechanism._kennedy import center_name
 from kinpole_ros.tools.plot._style import Box, box_of, saved_figure
@@ -32,6 +33,8 @@ _WIDTHS = {
     'wheel': (1.5, 3),
     'link': (2.4, 3),
 }
+# A path with a larger radius of curvature, in sizes of the linkage, is straight.
+_STRAIGHT = 100
 # Rates that differ by less than this fraction are constant.
 _CONSTANT = 1e-6
 
@@ -42,21 +45,22 @@ def draw_solution(
     here: SolvedScene,
     centers: bool,
     centrodes: Sequence[str],
+    inflection: Sequence[str],
 ) -> None:
     """
     Draw to `output` the linkage at the one position `here`, and the rates over the motion.
 
-    With `centers`, also its instant centers; of the bodies in `centrodes`, also their centrodes.
+    With `centers`, also its instant centers; of the bodies in `centrodes`, also their centrodes; of
+    those in `inflection`, how the paths of their points are curved.
     """
     with saved_figure(output, _SIZE, _DPI) as figure:
-        _draw_figure(figure, solution, here, centers, centrodes)
+        grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1))
+        axis = figure.add_subplot(grid[:, 0])
+        draw_linkage(axis, solution, here, centers, centrodes, inflection)
+        _draw_rates(figure, grid, solution, here)
 
 
-def _draw_figure(
-    figure: Any, solution: SolvedScene, here: SolvedScene, centers: bool, centrodes: Sequence[str]
-) -> None:
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1))
-    draw_linkage(figure.add_subplot(grid[:, 0]), solution, here, centers, centrodes)
+def _draw_rates(figure: Any, grid: Any, solution: SolvedScene, here: SolvedScene) -> None:
     at, mark, label, title = _abscissa(solution, here)
     rates = _solution.angle_rates(solution.motion)
     names = 'angular velocity (rad/s)', 'angular acceleration (rad/s²)'
@@ -126,6 +130,7 @@ def draw_linkage(
     here: SolvedScene,
     centers: bool,
     centrodes: Sequence[str] = (),
+    inflection: Sequence[str] = (),
 ) -> None:
     """Draw the linkage at the one position `here`, and the paths of its points."""
     scene, bodies = solution.scene, solution.scene.mechanism.bodies
@@ -164,6 +169,8 @@ def draw_linkage(
     if centers:
         box = box.with_points(_draw_centers(axis, here, box.middle, size))
     _draw_centrodes(axis, solution, here, centrodes, box)
+    for body in inflection:
+        _draw_curvature(axis, here, body, box)
     margin = 0.08 * max(abs(box.high - box.low), size)
     axis.set_xlim(box.low.real - margin, box.high.real + margin)
     axis.set_ylim(box.low.imag - margin, box.high.imag + margin)
@@ -171,6 +178,9 @@ def draw_linkage(
     title = f'arrows: velocities, the longest {fastest:.3g} m/s'
     title += '; wide: fixed centrodes, dashed: moving' if centrodes else ''
     title += '; crosses: instant centers' if centers else ''
+    if inflection:
+        title += "; dashed circle: inflection; star: Ball's point; dotted: cubic of stationary "
+        title += 'curvature; thin circles: paths'
     axis.set_title(fill(title, _TITLE_WIDTH), fontsize=10)
 
 
@@ -214,6 +224,37 @@ def _draw_centrodes(
             z = np.where(is_near, curve, complex(np.nan, np.nan))
             style = {'color': _style(b)['color'], 'alpha': 0.35, 'linewidth': width, 'zorder': 0}
             axis.plot(z.real, z.imag, dashes, **style)
+
+
+def _draw_curvature(axis: Any, here: SolvedScene, body: str, box: Box) -> None:
+    """Draw the inflection circle of a body, the cubic, Ball's point, and circles of its points."""
+    from matplotlib.patches import Circle
+
+    mechanism, motion = here.scene.mechanism, here.motion
+    b, of_bodies = mechanism.bodies.index(body), poles(mechanism, motion)
+    color = _style(b)['color']
+    position, angle = motion.position[:, b, 0], motion.angle[:, b, 0]
+    icr, u = planar.to_plane(of_bodies.icr[b, 0]), planar.to_plane(of_bodies.velocity[b, 0])
+    center, ball = of_bodies.inflection_circle[b, 0], of_bodies.ball_point[b, 0]
+    radius, size = of_bodies.inflection_diameter[b, 0] / 2, abs(box.high - box.low)
+    if radius < _STRAIGHT * size:
+        style = {'fill': False, 'zorder': 2}
+        axis.add_patch(Circle((center.real, center.imag), radius, ec=color, ls='--', **style))
+        du = planar.to_plane(planar.icr_acceleration(position, angle).value)
+        cubic = planar.stationary_curvature(angle[1], angle[2], icr, u, du)
+        curve = planar.to_complex(cubic.points(np.linspace(0, np.pi, 2001)))
+        near = np.abs(curve - box.middle) < (0.5 + _CENTER_DISTANCE) * size
+        curve = np.where(near, curve, complex(np.nan, np.nan))
+        axis.plot(curve.real, curve.imag, ':', color=color, linewidth=1.2, zorder=2)
+        axis.plot(ball.real, ball.imag, '*', color=color, markersize=9, zorder=5)
+    for name, motions in _solution.point_motions(here).items():
+        if here.scene.points[name][0] == body:
+            z = motions[0, 0]
+            x, y = planar.path_curvature(planar.to_plane(z), angle[1], icr, u).center
+            radius = abs(z - complex(x, y))
+            if radius < _STRAIGHT * size:
+                axis.add_patch(Circle((x, y), radius, ec=color, lw=0.5, fill=False))
+                axis.plot(x, y, '+', color=color, markersize=5)
 
 
 def _draw_centers(axis: Any, here: SolvedScene, middle: complex, size: float) -> list[complex]:
