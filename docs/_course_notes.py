@@ -493,6 +493,13 @@ COURSE_NOTES: dict[str, list[Entry]] = {
         ),
         Entry(
             '3',
+            'ratio of rates from the centers of a four-bar',
+            'kinpole solve four_bar --at "45 deg" --centers',
+            '',
+            r'^ω4/ω2 = I12I24 / I14I24 = .* = (\S+)$',
+        ),
+        Entry(
+            '3',
             'Kennedy for a slider-crank',
             'kinpole solve slider_crank --centers',
             '',
@@ -511,6 +518,13 @@ COURSE_NOTES: dict[str, list[Entry]] = {
             'kinpole solve elliptic_gears --pitch crank follower gears.svg',
             '',
             ROLLED,
+        ),
+        Entry(
+            '4',
+            'bearing forces of example 4 (velocities): pivots of arm, link and cylinder (N)',
+            'kinpole solve loader_cylinder --statics',
+            '',
+            r'^(?:r2-ground|r4-ground|r5) +\S+ +\S+ +(\S+) +0$',
         ),
         Entry(
             '4',

@@ -87,6 +87,8 @@ def solve(options: argparse.Namespace) -> int:
       kinpole solve double_pendulum --time 5 --csv course.csv --html course.html
       kinpole solve loader_cylinder --statics
       kinpole solve four_bar --at "60 deg" --polygon polygons.svg
+      kinpole solve four_bar --at "60 deg" --curvature curvature.svg
+      kinpole solve pool_lift --animate lift.gif --export lift.dxf
       kinpole solve elliptic_gears --pitch crank follower gears.svg
     """
     from kinpole_ros.tools.solve import solve_scene

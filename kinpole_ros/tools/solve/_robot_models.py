@@ -2,32 +2,30 @@
 A scene as a model for MuJoCo (MJCF) or as a URDF, in the x-y plane, in m, kg and rad.
 
 Both are trees of links. MuJoCo closes the loops by `connect` and `weld`; URDF cannot, so that it
-has a pair of frames for each closure, NAME.one and NAME.other, which coincide at all positions.
+has two frames for each closure, NAME.one and NAME.other, which coincide at all positions.
 """
 
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
-from kinpole_ros.mechanism import GROUND, LinkageError, Mass, SceneError, Spring
+from kinpole_ros.mechanism import GROUND, LinkageError, SceneError, Spring
 from kinpole_ros.mechanism._joint_tree import JointTree, Link, joint_tree
 from kinpole_ros.mechanism._vector_joints import jointed
 from kinpole_ros.tools.solve._solution import SolvedScene
 
-# Links without a stated mass: kg per m, and kg of those that have no length.
-_MASS_PER_LENGTH, _LEAST_MASS = 1.0, 1e-3
+# Links without a stated mass: kg per m, and kg of those that have no length; kg m² at least.
+_MASS_PER_LENGTH, _LEAST_MASS, _LEAST_MOMENT = 1.0, 1e-3, 1e-9
 # The radius of links, as a share of the linkage's size.
 _THICKNESS = 0.015
-# Loops: the time constant, s, twice the time step, and the impedance near 1, so that a closure is
-# within 1e-6 of the linkage's size (test_robot_models.py).
+# Loops: the time step, s, half the time constant, and an impedance near 1, with which the loops of
+# the scenes open by less than 1e-6 m in a turn.
 _TIME_STEP, _SOFTNESS = 1e-4, '0.9999 0.9999 0.001'
 # Positions of the motion that an MJCF has as keys; damping of a motor, for links of 1 kg/m.
 _KEYS, _MOTOR = 37, 100.0
-
-_Element = ElementTree.Element
 
 
 def write_model(path: Path, kind: str, motion: SolvedScene, here: SolvedScene) -> list[str]:
@@ -47,27 +45,27 @@ def write_model(path: Path, kind: str, motion: SolvedScene, here: SolvedScene) -
         tree = joint_tree(mechanism, values)
     except LinkageError as error:
         raise SceneError(f'{scene.name}: {error}; export a .dxf') from None
-    inputs = mechanism.driver_rows @ values
-    model = _Model(motion, tree, inputs)
+    model = _Model(motion, tree, mechanism.driver_rows @ values)
     root = model.mjcf() if kind == 'xml' else model.urdf()
-    ElementTree.indent(root)
-    text = ElementTree.tostring(root, encoding='unicode')
+    indent(root)
+    text = tostring(root, encoding='unicode')
     path.write_text(f'<?xml version="1.0"?>\n{text}\n', encoding='utf-8')
     return [f'{kind}: {line}' for line in model.left_out(kind)]
 
 
 class _Model:
     """
-    The links of a scene, and what the formats need of it.
+    The links of a scene, the ground first, and what the formats need of it.
 
     Values of the joints are (1 + T,): at the position that is drawn, and over the motion. `inputs`
     (d, 1 + T) are those of the drivers.
     """
 
     def __init__(self, motion: SolvedScene, tree: JointTree, inputs: np.ndarray) -> None:
-        self._scene, self._tree, self._inputs = motion.scene, tree, inputs
-        ends = [link.at for link in tree.links] + [z for _, z in self._scene.points.values()]
-        self._size = max(map(abs, ends), default=0.0) or 1.0
+        self._scene, self._tree, self._count = motion.scene, tree, inputs.shape[1]
+        self._links = {link.name: link for link in tree.links}
+        points = [link.at for link in tree.links] + [z for _, z in self._scene.points.values()]
+        self._size = max(map(abs, points), default=0.0) or 1.0
         drivers = motion.scene.mechanism.drivers
         # Each with the link that it moves, if one alone moves as it does.
         self._motors = {
@@ -82,170 +80,106 @@ class _Model:
         names = {'loads': scene.loads, 'held_by': scene.held_by, 'springs': springs}
         if left := [name for name, what in names.items() if what]:
             yield f'without {", ".join(left)}'
-        if idle := [name for name, link in self._motors.items() if link is None and kind == 'xml']:
+        if idle := [name for name, link in self._motors.items() if not link and kind == 'xml']:
             yield f'no motor for {", ".join(idle)}, which moves no single hinge or slide'
         if kind == 'urdf' and self._tree.closures:
-            names_of = ', '.join(one.name for one in self._tree.closures)
-            yield f'a tree; frames NAME.one and NAME.other coincide where loops close: {names_of}'
+            closed = ', '.join(one.name for one in self._tree.closures)
+            yield f'a tree; frames NAME.one and NAME.other coincide where loops close: {closed}'
 
-    def mjcf(self) -> _Element:
+    def mjcf(self) -> Element:
         """Return the model of MuJoCo."""
-        root = ElementTree.Element('mujoco', model=self._scene.name)
-        ElementTree.SubElement(root, 'compiler', angle='radian', autolimits='true')
-        option = {'timestep': f'{_TIME_STEP:g}', 'gravity': '0 0 0', 'integrator': 'implicitfast'}
-        ElementTree.SubElement(root, 'option', option)
-        default = ElementTree.SubElement(root, 'default')
-        ElementTree.SubElement(default, 'geom', contype='0', conaffinity='0', type='capsule')
-        softness = {'solref': f'{2 * _TIME_STEP:g} 1', 'solimp': _SOFTNESS}
-        ElementTree.SubElement(default, 'equality', softness)
-        world = ElementTree.SubElement(root, 'worldbody')
-        ElementTree.SubElement(world, 'light', pos='0 0 5', dir='0 0 -1', directional='true')
-        elements, order = {GROUND: world}, list[Link]()
-        self._add_body_parts(world, Link(GROUND, '', '', 0j, 0.0, 0.0, np.zeros(1), GROUND))
-        for link in self._tree.links:
-            elements[link.name] = self._add_body(elements[link.parent], link)
-        # MuJoCo numbers the joints by the order of their elements.
-        by_name = {link.name: link for link in self._tree.links}
-        order = [by_name[str(joint.get('name'))] for joint in world.iter('joint')]
-        self._add_closures(root, elements)
-        self._add_motors(root)
-        keys = ElementTree.SubElement(root, 'keyframe')
-        for k in range(len(self._inputs.T)):
-            angles = _numbers(*(link.value[k] for link in order))
-            ElementTree.SubElement(keys, 'key', name=f'position_{k}', qpos=angles)
-        return root
-
-    def _add_body(self, parent: _Element, link: Link) -> _Element:
-        """Add a link to its parent, where it is at the first position."""
-        at, turn, first = link.at, link.turn, float(link.value[0])
-        axis = np.exp(1j * link.axis)
-        if link.kind == 'slide':
-            at = at + first * axis * np.exp(1j * turn)
-        else:
-            turn += first
-        half = turn / 2
-        quaternion = _numbers(np.cos(half), 0, 0, np.sin(half))
-        body = ElementTree.SubElement(parent, 'body', name=link.name, pos=_at(at), quat=quaternion)
-        joint = {'name': link.name, 'type': link.kind, 'ref': _numbers(first)}
-        joint['axis'] = '0 0 1' if link.kind == 'hinge' else _at(axis)
-        ElementTree.SubElement(body, 'joint', joint)
-        self._add_body_parts(body, link)
-        return body
-
-    def _add_body_parts(self, body: _Element, link: Link) -> None:
-        """Add mass, capsules and named points of a link."""
-        mass = self._mass(link)
-        if mass:
-            moment = max(mass.moment, 1e-9)
-            ElementTree.SubElement(
-                body,
-                'inertial',
-                pos=_at(link.point(mass.center)),
-                mass=_numbers(max(mass.mass, _LEAST_MASS)),
-                diaginertia=_numbers(moment, moment, moment),
-            )
-        radius = _THICKNESS * self._size
-        bars = self._bars(link) if link.name != GROUND else []
-        for a, b in bars:
-            shape = {'fromto': f'{_at(a)} {_at(b)}', 'size': _numbers(radius)}
-            shape['mass'] = _numbers(_MASS_PER_LENGTH * abs(b - a))
-            ElementTree.SubElement(body, 'geom', shape)
-        if not bars and link.name != GROUND:
-            shape = {'type': 'sphere', 'size': _numbers(radius), 'mass': _numbers(_LEAST_MASS)}
-            ElementTree.SubElement(body, 'geom', shape)
-        for name, z in self._points(link):
-            ElementTree.SubElement(body, 'site', name=name, pos=_at(z))
-
-    def _add_closures(self, root: _Element, elements: dict[str, _Element]) -> None:
-        equality = ElementTree.SubElement(root, 'equality')
+        root = Element('mujoco', model=self._scene.name)
+        _add(root, 'compiler', angle='radian', autolimits='true')
+        _add(root, 'option', timestep=_TIME_STEP, gravity='0 0 0', integrator='implicitfast')
+        default = _add(root, 'default')
+        _add(default, 'geom', contype='0', conaffinity='0', type='capsule')
+        _add(default, 'equality', solref=f'{2 * _TIME_STEP} 1', solimp=_SOFTNESS)
+        world = _add(root, 'worldbody')
+        _add(world, 'light', pos='0 0 5', dir='0 0 -1', directional='true')
+        elements = {GROUND: world}
+        for link in (GROUND_LINK, *self._tree.links):
+            if link is not GROUND_LINK:
+                elements[link.name] = _add_body(elements[link.parent], link)
+                self._add_shape(elements[link.name], link)
+            for name, z in self._points(link):
+                _add(elements[link.name], 'site', name=name, pos=z)
+        equality, tendon, actuator = (_add(root, t) for t in ('equality', 'tendon', 'actuator'))
         for one in self._tree.closures:
-            ends = {'body1': self._world(one.one), 'body2': self._world(one.other)}
             # How two bodies are welded is taken from the position that is drawn.
-            about = {'name': one.name, **ends, 'anchor': _at(one.b if one.welded else one.a)}
-            ElementTree.SubElement(equality, 'weld' if one.welded else 'connect', about)
-            for end, link, z in (('one', one.one, one.a), ('other', one.other, one.b)):
-                site = {'name': f'{one.name}.{end}', 'pos': _at(z)}
-                ElementTree.SubElement(elements[link], 'site', site)
-        tendons = ElementTree.SubElement(root, 'tendon')
+            tag, anchor = ('weld', one.b) if one.welded else ('connect', one.a)
+            names = ['world' if name == GROUND else name for name in (one.one, one.other)]
+            _add(equality, tag, name=one.name, body1=names[0], body2=names[1], anchor=anchor)
+            _add(elements[one.one], 'site', name=f'{one.name}.one', pos=one.a)
+            _add(elements[one.other], 'site', name=f'{one.name}.other', pos=one.b)
         names_of = {point: name for name, point in self._scene.points.items()}
         for spring in self._scene.springs:
             if isinstance(spring, Spring):
-                spatial = ElementTree.SubElement(
-                    tendons,
-                    'spatial',
-                    stiffness=_numbers(spring.stiffness),
-                    springlength=_numbers(spring.free),
-                )
-                for point in ((spring.one, spring.a), (spring.other, spring.b)):
-                    ElementTree.SubElement(spatial, 'site', site=names_of[point])
-
-    def _add_motors(self, root: _Element) -> None:
-        motors = ElementTree.SubElement(root, 'actuator')
-        for name, link in self._motors.items():
-            if link is not None:
-                strength = _MOTOR * self._size ** (3 if link.kind == 'hinge' else 1)
-                motor = {'name': name, 'joint': link.name, 'kv': _numbers(strength)}
-                ElementTree.SubElement(motors, 'velocity', motor)
-
-    @staticmethod
-    def _world(name: str) -> str:
-        return 'world' if name == GROUND else name
-
-    def urdf(self) -> _Element:
-        """Return the robot of a URDF."""
-        root = ElementTree.Element('robot', name=self._scene.name)
-        ground = Link(GROUND, '', '', 0j, 0.0, 0.0, np.zeros(1), GROUND)
-        for link in (ground, *self._tree.links):
-            element = ElementTree.SubElement(root, 'link', name=link.name)
-            self._add_visuals(element, link)
-            if link.parent:
-                self._add_urdf_joint(root, link)
-        for one in self._tree.closures:
-            ends = ('one', one.one, one.a, one.turned), ('other', one.other, one.b, 0.0)
-            for end, parent, at, turn in ends:
-                name = f'{one.name}.{end}'
-                ElementTree.SubElement(root, 'link', name=name)
-                fixed = ElementTree.SubElement(root, 'joint', name=name, type='fixed')
-                _relate(fixed, parent, name, at, turn if one.welded else 0.0)
+                about = {'stiffness': spring.stiffness, 'springlength': spring.free}
+                spatial = _add(tendon, 'spatial', **about)
+                for end in ((spring.one, spring.a), (spring.other, spring.b)):
+                    _add(spatial, 'site', site=names_of[end])
+        for name, moved in self._motors.items():
+            if moved:
+                damping = _MOTOR * self._size ** (3 if moved.kind == 'hinge' else 1)
+                _add(actuator, 'velocity', name=name, joint=moved.name, kv=damping)
+        keys = _add(root, 'keyframe')
+        # MuJoCo numbers the joints by the order of their elements.
+        order = [self._links[str(joint.get('name'))] for joint in world.iter('joint')]
+        for k in range(self._count):
+            _add(keys, 'key', name=f'position_{k}', qpos=[link.value[k] for link in order])
         return root
 
-    def _add_urdf_joint(self, root: _Element, link: Link) -> None:
-        kind = 'continuous' if link.kind == 'hinge' else 'prismatic'
-        joint = ElementTree.SubElement(root, 'joint', name=link.name, type=kind)
-        _relate(joint, link.parent, link.name, link.at, link.turn)
-        axis = '0 0 1' if link.kind == 'hinge' else _at(np.exp(1j * link.axis))
-        ElementTree.SubElement(joint, 'axis', xyz=axis)
-        if link.kind == 'slide':
-            low, high = float(link.value.min()), float(link.value.max())
-            limit = {'lower': _numbers(low), 'upper': _numbers(high)}
-            ElementTree.SubElement(joint, 'limit', limit, effort='0', velocity='0')
+    def _add_shape(self, body: Element, link: Link) -> None:
+        """Add mass and capsules of a link."""
+        for mass in self._scene.masses:
+            if mass.body == link.body:
+                kg, moment = max(mass.mass, _LEAST_MASS), max(mass.moment, _LEAST_MOMENT)
+                center = link.point(mass.center)
+                _add(body, 'inertial', pos=center, mass=kg, diaginertia=[moment] * 3)
+        bars, radius = self._bars(link), _THICKNESS * self._size
+        for a, b in bars:
+            mass_of_bar = _MASS_PER_LENGTH * abs(b - a)
+            _add(body, 'geom', fromto=f'{_text(a)} {_text(b)}', size=radius, mass=mass_of_bar)
+        if not bars:
+            _add(body, 'geom', type='sphere', size=radius, mass=_LEAST_MASS)
 
-    def _add_visuals(self, element: _Element, link: Link) -> None:
-        if mass := self._mass(link):
-            inertial = ElementTree.SubElement(element, 'inertial')
-            origin = _at(link.point(mass.center))
-            ElementTree.SubElement(inertial, 'origin', xyz=origin, rpy='0 0 0')
-            ElementTree.SubElement(inertial, 'mass', value=_numbers(mass.mass))
-            moment = _numbers(mass.moment)
-            inertia = dict.fromkeys(('ixy', 'ixz', 'iyz'), '0')
-            inertia |= dict.fromkeys(('ixx', 'iyy', 'izz'), moment)
-            ElementTree.SubElement(inertial, 'inertia', inertia)
-        width = _numbers(2 * _THICKNESS * self._size)
-        for a, b in self._bars(link) if link.name != GROUND else ():
-            visual = ElementTree.SubElement(element, 'visual')
-            turn = f'0 0 {_numbers(np.angle(b - a))}'
-            ElementTree.SubElement(visual, 'origin', xyz=_at((a + b) / 2), rpy=turn)
-            geometry = ElementTree.SubElement(visual, 'geometry')
-            ElementTree.SubElement(geometry, 'box', size=f'{_numbers(abs(b - a))} {width} {width}')
+    def urdf(self) -> Element:
+        """Return the robot of a URDF."""
+        root = Element('robot', name=self._scene.name)
+        _add(root, 'link', name=GROUND)
+        for link in self._tree.links:
+            self._add_visuals(_add(root, 'link', name=link.name), link)
+            kind = 'continuous' if link.kind == 'hinge' else 'prismatic'
+            joint = _add_joint(root, kind, link.name, link.parent, link.at, link.turn)
+            _add(joint, 'axis', xyz=_axis(link))
+            if link.kind == 'slide':
+                ends = {'lower': link.value.min(), 'upper': link.value.max()}
+                _add(joint, 'limit', effort='0', velocity='0', **ends)
+        for one in self._tree.closures:
+            turned = one.turned if one.welded else 0.0
+            ends_of = ('one', one.one, one.a, turned), ('other', one.other, one.b, 0.0)
+            for end, parent, at, turn in ends_of:
+                _add(root, 'link', name=f'{one.name}.{end}')
+                _add_joint(root, 'fixed', f'{one.name}.{end}', parent, at, turn)
+        return root
 
-    def _mass(self, link: Link) -> Mass | None:
-        return next((one for one in self._scene.masses if one.body == link.body), None)
+    def _add_visuals(self, element: Element, link: Link) -> None:
+        for mass in self._scene.masses:
+            if mass.body == link.body:
+                inertial = _add(element, 'inertial')
+                _add(inertial, 'origin', xyz=link.point(mass.center), rpy='0 0 0')
+                _add(inertial, 'mass', value=mass.mass)
+                moments = dict.fromkeys(('ixx', 'iyy', 'izz'), mass.moment)
+                _add(inertial, 'inertia', **moments, **dict.fromkeys(('ixy', 'ixz', 'iyz'), 0.0))
+        width = 2 * _THICKNESS * self._size
+        for a, b in self._bars(link):
+            visual = _add(element, 'visual')
+            _add(visual, 'origin', xyz=(a + b) / 2, rpy=[0, 0, np.angle(b - a)])
+            _add(_add(visual, 'geometry'), 'box', size=[abs(b - a), width, width])
 
     def _points(self, link: Link) -> list[tuple[str, complex]]:
         """Return the named points of a link in its frame; those of vectors have other frames."""
-        if not self._scene.mechanism.assembly.joints:
-            return []
-        points = self._scene.points.items()
+        points = self._scene.points.items() if self._scene.mechanism.assembly.joints else ()
         return [(name, link.point(z)) for name, (body, z) in points if body == link.body]
 
     def _bars(self, link: Link) -> list[tuple[complex, complex]]:
@@ -254,13 +188,14 @@ class _Model:
         points += [0j, *(one.at for one in self._tree.links if one.parent == link.name)]
         for one in self._tree.closures:
             points += [z for name, z in ((one.one, one.a), (one.other, one.b)) if name == link.name]
-        near = 1e-9 * self._size
         corners: list[complex] = []
         for z in points:
-            if all(abs(z - other) > near for other in corners):
+            if all(abs(z - other) > 1e-9 * self._size for other in corners):
                 corners.append(z)
-        around = [*corners, corners[0]] if len(corners) > 2 else corners
-        return list(pairwise(around))
+        return list(pairwise([*corners, corners[0]] if len(corners) > 2 else corners))
+
+
+GROUND_LINK = Link(GROUND, '', '', 0j, 0.0, 0.0, np.zeros(1), GROUND)
 
 
 def _moves_as(value: np.ndarray, row: np.ndarray) -> bool:
@@ -268,17 +203,44 @@ def _moves_as(value: np.ndarray, row: np.ndarray) -> bool:
     return bool(np.ptp(value - row) < 1e-9 * (1 + np.ptp(row)))
 
 
-def _relate(joint: _Element, parent: str, child: str, at: complex, turn: float) -> None:
-    """Add to a joint of a URDF what it connects, and where."""
-    ElementTree.SubElement(joint, 'parent', link=parent)
-    ElementTree.SubElement(joint, 'child', link=child)
-    ElementTree.SubElement(joint, 'origin', xyz=_at(at), rpy=f'0 0 {_numbers(turn)}')
+def _axis(link: Link) -> complex | str:
+    return '0 0 1' if link.kind == 'hinge' else complex(np.exp(1j * link.axis))
 
 
-def _at(z: complex) -> str:
-    return _numbers(z.real, z.imag, 0.0)
+def _add_body(parent: Element, link: Link) -> Element:
+    """Add a link of an MJCF with its joint, where it is at the first position."""
+    at, turn, first = link.at, link.turn, float(link.value[0])
+    if link.kind == 'slide':
+        at += first * complex(np.exp(1j * (turn + link.axis)))
+    else:
+        turn += first
+    quaternion = [np.cos(turn / 2), 0, 0, np.sin(turn / 2)]
+    body = _add(parent, 'body', name=link.name, pos=at, quat=quaternion)
+    _add(body, 'joint', name=link.name, type=link.kind, ref=first, axis=_axis(link))
+    return body
 
 
-def _numbers(*values: float) -> str:
+def _add_joint(
+    root: Element, kind: str, child: str, parent: str, at: complex, turn: float
+) -> Element:
+    """Add a joint of a URDF, named after its child."""
+    joint = _add(root, 'joint', name=child, type=kind)
+    _add(joint, 'parent', link=parent)
+    _add(joint, 'child', link=child)
+    _add(joint, 'origin', xyz=at, rpy=[0, 0, turn])
+    return joint
+
+
+def _add(parent: Element, tag: str, **values: str | complex | list[float]) -> Element:
+    """Add an element; points of the plane are complex."""
+    return SubElement(parent, tag, {name: _text(value) for name, value in values.items()})
+
+
+def _text(value: str | complex | list[float]) -> str:
     """Return numbers with all their digits."""
-    return ' '.join(f'{float(value) + 0.0:.16g}' for value in values)
+    if isinstance(value, str):
+        return value
+    if isinstance(value, complex):
+        value = [value.real, value.imag, 0.0]
+    numbers = value if isinstance(value, list) else [value]
+    return ' '.join(f'{float(number) + 0.0:.16g}' for number in numbers)
