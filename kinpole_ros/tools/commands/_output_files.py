@@ -16,13 +16,14 @@ _ENDINGS = {
     'a Foxglove layout': ('.json',),
     'a PlotJuggler layout': ('.xml',),
     'a picture': ('.png', '.pdf', '.svg', '.jpg', '.jpeg'),
+    'a video': ('.mp4',),
     'a sheet of tags': ('.svg', '.pdf'),
     'a pair of pitch curves': ('.csv', '.svg', '.dxf'),
 }
 # Kinds that need one of their endings: browsers go by the ending of a page, and the ending of a
 # sheet or of pitch curves is their format. Other kinds accept any ending that is not of another
 # kind.
-_STRICT = ('an HTML page', 'a sheet of tags', 'a pair of pitch curves')
+_STRICT = ('an HTML page', 'a video', 'a sheet of tags', 'a pair of pitch curves')
 
 # The option that names a file, the file (None if not given), and its kind: a key of _ENDINGS, or ''
 # where the writer checks the ending.
