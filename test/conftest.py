@@ -9,6 +9,7 @@ import zlib
 from argparse import Namespace
 from array import array
 from collections.abc import Callable, Iterator, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,8 @@ from kinpole_ros.tools.usage import parse_words
 
 ROOT = Path(__file__).parents[1]
 FOUR_BAR = ROOT / 'bags' / 'four_bar.mcap'
+# Tests of films need the extra `film`.
+collect_ignore_glob = [] if find_spec('av') and find_spec('cv2') else ['film/*']
 
 # Nodes of the tests meet nobody else's, nor those of another run on this machine. From domain 102
 # on, the ports are among those that the kernel gives to anybody, and nodes may miss each other.

@@ -1,6 +1,5 @@
 """The tags of a film as markers in the plane of motion: four markers each, its corners."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,9 +9,8 @@ from kinpole_ros.bags import write_points
 from kinpole_ros.film._ground import PlaneMap, fit_plane, off_square, square_poses
 from kinpole_ros.film._lens import Lens, read_lens
 from kinpole_ros.film._tags import TagFinder
-from kinpole_ros.film._video import FilmError, Video
+from kinpole_ros.film._video import FilmError, Progress, Video
 
-Progress = Callable[[float], None]
 # m; the black square of a tag that `kinpole film --print` draws.
 SIZE = 0.04
 _LEAST_FRAMES = 5  # in which a tag is seen, else it is left out
@@ -73,6 +71,8 @@ class Filmed:
         The map of each picture, or one for all.
     lens : Lens or None
         The camera, if its file was given.
+    picture : tuple of int
+        Width and height, pixels.
     assumed : list of str
         What was assumed, and the options that change it, a line each.
 
@@ -83,6 +83,7 @@ class Filmed:
     corners: np.ndarray
     maps: list[PlaneMap]
     lens: Lens | None
+    picture: tuple[int, int]
     assumed: list[str]
 
     @property
@@ -163,7 +164,7 @@ def read_film(
         f'plane: {ground_text}; perspective such that all tags are squares of one size, lens '
         f'{lens_text}; to change: --ground 7, --camera FILE',
     ]
-    return Filmed(tuple(seen.tags), seen.stamps, corners, maps, lens, assumed)
+    return Filmed(tuple(seen.tags), seen.stamps, corners, maps, lens, seen.picture, assumed)
 
 
 def film_to_bag(
