@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import SMOOTHED, DiagnosticsMaker
+from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate

@@ -9,12 +9,12 @@ from kinpole_ros.messages._body_faults import (
     unit_fault,
     wrong_pose_fault,
 )
-from kinpole_ros.messages._cdr import serialize_message, with_zero_padding
 from kinpole_ros.messages._diagnostics import RECEIVED, RESTARTS, DiagnosticsMaker
 from kinpole_ros.messages._drawing import COLORS, deletion_of_all
 from kinpole_ros.messages._events import read_event
 from kinpole_ros.messages._faults import identity_lines, jitter_fault, plane_words, tilt_fault
-from kinpole_ros.messages._markers import marker_arrays, read_markers, to_message
+from kinpole_ros.messages._installed import installed_class
+from kinpole_ros.messages._markers import marker_arrays, to_message
 from kinpole_ros.messages._poses import (
     AUTO_TYPES,
     PoseReader,
@@ -23,7 +23,7 @@ from kinpole_ros.messages._poses import (
     poses_data,
     reader_of,
 )
-from kinpole_ros.messages._reader import MarkerReader
+from kinpole_ros.messages._reader import MarkerReader, read_markers
 from kinpole_ros.messages._results import (
     DRAWING,
     TF,
@@ -39,17 +39,15 @@ from kinpole_ros.messages._types import (
     INPUT_TYPES,
     MARKER_TYPES,
     ROS_TYPE_NAMES,
-    WITH_ROS,
-    WITH_TF,
     DiagnosticArray,
     MessageError,
     String,
-    constants,
+    definition,
     deserialize_message,
     fields,
     message_class,
     ns_to_stamp,
-    octets,
+    serialize_message,
     stamp_to_ns,
     type_name,
 )
@@ -70,8 +68,6 @@ __all__ = [
     'STATE',
     'TF',
     'VIEW',
-    'WITH_ROS',
-    'WITH_TF',
     'DiagnosticArray',
     'DiagnosticsMaker',
     'MarkerReader',
@@ -80,11 +76,12 @@ __all__ = [
     'PoseReader',
     'String',
     'absent_markers_fault',
-    'constants',
+    'definition',
     'deletion_of_all',
     'deserialize_message',
     'fields',
     'identity_lines',
+    'installed_class',
     'jitter_fault',
     'joint_build',
     'kind_of',
@@ -94,7 +91,6 @@ __all__ = [
     'marker_reader',
     'message_class',
     'ns_to_stamp',
-    'octets',
     'outage_fault',
     'outputs_of',
     'plane_words',
@@ -115,6 +111,5 @@ __all__ = [
     'type_name',
     'unit_fault',
     'view_of',
-    'with_zero_padding',
     'wrong_pose_fault',
 ]

@@ -315,9 +315,7 @@ def _input_status(
     return _status(name, level, message, values)
 
 
-def _status(
-    name: str, level: bytes, message: str, values: Mapping[str, object]
-) -> DiagnosticStatus:
+def _status(name: str, level: int, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
     pairs = [
         KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float) else str(value))
         for key, value in values.items()

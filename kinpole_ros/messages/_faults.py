@@ -19,7 +19,7 @@ from kinpole_ros.tracking.space import SpaceReport
 from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.tracker import Tracker
 
-Fault: TypeAlias = tuple[bytes, str]
+Fault: TypeAlias = tuple[int, str]
 """Level of diagnostic_msgs and text."""
 
 _LISTED_NOTES, _NOTE_CHARACTERS = 3, 120  # notes on identities may be of any number and length

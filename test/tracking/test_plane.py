@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
@@ -16,6 +15,7 @@ from kinpole_ros.bags import BagWriter, warnings_of
 from kinpole_ros.bags import replay as replay_bag
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import DiagnosticsMaker, result_outputs, unit_fault
+from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.settings import settings_from
 from kinpole_ros.tools.record.result_bag import read_record
 from kinpole_ros.tracking.estimate import Estimate
