@@ -1,9 +1,9 @@
 """
 A linkage as programs for robots want it: a tree of hinges and slides, and closures of its loops.
 
-Every joint is a chain of hinges, slides and rigid steps from one body to the other. A slot or a
-strut needs a link between its bodies, named after the joint. The first joints that reach a body are
-in the tree; of any other one all but the last hinge is, which is then a closure.
+A pin in a slot and a strut have links of their own, named after the joint: a block, or a barrel and
+a rod. Breadth first from the ground, the first joint that reaches a link is in the tree; every
+other one closes a loop.
 """
 
 from collections.abc import Iterator
@@ -19,55 +19,31 @@ from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.planar._plane import Real
 
 
-class Step(NamedTuple):
-    """
-    A step from frame to frame: a 'hinge' or 'slide' with values (T,), rad or m, or neither.
-
-    A slide is in the `direction`, rad; a rigid step shifts by `shift`, m, and turns by `direction`.
-    """
-
-    kind: str
-    value: Real | None = None
-    direction: float = 0.0
-    shift: complex = 0j
-
-    def reversed(self) -> tuple['Step', ...]:
-        """The step from the other side."""
-        if self.value is not None:
-            return (self._replace(value=-self.value),)
-        return Step('', direction=-self.direction), Step('', shift=-self.shift)
-
-
 class Link(NamedTuple):
     """
-    A link of the tree, which hangs on its `parent` by one joint; the ground is not among them.
+    A link of the tree, which hangs on its `parent` by a 'hinge' or a 'slide', its `kind`.
 
-    The joint is at `at`, m, in the parent's frame, turned by `turn`, rad; the link's frame is there
-    where the joint's value (T,) is zero. A slide is in the direction `axis`, rad, in this frame.
-    The link carries the frame of the `body`, '' for none, at `origin`, turned by `angle`.
+    Its frame is parallel to that of its body, with the origin at the point `origin` of it, m; there
+    it is joined to the point `at` of the parent's frame, m. The joint's `value` (T,) is the angle
+    to the parent, rad, or how far it slid in the direction `axis` of its own frame, m; a link that
+    slides stands at the angle `turn`, rad, to the parent.
     """
 
     name: str
     parent: str
     kind: str
     at: complex
-    turn: float
-    axis: float
+    origin: complex
     value: Real
-    body: str = ''
-    origin: complex = 0j
-    angle: float = 0.0
-
-    def point(self, z: complex) -> complex:
-        """A point of the body in the link's frame."""
-        return complex(self.origin + z * np.exp(1j * self.angle))
+    axis: float = 0.0
+    turn: float = 0.0
 
 
 class Closure(NamedTuple):
     """
-    Two links that are joined where a loop closes: at `a` and at `b` in their frames, m.
+    Where the loop of a joint closes: at `a` and `b` in the frames of its links, m.
 
-    They turn freely, unless they are `welded`, `turned` (rad) from the first to the second.
+    The links turn freely, or are `welded`, the second at the angle `turned` (rad) to the first.
     """
 
     name: str
@@ -80,10 +56,21 @@ class Closure(NamedTuple):
 
 
 class JointTree(NamedTuple):
-    """The links in an order in which parents come first, and the closures."""
+    """The links by name, each after its parent, the ground first; and the closures."""
 
-    links: tuple[Link, ...]
+    links: dict[str, Link]
     closures: tuple[Closure, ...]
+
+
+class _Simple(NamedTuple):
+    """A hinge, or a slide in the direction `along` (rad) of `one`, between two links."""
+
+    name: str
+    one: str
+    a: complex
+    other: str
+    b: complex
+    along: float | None = None
 
 
 def joint_tree(mechanism: Mechanism, values: Real) -> JointTree:
@@ -108,109 +95,83 @@ def joint_tree(mechanism: Mechanism, values: Real) -> JointTree:
         For wheels, belts, cams and Geneva drives, which are no hinges or slides.
 
     """
-    if others := _not_carried(mechanism):
+    assembly = mechanism.assembly
+    kinds = Revolute | Slot | ArcSlot | Strut
+    others = [joint.name for joint in assembly.joints if not isinstance(joint, kinds)]
+    if others := [*others, *(follower.name for follower in assembly.followers)]:
         raise LinkageError(f'{", ".join(others)} cannot be written as hinges and slides')
-    poses = poses_of(mechanism.assembly, values)
-    tree = {GROUND: Link(GROUND, '', '', 0j, 0.0, 0.0, np.zeros(values.shape[1]), GROUND)}
+    poses = poses_of(assembly, values)
+    ordered = sorted(assembly.joints, key=lambda joint: joint.is_span)
+    left = [simple for joint in ordered for simple in _simple_joints(joint, poses)]
+    links = {GROUND: Link(GROUND, '', '', 0j, 0j, np.zeros(values.shape[1]))}
     closures: list[Closure] = []
-    left = list(mechanism.assembly.joints)
     while left:
-        # Breadth first, since chains are then short; struts last.
-        joint = min(left, key=lambda one: (one.is_span, _depth(tree, one)))
+        # A chain is followed from its end only where its beginning is not reached otherwise.
+        ways = [one for link in links for one in left if one.one == link]
+        ways += [one for link in links for one in left if one.other == link]
+        joint = ways[0]
         left.remove(joint)
-        steps = list(_steps(joint, poses[joint.one], poses[joint.other]))
-        if joint.one in tree and joint.other in tree:
-            closures.append(_close(tree, joint, steps))
-        elif joint.one in tree:
-            _hang(tree, joint.name, tree[joint.one], joint.a, steps, (joint.other, joint.b))
+        if joint.one in links and joint.other in links:
+            closures.append(_close(links, joint, poses))
         else:
-            back = [one for step in reversed(steps) for one in step.reversed()]
-            _hang(tree, joint.name, tree[joint.other], joint.b, back, (joint.one, joint.a))
-    return JointTree(tuple(tree.values())[1:], tuple(closures))
+            link = _hang(links, joint, poses)
+            links[link.name] = link
+    return JointTree(links, tuple(closures))
 
 
-def _not_carried(mechanism: Mechanism) -> list[str]:
-    """What is neither hinge nor slide: names of joints, and what laws prescribe."""
-    names = [
-        joint.name
-        for joint in mechanism.assembly.joints
-        if not isinstance(joint, Revolute | Slot | ArcSlot | Strut)
-    ]
-    return [*names, *(follower.name for follower in mechanism.assembly.followers)]
+def _simple_joints(joint: Joint, poses: dict[str, Pose]) -> Iterator[_Simple]:
+    """The hinges and slides of a joint, in a chain from `one`; adds the poses of new links."""
+    name, one, other = joint.name, poses[joint.one], poses[joint.other]
+    toward = np.unwrap(np.angle(other.point(joint.b) - one.point(joint.a)))
+    begin, end = (joint.one, joint.a), (joint.other, joint.b)
+    if isinstance(joint, Slot) and joint.turned is not None:
+        yield _Simple(name, *begin, *end, joint.along)
+    elif isinstance(joint, Slot):
+        poses[name] = Pose(other.point(joint.b), one.angle)
+        yield _Simple(name, *begin, name, 0j, joint.along)
+        yield _Simple(name, name, 0j, *end)
+    elif isinstance(joint, ArcSlot) and joint.turned is not None:
+        # A block turns about the center of curvature.
+        center = joint.b - joint.circle * np.exp(-1j * joint.turned)
+        yield _Simple(name, *begin, joint.other, complex(center))
+    elif isinstance(joint, ArcSlot):
+        poses[name] = Pose(one.point(joint.a), toward)
+        yield _Simple(name, *begin, name, 0j)
+        yield _Simple(name, name, complex(joint.circle), *end)
+    elif isinstance(joint, Strut):
+        rod = f'{name}.rod'
+        poses[name] = Pose(one.point(joint.a), toward)
+        poses[rod] = Pose(other.point(joint.b), toward)
+        yield _Simple(name, *begin, name, 0j)
+        yield _Simple(name, name, 0j, rod, 0j, 0.0)
+        yield _Simple(name, rod, 0j, *end)
+    else:
+        yield _Simple(name, *begin, *end)
 
 
-def _depth(tree: dict[str, Link], joint: Joint) -> int:
-    """How far from the ground a joint begins; beyond all if it reaches no link yet."""
-    names = list(tree)
-    return min(
-        (names.index(body) for body in (joint.one, joint.other) if body in tree),
-        default=len(names),
-    )
+def _hang(links: dict[str, Link], joint: _Simple, poses: dict[str, Pose]) -> Link:
+    """The link that a joint hangs on the tree."""
+    parent, a, child, b = joint[1:5]
+    if parent not in links:
+        parent, a, child, b = child, b, parent, a
+    at = a - links[parent].origin
+    angle = poses[child].angle - poses[parent].angle
+    if joint.along is None:
+        return Link(child, parent, 'hinge', at, b, angle)
+    axis = joint.along + poses[joint.one].angle[0] - poses[child].angle[0]
+    between = poses[child].point(b) - poses[parent].point(a)
+    value = (between * np.exp(-1j * (poses[child].angle + axis))).real
+    return Link(child, parent, 'slide', at, b, value, float(axis), float(angle[0]))
 
 
-def _steps(joint: Joint, one: Pose, other: Pose) -> Iterator[Step]:
-    """The steps from the point `a`, in the axes of `one`, to the point `b`, in those of `other`."""
-    turn = other.angle - one.angle
-    between = other.point(joint.b) - one.point(joint.a)
-    if isinstance(joint, Slot):
-        slide = (between * one.turn.conj() * np.exp(-1j * joint.along)).real
-        yield Step('slide', slide, joint.along)
-        if joint.turned is not None:
-            yield Step('', direction=joint.turned)
-            return
-    elif isinstance(joint, ArcSlot | Strut):
-        toward = np.unwrap(np.angle(between)) - one.angle
-        if isinstance(joint, ArcSlot) and joint.turned is not None:
-            yield Step('hinge', turn - joint.turned)
-            yield Step('', shift=joint.circle)
-            yield Step('', direction=joint.turned)
-            return
-        yield Step('hinge', toward)
-        if isinstance(joint, Strut):
-            yield Step('slide', np.abs(between))
-        else:
-            yield Step('', shift=joint.circle)
-        turn = turn - toward
-    yield Step('hinge', turn)
-
-
-def _hang(
-    tree: dict[str, Link],
-    name: str,
-    link: Link,
-    point: complex,
-    steps: list[Step],
-    end: tuple[str, complex] | None,
-) -> tuple[Link, complex, float]:
-    """
-    Hang the links of a chain on a link; return the last, and where its end is in that one's frame.
-
-    It begins at the `point` of the link's body; the last link carries the body of `end`, of which
-    the chain ends at a point.
-    """
-    at, turn = link.point(point), link.angle
-    moving = [k for k, step in enumerate(steps) if step.value is not None]
-    for k, step in enumerate(steps):
-        if step.value is None:
-            at += step.shift * np.exp(1j * turn)
-            turn += step.direction
-            continue
-        is_last = k == moving[-1] and end is not None
-        own = end[0] if is_last and end else name if k == moving[0] else f'{name}.{k}'
-        link = Link(own, link.name, step.kind, complex(at), turn, step.direction, step.value)
-        tree[own], at, turn = link, 0j, 0.0
-    if end is not None:
-        origin = at - end[1] * np.exp(1j * turn)
-        link = tree[link.name] = link._replace(body=end[0], origin=complex(origin), angle=turn)
-    return link, complex(at), turn
-
-
-def _close(tree: dict[str, Link], joint: Joint, steps: list[Step]) -> Closure:
-    """The closure of a joint between two bodies of the tree, with the links that it needs."""
-    other = tree[joint.other]
-    welded = not (steps and steps[-1].kind == 'hinge')
-    kept = steps if welded else steps[:-1]
-    link, at, turn = _hang(tree, joint.name, tree[joint.one], joint.a, kept, None)
-    return Closure(
-        joint.name, link.name, at, other.name, other.point(joint.b), welded, turn - other.angle
-    )
+def _close(links: dict[str, Link], joint: _Simple, poses: dict[str, Pose]) -> Closure:
+    """The closure of a joint; a slide has a block on it, to which the other body is welded."""
+    one, other = links[joint.one], links[joint.other]
+    b = joint.b - other.origin
+    if joint.along is None:
+        return Closure(joint.name, one.name, joint.a - one.origin, other.name, b)
+    poses[joint.name] = Pose(poses[joint.other].point(joint.b), poses[joint.one].angle)
+    block = _hang(links, joint._replace(other=joint.name, b=0j), poses)
+    links[block.name] = block
+    turned = float(poses[joint.other].angle[0] - poses[joint.one].angle[0])
+    return Closure(joint.name, block.name, 0j, other.name, b, True, turned)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinpole_ros.mechanism import SceneError, centrodes, load_scene, scene_text
+from kinpole_ros.mechanism import LinkageError, SceneError, centrodes, load_scene, scene_text
 from kinpole_ros.tools.solve import _solution, _text
 from kinpole_ros.tools.solve._animation import animation_kind, write_animation
 from kinpole_ros.tools.solve._panels import Panel, write_drawing
@@ -86,7 +86,7 @@ class _Analysis:
         """The lines of the scene; without a range they are those of the one position."""
         try:
             return SceneLines(self.motion)
-        except SceneError:
+        except (SceneError, LinkageError):
             return SceneLines(self.here)
 
     def text(self) -> Iterator[str]:

@@ -115,8 +115,8 @@ def _curvature(
 
 def _label(name: str) -> str:
     """Return the name of a point without its body, unless it is one of the construction."""
-    short = name.rpartition('.')[2]
-    return name if short in _LETTERS else short
+    body, _, short = name.rpartition('.')
+    return f'{body or "point"} {short}' if short in _LETTERS else short
 
 
 def _ordered(points: dict[str, complex], pole: complex) -> dict[str, complex]:

@@ -63,13 +63,13 @@ class _Model:
 
     def __init__(self, motion: SolvedScene, tree: JointTree, inputs: np.ndarray) -> None:
         self._scene, self._tree, self._count = motion.scene, tree, inputs.shape[1]
-        self._links = {link.name: link for link in tree.links}
-        points = [link.at for link in tree.links] + [z for _, z in self._scene.points.values()]
+        self._links = [link for link in tree.links.values() if link.parent]
+        points = [link.at for link in self._links] + [z for _, z in self._scene.points.values()]
         self._size = max(map(abs, points), default=0.0) or 1.0
         drivers = motion.scene.mechanism.drivers
         # Each with the link that it moves, if one alone moves as it does.
         self._motors = {
-            driver.name: next((one for one in tree.links if _moves_as(one.value, row)), None)
+            driver.name: next((one for one in self._links if _moves_as(one.value, row)), None)
             for driver, row in zip(drivers, inputs, strict=True)
         }
 
@@ -97,8 +97,8 @@ class _Model:
         world = _add(root, 'worldbody')
         _add(world, 'light', pos='0 0 5', dir='0 0 -1', directional='true')
         elements = {GROUND: world}
-        for link in (GROUND_LINK, *self._tree.links):
-            if link is not GROUND_LINK:
+        for link in self._tree.links.values():
+            if link.parent:
                 elements[link.name] = _add_body(elements[link.parent], link)
                 self._add_shape(elements[link.name], link)
             for name, z in self._points(link):
@@ -124,7 +124,7 @@ class _Model:
                 _add(actuator, 'velocity', name=name, joint=moved.name, kv=damping)
         keys = _add(root, 'keyframe')
         # MuJoCo numbers the joints by the order of their elements.
-        order = [self._links[str(joint.get('name'))] for joint in world.iter('joint')]
+        order = [self._tree.links[str(joint.get('name'))] for joint in world.iter('joint')]
         for k in range(self._count):
             _add(keys, 'key', name=f'position_{k}', qpos=[link.value[k] for link in order])
         return root
@@ -132,9 +132,9 @@ class _Model:
     def _add_shape(self, body: Element, link: Link) -> None:
         """Add mass and capsules of a link."""
         for mass in self._scene.masses:
-            if mass.body == link.body:
+            if mass.body == link.name:
                 kg, moment = max(mass.mass, _LEAST_MASS), max(mass.moment, _LEAST_MOMENT)
-                center = link.point(mass.center)
+                center = mass.center - link.origin
                 _add(body, 'inertial', pos=center, mass=kg, diaginertia=[moment] * 3)
         bars, radius = self._bars(link), _THICKNESS * self._size
         for a, b in bars:
@@ -147,7 +147,7 @@ class _Model:
         """Return the robot of a URDF."""
         root = Element('robot', name=self._scene.name)
         _add(root, 'link', name=GROUND)
-        for link in self._tree.links:
+        for link in self._links:
             self._add_visuals(_add(root, 'link', name=link.name), link)
             kind = 'continuous' if link.kind == 'hinge' else 'prismatic'
             joint = _add_joint(root, kind, link.name, link.parent, link.at, link.turn)
@@ -165,9 +165,9 @@ class _Model:
 
     def _add_visuals(self, element: Element, link: Link) -> None:
         for mass in self._scene.masses:
-            if mass.body == link.body:
+            if mass.body == link.name:
                 inertial = _add(element, 'inertial')
-                _add(inertial, 'origin', xyz=link.point(mass.center), rpy='0 0 0')
+                _add(inertial, 'origin', xyz=mass.center - link.origin, rpy='0 0 0')
                 _add(inertial, 'mass', value=mass.mass)
                 moments = dict.fromkeys(('ixx', 'iyy', 'izz'), mass.moment)
                 _add(inertial, 'inertia', **moments, **dict.fromkeys(('ixy', 'ixz', 'iyz'), 0.0))
@@ -180,12 +180,12 @@ class _Model:
     def _points(self, link: Link) -> list[tuple[str, complex]]:
         """Return the named points of a link in its frame; those of vectors have other frames."""
         points = self._scene.points.items() if self._scene.mechanism.assembly.joints else ()
-        return [(name, link.point(z)) for name, (body, z) in points if body == link.body]
+        return [(name, z - link.origin) for name, (body, z) in points if body == link.name]
 
     def _bars(self, link: Link) -> list[tuple[complex, complex]]:
         """Return the lines between the points of a link: those with names, and where links hang."""
         points = [z for _, z in self._points(link)]
-        points += [0j, *(one.at for one in self._tree.links if one.parent == link.name)]
+        points += [0j, *(one.at for one in self._links if one.parent == link.name)]
         for one in self._tree.closures:
             points += [z for name, z in ((one.one, one.a), (one.other, one.b)) if name == link.name]
         corners: list[complex] = []
@@ -193,9 +193,6 @@ class _Model:
             if all(abs(z - other) > 1e-9 * self._size for other in corners):
                 corners.append(z)
         return list(pairwise([*corners, corners[0]] if len(corners) > 2 else corners))
-
-
-GROUND_LINK = Link(GROUND, '', '', 0j, 0.0, 0.0, np.zeros(1), GROUND)
 
 
 def _moves_as(value: np.ndarray, row: np.ndarray) -> bool:
