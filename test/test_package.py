@@ -153,7 +153,7 @@ BELOW = {
         'linkage',
         'messages',
     },
-    'film': {'files', 'messages', 'bags'},
+    'film': {'files', 'bags'},
     'ros': {'settings', 'tracking', 'linkage', 'messages', 'bags'},
     'tools': {
         'files',
