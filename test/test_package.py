@@ -156,7 +156,7 @@ BELOW = {
         'linkage',
         'messages',
     },
-    'film': {'files', 'messages', 'bags'},
+    'film': {'files', 'bags'},
     'ros': {'settings', 'tracking', 'linkage', 'messages', 'bags'},
     'tools': {
         'files',
