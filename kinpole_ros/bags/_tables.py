@@ -34,7 +34,7 @@ def column_names(bodies: tuple[str, ...], order: int) -> list[str]:
     and the poles and the ICR's velocity as NAME_x, NAME_y and their sigmas; of every pair the
     relative rate and center. Last come the EVENT_COLUMNS of every body. SI units, sigma is one
     standard deviation. x and y are along the axes of the plane: those of the frame in xy, yz and
-    zx, else those of `messages.plane_words`.
+    zx, else those of `messages.faults.plane_words`.
     """
     numbers = [*RATE_NAMES[:order], *(['centrode_curvature'] if order >= 3 else [])]
     vectors = [*POLE_NAMES[:order], *(['icr_velocity'] if order >= 2 else [])]
