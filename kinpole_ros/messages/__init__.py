@@ -1,18 +1,8 @@
 """ROS messages to arrays and back: no other package handles the fields of a message."""
 
-from kinpole_ros.messages._body_faults import (
-    SMOOTHED,
-    absent_markers_fault,
-    marker_faults,
-    outage_fault,
-    shape_fault,
-    unit_fault,
-    wrong_pose_fault,
-)
 from kinpole_ros.messages._diagnostics import RECEIVED, RESTARTS, DiagnosticsMaker
 from kinpole_ros.messages._drawing import COLORS, deletion_of_all
 from kinpole_ros.messages._events import read_event
-from kinpole_ros.messages._faults import identity_lines, jitter_fault, plane_words, tilt_fault
 from kinpole_ros.messages._installed import installed_class
 from kinpole_ros.messages._markers import marker_arrays, to_message
 from kinpole_ros.messages._poses import (
@@ -64,7 +54,6 @@ __all__ = [
     'RECEIVED',
     'RESTARTS',
     'ROS_TYPE_NAMES',
-    'SMOOTHED',
     'STATE',
     'TF',
     'VIEW',
@@ -75,25 +64,19 @@ __all__ = [
     'Output',
     'PoseReader',
     'String',
-    'absent_markers_fault',
     'definition',
     'deletion_of_all',
     'deserialize_message',
     'fields',
-    'identity_lines',
     'installed_class',
-    'jitter_fault',
     'joint_build',
     'kind_of',
     'live_outputs',
     'marker_arrays',
-    'marker_faults',
     'marker_reader',
     'message_class',
     'ns_to_stamp',
-    'outage_fault',
     'outputs_of',
-    'plane_words',
     'poses_data',
     'quantity_lists',
     'read_event',
@@ -103,13 +86,9 @@ __all__ = [
     'reader_of',
     'result_outputs',
     'serialize_message',
-    'shape_fault',
     'stamp_to_ns',
     'state_fields',
-    'tilt_fault',
     'to_message',
     'type_name',
-    'unit_fault',
     'view_of',
-    'wrong_pose_fault',
 ]

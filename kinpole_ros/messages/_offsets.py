@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from kinpole_ros.messages._cdr import HEAD, LITTLE
-from kinpole_ros.messages._types import INPUT_TYPE_NAMES, MessageError
+from kinpole_ros.messages._types import END_OF_TIME, INPUT_TYPE_NAMES, SECOND, MessageError
 from kinpole_ros.settings import MESSAGE_TYPES, MessageType
 from kinpole_ros.settings.message_types import Field
 
@@ -251,3 +251,18 @@ def text_at(data: bytes, text: Items) -> str:
     """Return a string in a message; what is no UTF-8 in it is replaced."""
     start, number = text
     return data[start : start + number].partition(b'\0')[0].decode(errors='replace')
+
+
+def check_stamp(data: bytes, at: int, order: str) -> None:
+    """Raise MessageError for a stamp that no ROS time has."""
+    seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, at)
+    if seconds < 0:
+        raise MessageError(
+            f'header.stamp is {seconds} s; see that the driver sets it to the time of capture, '
+            'counted from 1970 or from its start'
+        )
+    if seconds * SECOND + nanoseconds >= END_OF_TIME:
+        raise MessageError(
+            f'header.stamp has {nanoseconds} ns after {seconds} s, more than a ROS time holds; '
+            'see that the driver sets nanosec to less than 1e9'
+        )

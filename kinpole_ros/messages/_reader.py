@@ -8,7 +8,6 @@ Messages that agree with it in the masked bytes are read by compiled code. If th
 names of markers alone, as where markers come and go, the names are read again.
 """
 
-import struct
 from collections.abc import Iterable, Iterator
 from ctypes import byref
 from functools import lru_cache
@@ -30,7 +29,7 @@ from kinpole_ros.messages._marker_array import (
     names_at,
     shown_entries,
 )
-from kinpole_ros.messages._offsets import Items, MessageOffsets, text_at
+from kinpole_ros.messages._offsets import Items, MessageOffsets, check_stamp, text_at
 from kinpole_ros.messages._points import (
     PointLayout,
     blank_unseen,
@@ -38,9 +37,7 @@ from kinpole_ros.messages._points import (
     transformed,
 )
 from kinpole_ros.messages._types import (
-    END_OF_TIME,
     ROS_TYPE_NAMES,
-    SECOND,
     Marker,
     MessageError,
     serialize_message,
@@ -294,7 +291,7 @@ def _make_layout(kind: str, identity: str, data: bytes) -> _Layout:
         in_one = _in_marker if kind == 'marker' else _in_pose_array
         found = in_one(offsets, data, mask)
         if identity not in ('auto', 'index'):
-            raise no_identity(kind, identity)
+            raise _no_identity(kind, identity)
     check_stamp(data, found.stamp, offsets.order)
     mask.add(*found.frame_id)
     # The sign of the seconds of the stamp: negative ones are refused.
@@ -378,7 +375,7 @@ def _in_cloud(offsets: MessageOffsets, data: bytes, identity: str, mask: _Mask) 
         column = id_column(offsets.cloud, mask.bytes)
         np.invert(column, out=column)
     else:
-        raise no_identity('point_cloud2', identity)
+        raise _no_identity('point_cloud2', identity)
     return _Markers(points, offsets.stamp, offsets.frame_id, identities)
 
 
@@ -388,25 +385,10 @@ def _indices(n: int) -> tuple[str, ...]:
     return tuple(map(str, range(n)))
 
 
-def no_identity(kind: str, identity: str) -> MessageError:
+def _no_identity(kind: str, identity: str) -> MessageError:
     """Return the error of markers that have no identities but the index."""
     name = ROS_TYPE_NAMES[kind].rpartition('/')[2]
     return MessageError(
         f"{name} has no identities but the index, so none by '{identity}': "
         'set marker_identity to auto or index'
     )
-
-
-def check_stamp(data: bytes, at: int, order: str) -> None:
-    """Raise MessageError for a stamp that no ROS time has."""
-    seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, at)
-    if seconds < 0:
-        raise MessageError(
-            f'header.stamp is {seconds} s; see that the driver sets it to the time of capture, '
-            'counted from 1970 or from its start'
-        )
-    if seconds * SECOND + nanoseconds >= END_OF_TIME:
-        raise MessageError(
-            f'header.stamp has {nanoseconds} ns after {seconds} s, more than a ROS time holds; '
-            'see that the driver sets nanosec to less than 1e9'
-        )
