@@ -99,8 +99,8 @@ setup(
         (f'{SHARE}/bags', glob('bags/*.mcap')),
     ],
     python_requires='>=3.10',
-    # Message types are those of ROS where it is there, else those of rosbags. Only the live node
-    # needs rclpy, which comes with ROS or with the extra ros. `make oldest` tries these bounds.
+    # Message types are those of rosbags. Only the live node needs rclpy, which comes with ROS or
+    # with the extra ros. `make oldest` tries these bounds.
     install_requires=[
         'lz4>=4.0.2',
         'mcap>=1.5',

@@ -24,7 +24,7 @@ from visualization_msgs.msg import MarkerArray
 
 from bench._rig import LAG, NODE, RELAY, Asker, Rig, node_words, processes, started, wheels
 from bench._speed import compared
-from kinpole_ros.messages import STATE, TF, result_outputs
+from kinpole_ros.messages import STATE, TF, installed_class, result_outputs, type_name
 from kinpole_ros.ros.private import take
 
 _FEW = ('angular_velocity', 'icr', 'centrode_curvature')
@@ -166,7 +166,7 @@ def _asked(
                     continue
                 own = topic if topic == STATE else topic.partition('/')[2]
                 if case.topics is None or own in case.topics:
-                    topics.append((NODE, topic, kind))
+                    topics.append((NODE, topic, installed_class(type_name(kind))))
             for name, topic, kind in topics:
                 qos = QoSProfile(depth=1 if kind in _HEAVY else _KEPT)
                 subscriptions[name][topic] = asker.node.create_subscription(

@@ -12,13 +12,12 @@ from textwrap import shorten
 from typing import Any, NamedTuple
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
 
 from bench._cases import CASES, Case
 from bench._record import NEAR, quantities, rms, squared_error
 from bench._rigs import Recording, record
 from bench._spoil import Sent, ideal
-from kinpole_ros.messages import DiagnosticsMaker, Output, result_outputs
+from kinpole_ros.messages import DiagnosticsMaker, Output, message_class, result_outputs
 from kinpole_ros.planar import to_complex
 from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.estimate import Estimate
@@ -278,11 +277,12 @@ def _pooled(scores: dict[str, np.ndarray]) -> dict[str, float]:
     }
 
 
-def _words(statuses: list[DiagnosticStatus]) -> set[str]:
+def _words(statuses: list[Any]) -> set[str]:
     """What diagnostics warn of and, of the markers, have counted or named; # is a number."""
     found = set()
+    kinds = message_class('diagnostic_msgs/msg/DiagnosticStatus')
     for status in statuses:
-        if status.level in (DiagnosticStatus.WARN, DiagnosticStatus.ERROR):
+        if status.level in (kinds.WARN, kinds.ERROR):
             found |= {part for part in status.message.split('; ') if part.count(' ') > 2}
     found = {part for part in found if not part.startswith(('fix:', 'undetermined:'))}
     for pair in statuses[0].values:

@@ -17,9 +17,8 @@ import yaml
 from geometry_msgs.msg import Vector3Stamped
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
 
-from kinpole_ros.messages import MARKER_TYPES, to_message
+from kinpole_ros.messages import ROS_TYPE_NAMES, installed_class, serialize_message, to_message
 from kinpole_ros.ros.source import SUBSCRIPTION_DEPTH
 
 RELAY = 'relay'
@@ -81,7 +80,9 @@ class Asker:
         self.executor.add_node(self.node)
         qos = QoSProfile(depth=10, reliability=_BEST_EFFORT)
         self.publishers = {
-            name: self.node.create_publisher(MARKER_TYPES[kind], f'/{name}/markers', qos)
+            name: self.node.create_publisher(
+                installed_class(ROS_TYPE_NAMES[kind]), f'/{name}/markers', qos
+            )
             for name in (NODE, RELAY)
         }
 
@@ -126,7 +127,9 @@ def relay(kind: str) -> None:
         publisher.publish(Vector3Stamped(header=header))
 
     qos = QoSProfile(depth=SUBSCRIPTION_DEPTH, reliability=_BEST_EFFORT)
-    node.create_subscription(MARKER_TYPES[kind], f'/{RELAY}/markers', answer, qos)
+    node.create_subscription(
+        installed_class(ROS_TYPE_NAMES[kind]), f'/{RELAY}/markers', answer, qos
+    )
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(node)
 

@@ -17,12 +17,18 @@ from typing import Any
 import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import deserialize_message
 
 from bench._motions import motions
 from bench._record import RATE, START, STEP, frames_of, observe, stamps_of
 from kinpole_ros.bags import BagWriter, read_messages, replay
-from kinpole_ros.messages import MARKER_TYPES, MarkerReader, to_message
+from kinpole_ros.messages import (
+    ROS_TYPE_NAMES,
+    MarkerReader,
+    installed_class,
+    serialize_message,
+    to_message,
+)
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.frame import part_of
 from kinpole_ros.tracking.tracker import Tracker
@@ -100,7 +106,9 @@ def _reading(markers: int = 100, number: int = 50) -> Rows:
             for one in data:
                 reader.read((one,))
 
-        def ordinary(data: list[bytes] = data, cls: type = MARKER_TYPES[kind]) -> None:
+        cls = installed_class(ROS_TYPE_NAMES[kind])
+
+        def ordinary(data: list[bytes] = data, cls: type = cls) -> None:
             for one in data:
                 deserialize_message(one, cls)
 

@@ -9,6 +9,7 @@ import zlib
 from argparse import Namespace
 from array import array
 from collections.abc import Callable, Iterator, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +17,23 @@ import numpy as np
 import pytest
 import yaml
 from hypothesis import settings
-from rosbags.typesys import Stores, get_typestore
+from rclpy.serialization import deserialize_message
 
+from kinpole_ros import messages
 from kinpole_ros.bags import BagWriter, message_class, read_messages, simulate
 from kinpole_ros.mechanism import load_scene
-from kinpole_ros.messages import deserialize_message
+from kinpole_ros.messages import installed_class, serialize_message, type_name
 from kinpole_ros.settings import Settings, load_settings
 from kinpole_ros.tools.report import report
 from kinpole_ros.tools.usage import parse_words
 
 ROOT = Path(__file__).parents[1]
 FOUR_BAR = ROOT / 'bags' / 'four_bar.mcap'
+# Tests of films need the extra `film`.
+collect_ignore_glob = [] if find_spec('av') and find_spec('cv2') else ['film/*']
+
+# Whether rclpy can send frames.
+WITH_TF = find_spec('tf2_msgs') is not None
 
 # Nodes of the tests meet nobody else's, nor those of another run on this machine. From domain 102
 # on, the ports are among those that the kernel gives to anybody, and nodes may miss each other.
@@ -84,10 +91,6 @@ def write_config(path: Path, settings: Settings, **more: Any) -> Path:
     return path
 
 
-# It takes 15 ms to make.
-STORE = get_typestore(Stores.ROS2_JAZZY)
-
-
 def decoded(bag: Path, *only: str) -> dict[str, list[Any]]:
     """The messages of a bag by topic, in order; of all topics if none is named."""
     found: dict[str, list[Any]] = {}
@@ -97,10 +100,20 @@ def decoded(bag: Path, *only: str) -> dict[str, list[Any]]:
 
 
 def read_back(data: bytes, kind: str) -> Any:
-    """The message of a type; that of frames also where tf2_msgs is not installed."""
-    if kind == 'tf2_msgs/msg/TFMessage':
-        return STORE.deserialize_cdr(data, kind)
-    return deserialize_message(data, message_class(kind))
+    """The message of a type, as rclpy reads it; ours, of frames where tf2_msgs is not installed."""
+    if kind == 'tf2_msgs/msg/TFMessage' and not WITH_TF:
+        return messages.deserialize_message(data, message_class(kind))
+    return deserialize_message(data, installed_class(kind))
+
+
+def ros_class(cls: Any) -> Any:
+    """The class of rclpy of a type of messages, of which `cls` is a class."""
+    return installed_class(type_name(cls)) if hasattr(cls, '__msgtype__') else cls
+
+
+def sent(message: Any) -> Any:
+    """What rclpy publishes of a message: one of ours as bytes."""
+    return serialize_message(message) if hasattr(message, '__msgtype__') else message
 
 
 def stamp_of(message: Any) -> int:
@@ -124,9 +137,10 @@ def numbers(value: Any) -> Iterator[float]:
         for item in value:
             yield from numbers(item)
     else:
-        for slot in getattr(value, '__slots__', ()):
-            if slot != '_check_fields':
-                yield from numbers(getattr(value, slot))
+        names = getattr(value, '__dataclass_fields__', None) or getattr(value, '__slots__', ())
+        for name in names:
+            if name != '_check_fields':
+                yield from numbers(getattr(value, name))
 
 
 def figures(messages: Mapping[str, list[Any]]) -> dict[str, dict[int, np.ndarray]]:

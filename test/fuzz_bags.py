@@ -30,7 +30,6 @@ from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Chunk
 from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType, Writer
-from rclpy.serialization import serialize_message
 
 from kinpole_ros.bags import (
     BagError,
@@ -42,7 +41,7 @@ from kinpole_ros.bags import (
     topics,
     type_name,
 )
-from kinpole_ros.messages import to_message
+from kinpole_ros.messages import serialize_message, to_message
 from kinpole_ros.settings import Settings
 
 _HEAD = struct.Struct('<BQ')

@@ -4,7 +4,7 @@ Corrupted messages by the thousand: each is read as rclpy reads it, or refused i
 `python test/fuzz_messages.py [COUNT [SEED]]` runs as many as you like, 100,000 unless told; the
 test suite runs some. Damage is done to bytes, to sizes where the message has them, to texts, by
 putting parts of messages together, and to the fields of messages that are then serialized again:
-such a message is sound, and may be refused only where read_markers refuses it. In the long run,
+such a message is sound, and may be refused only where `ordinary` refuses it. In the long run,
 messages that took the reader where none did before are damaged further. That helps damage that
 knows nothing of messages (2 to 8 lines more from 3,000); with all of it 100,000 reach the same.
 """
@@ -21,6 +21,7 @@ import numpy as np
 from fuzzing import EXTREMES, Reached, damaged, fuzz, tell
 from geometry_msgs.msg import Point, Pose
 from rclpy.serialization import deserialize_message, serialize_message
+from read_objects import ordinary
 from sensor_msgs.msg import PointField
 from std_msgs.msg import ColorRGBA
 from test_marker_messages import one_by_one
@@ -29,9 +30,10 @@ from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 from kinpole_ros import messages as package
 from kinpole_ros.messages import (
     MARKER_TYPES,
+    ROS_TYPE_NAMES,
     MarkerReader,
     MessageError,
-    read_markers,
+    installed_class,
     to_message,
 )
 from kinpole_ros.messages._offsets import MessageOffsets
@@ -62,7 +64,7 @@ def fuzz_messages(
 
     Padding differs from run to run, as rclpy leaves in it what it finds.
     Raises AssertionError, with the last one left in `folder`, for one that is read otherwise than
-    rclpy and read_markers do, that is refused in anything but one line, or that breaks a limit of
+    `ordinary` does, that is refused in anything but one line, or that breaks a limit of
     `fuzz`, which also says what `reached` is for.
     """
     place = Path(folder or tempfile.mkdtemp(prefix='fuzz_messages_'))
@@ -82,7 +84,7 @@ def fuzz_messages(
             assert len(found) == 4
             for one, other in zip(found, found[::-1], strict=True):
                 _check_same(one, other)
-            _check_same(found[0], _ordinary(kind, amid, identity))
+            _check_same(found[0], ordinary(kind, amid, identity))
             return f'{kind} {_check(found[1], sample, identity)}'
         except BaseException:
             (place / f'{kind}_{identity}').write_bytes(data)
@@ -99,15 +101,8 @@ def _check(found: Any, sample: Sample, identity: str) -> str:
         assert text.isprintable()
         if not sample.sound and any(words in text for words in _MISSING):
             return 'refused for its sizes'
-    _check_same(found, _ordinary(*sample[:2], identity))
+    _check_same(found, ordinary(*sample[:2], identity))
     return 'refused' if isinstance(found, MessageError) else 'read'
-
-
-def _ordinary(kind: str, data: bytes, identity: str) -> Any:
-    try:
-        return read_markers(deserialize_message(data, MARKER_TYPES[kind]), identity)
-    except Exception as error:
-        return MessageError(str(error))
 
 
 def _check_same(found: Any, expected: Any) -> None:
@@ -125,7 +120,8 @@ def _good(kind: str) -> list[Sample]:
     found = []
     for count in (0, 1, 4):
         names = ['a', 'x', 'é\n', ''][:count]
-        message = to_message(kind, 10**18 + count, 'lab', names, rows[:count])
+        made = to_message(kind, 10**18 + count, 'lab', names, rows[:count])
+        message = _of_rclpy(kind, package.serialize_message(made))
         found.append(_sample(kind, message))
         for one in getattr(message, 'markers', [message] if kind == 'marker' else []):
             one.colors = [ColorRGBA(r=0.5)] * count
@@ -145,6 +141,10 @@ def _good(kind: str) -> list[Sample]:
         message.is_bigendian = True
         found.append(_sample(kind, message))
     return found
+
+
+def _of_rclpy(kind: str, data: bytes) -> Any:
+    return deserialize_message(data, installed_class(ROS_TYPE_NAMES[kind]))
 
 
 def _sample(kind: str, message: Any) -> Sample:
@@ -201,7 +201,7 @@ def _fields(generator: random.Random, sample: Sample) -> Sample:
     """A sound message that says something else."""
     try:
         MessageOffsets(sample.kind, sample.data)
-        message = deserialize_message(sample.data, MARKER_TYPES[sample.kind])
+        message = _of_rclpy(sample.kind, sample.data)
         _CHANGES[sample.kind](generator, message)
         return _sample(sample.kind, message)
     except Exception:  # what rclpy cannot read, or what its fields cannot hold

@@ -10,14 +10,13 @@ from types import SimpleNamespace
 
 import pytest
 import rclpy
-from conftest import stamp_of, write_config
+from conftest import sent, stamp_of, write_config
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
-from rclpy.serialization import serialize_message
 from test_faults import LAG, STEP, Rig, message, rod
 from test_node import LIMIT, complaints, process
 
-from kinpole_ros.messages import MARKER_TYPES, MessageError
+from kinpole_ros.messages import MARKER_TYPES, MessageError, serialize_message
 from kinpole_ros.ros import source as source_module
 from kinpole_ros.ros.node import KinpoleNode
 from kinpole_ros.settings import Settings
@@ -67,7 +66,7 @@ def test_every_frame_sent_while_the_node_is_stopped_is_answered_in_order(
                 frames = [message(start + k * STEP, rod(rig.frame + k)) for k in range(1, 151)]
                 os.kill(child, signal.SIGSTOP)
                 for frame in frames:
-                    publisher.publish(frame)
+                    publisher.publish(sent(frame))
                 os.kill(child, signal.SIGCONT)
                 rig.until(lambda: rig.newest() >= start + 150 * STEP - LAG, 'the last result')
                 expected = [start - LAG + k * STEP for k in range(1, 151)]

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 import rclpy
 from builtin_interfaces.msg import Time
-from conftest import numbers, stamp_of, write_config
+from conftest import numbers, ros_class, sent, stamp_of, write_config
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -29,13 +29,12 @@ from nav_msgs.msg import Path
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from test_node import LIMIT, RELIABLE, Peer, complaints, node_words, process
 from visualization_msgs.msg import MarkerArray
 
 import kinpole_ros.ros.node as node_module
-from kinpole_ros.messages import MARKER_TYPES, TF, outputs_of, to_message
+from kinpole_ros.messages import MARKER_TYPES, TF, outputs_of, serialize_message, to_message
 from kinpole_ros.ros.source import MAX_MESSAGE_BYTES
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.frame import MarkerFrames
@@ -105,7 +104,8 @@ class Rig(Peer):
         topics = {o.under(f'/{self.name}'): o.message_type for o in outputs if o.topic != TF}
         for topic, kind in {**topics, '/diagnostics': DiagnosticArray}.items():
             qos = QoSProfile(depth=2000)
-            self._ears[topic] = ears.create_subscription(kind, topic, lambda _: None, qos)
+            cls = ros_class(kind)
+            self._ears[topic] = ears.create_subscription(cls, topic, lambda _: None, qos)
             self._heard_so_far[topic] = []
         heard = lambda: all(self.node.count_publishers(topic) for topic in self._ears)  # noqa: E731
         self.until(heard, 'all publishers')
@@ -131,16 +131,17 @@ class Rig(Peer):
     @contextmanager
     def publisher(self, message_type: type) -> Iterator[Any]:
         """A publisher that the node has found, gone whatever happens meanwhile."""
-        made = self.node.create_publisher(message_type, self.topic, QoSProfile(depth=1000))
+        cls = ros_class(message_type)
+        made = self.node.create_publisher(cls, self.topic, QoSProfile(depth=1000))
         try:
             self.until(made.get_subscription_count, f'the node on {self.topic}')
             yield made
         finally:
             self.node.destroy_publisher(made)
 
-    def send(self, publisher: Any, sent: Any) -> None:
+    def send(self, publisher: Any, message: Any) -> None:
         """Publish at the pace of a tracker."""
-        publisher.publish(sent)
+        publisher.publish(sent(message))
         self._next = max(self._next + self.pace, time.monotonic())
         self._executor.spin_once(timeout_sec=max(0, self._next - time.monotonic()))
 
@@ -471,7 +472,7 @@ def test_a_publisher_that_comes_back_with_other_markers_in_other_messages(
 def test_a_publisher_that_offers_less_than_the_node_asks_for(rig: Rig) -> None:
     kind = MARKER_TYPES['marker_array']
     qos = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-    unreliable = rig.node.create_publisher(kind, '/markers', qos)
+    unreliable = rig.node.create_publisher(ros_class(kind), '/markers', qos)
     words = 'offers less QoS than this node asks for, and nothing is received from it (Best effort'
     unheard = lambda: rig.send_next(unreliable)  # noqa: E731
     try:
@@ -512,7 +513,7 @@ def test_a_type_on_the_topic_that_is_not_followed_is_named(rig: Rig) -> None:
         with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
             rig.begin(publisher)
             send = lambda: rig.send_next(publisher)  # noqa: E731
-            poses = other.node.create_publisher(MARKER_TYPES['pose_array'], rig.topic, 1)
+            poses = other.node.create_publisher(ros_class(MARKER_TYPES['pose_array']), rig.topic, 1)
             words = '/markers is published as geometry_msgs/msg/PoseArray too'
             rig.diagnosed(send, WARN, words, None)
             other.node.destroy_publisher(poses)

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 
 from kinpole_ros.mechanism import load_scene
-from kinpole_ros.messages import SMOOTHED, DiagnosticsMaker
+from kinpole_ros.messages import DiagnosticsMaker, body_faults
+from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
@@ -98,7 +98,7 @@ def test_diagnostics_tell_where_noise_lasts_too_long_to_be_measured(
     noise = noise if cutoff is None else low_passed(noise, cutoff)
     tracker, estimate, _ = tracked(noise, given)
     status = DiagnosticsMaker('kinpole').make(10**18, tracker, estimate, 1.0, {}).status[1]
-    assert (SMOOTHED in status.message) == warned
+    assert (body_faults.SMOOTHED in status.message) == warned
     assert (status.level == DiagnosticStatus.WARN) == warned
 
 

@@ -6,13 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import Header
-from visualization_msgs.msg import Marker, MarkerArray
 
 from kinpole_ros.messages import (
     MARKER_TYPES,
@@ -20,12 +15,24 @@ from kinpole_ros.messages import (
     MarkerReader,
     MessageError,
     marker_arrays,
+    message_class,
     ns_to_stamp,
     read_markers,
+    serialize_message,
     stamp_to_ns,
     to_message,
+    type_name,
 )
-from kinpole_ros.messages import _cdr as cdr
+from kinpole_ros.messages._types import (
+    Header,
+    Marker,
+    MarkerArray,
+    Point,
+    PointCloud2,
+    PointField,
+    Pose,
+    PoseArray,
+)
 
 # One warning is not ours: rclpy's parser of interfaces imports a module of Python that is to go.
 pytestmark = [
@@ -37,6 +44,7 @@ STAMP = 1_700_000_000_123_456_789
 NAMES = ['a', 'b', 'c', 'd', 'e']
 POINTS = np.arange(15.0).reshape(5, 3) / 7 - 1
 KINDS = list(MARKER_TYPES)
+Quaternion = message_class('geometry_msgs/msg/Quaternion')
 INDEX_KINDS = ['marker', 'pose_array', 'point_cloud2']
 # struct codes and sizes of the datatypes of PointField, 1 to 8
 CODES = dict(enumerate('bBhHiIfd', start=1))
@@ -117,7 +125,8 @@ def cloud_with_ids(ids, datatype=PointField.UINT16, big=False):
         PointField(name='y', offset=4, datatype=PointField.FLOAT32, count=1),
         PointField(name='id', offset=8, datatype=datatype, count=1),
     ]
-    cloud.data = b''.join(struct.pack(order + 'ff' + code, k, -k, i) for k, i in enumerate(ids))
+    data = b''.join(struct.pack(order + 'ff' + code, k, -k, i) for k, i in enumerate(ids))
+    cloud.data = np.frombuffer(data, np.uint8)
     return cloud
 
 
@@ -139,8 +148,8 @@ def test_round_trip_is_exact(kind):
 def test_message_has_the_class_its_names_promise(kind):
     cls = type(make(kind))
     assert cls is MARKER_TYPES[kind]
-    package, folder, name = ROS_TYPE_NAMES[kind].split('/')
-    assert (cls.__module__.split('.')[:2], cls.__name__) == ([package, folder], name)
+    assert type_name(cls) == ROS_TYPE_NAMES[kind]
+    assert cls.__name__ == ROS_TYPE_NAMES[kind].rpartition('/')[2]
 
 
 @pytest.mark.parametrize('kind', INDEX_KINDS)
@@ -258,7 +267,7 @@ def layouts(draw):
     cloud.fields = draw(st.permutations(fields))
     cloud.is_bigendian = order == '>'
     cloud.is_dense = draw(st.booleans())
-    cloud.data = draw(st.sampled_from([bytes, list]))(data)
+    cloud.data = np.frombuffer(data, np.uint8)
     expected = []
     for row in range(height):
         for column in range(width):
@@ -294,14 +303,14 @@ def test_signaling_nan_blanks_the_row_without_a_warning(code, bits, big):
         PointField(name=name, offset=size * axis, datatype=datatype, count=1)
         for axis, name in enumerate('xy')
     ]
-    cloud.data = struct.pack(order + 4 * code, 0, bits, 0, 0)
+    cloud.data = np.frombuffer(struct.pack(order + 4 * code, 0, bits, 0, 0), np.uint8)
     np.testing.assert_array_equal(read_one(cloud).points, [[np.nan] * 3, [0, 0, 0]])
 
 
 def test_frame_of_a_cloud_does_not_share_the_memory_of_the_message():
     cloud = make('point_cloud2')
     frame = read_one(cloud)
-    cloud.data[:] = type(cloud.data)('B', bytes(len(cloud.data)))
+    cloud.data[:] = 0
     assert frame.points.tolist() == POINTS.tolist()
 
 
@@ -337,8 +346,8 @@ BAD_CLOUDS = {
     'row_step 119 is less than width 5 x point_step 24': lambda c: change(c, row_step=119),
     'row_step 0 is less': lambda c: change(c, row_step=0),
     f'less than width {HUGE}': lambda c: change(c, width=HUGE, height=HUGE),
-    'data has 119 bytes': lambda c: change(c, data=bytes(119)),
-    'data has 0 bytes': lambda c: change(c, data=b''),
+    'data has 119 bytes': lambda c: change(c, data=np.zeros(119, np.uint8)),
+    'data has 0 bytes': lambda c: change(c, data=np.zeros(0, np.uint8)),
     'height 2 x row_step 120': lambda c: change(c, height=2),
     f'height {HUGE} x row_step 120': lambda c: change(c, height=HUGE),
     f'height 1 x row_step {HUGE}': lambda c: change(c, row_step=HUGE),
@@ -359,7 +368,7 @@ def test_bad_cloud_is_refused_in_one_line_before_memory_is_taken(text):
 @pytest.mark.parametrize(('height', 'width'), [(0, 5), (1, 0), (HUGE, 0), (0, HUGE), (0, 0)])
 def test_cloud_without_rows_or_columns_is_empty(height, width):
     cloud = make('point_cloud2')
-    change(cloud, height=height, width=width, row_step=0, data=b'')
+    change(cloud, height=height, width=width, row_step=0, data=np.zeros(0, np.uint8))
     assert read_one(cloud).points.shape == (0, 3)
 
 
@@ -638,7 +647,7 @@ def test_arrays_of_markers_are_the_bytes_of_the_messages(names, frame_id, seed, 
     points[generator.random(points.shape) < share / 3] = np.nan
     points[generator.random(points.shape) < share / 9] = np.inf
     expected = [
-        cdr.serialize_message(to_message('marker_array', stamp, frame_id, names, frame))
+        serialize_message(to_message('marker_array', stamp, frame_id, names, frame))
         for stamp, frame in zip(stamps.tolist(), points, strict=True)
     ]
     assert marker_arrays(stamps, frame_id, names, points) == expected

@@ -5,25 +5,21 @@ import struct
 import numpy as np
 import pytest
 from fuzz_messages import fuzz_messages
-from geometry_msgs.msg import Point, Pose, PoseArray
-from rclpy.serialization import deserialize_message, serialize_message
-from std_msgs.msg import Header
+from read_objects import ordinary
 from test_marker_messages import KINDS, assert_same, make, marker, one_by_one
-from visualization_msgs.msg import Marker, MarkerArray
 
-from kinpole_ros.messages import MARKER_TYPES, MarkerReader, MessageError, read_markers, to_message
+from kinpole_ros.messages import (
+    MarkerReader,
+    MessageError,
+    read_markers,
+    serialize_message,
+    to_message,
+)
 from kinpole_ros.messages import _reader as module
 from kinpole_ros.messages._offsets import MessageOffsets
+from kinpole_ros.messages._types import Header, Marker, MarkerArray, Point, Pose, PoseArray
 
 IDENTITIES = ['auto', 'index', 'id', 'ns', 'ns_id']
-
-
-def ordinary(kind, data, identity='auto'):
-    """What rclpy and read_markers make of a message: frames, or that it cannot be read."""
-    try:
-        return read_markers(deserialize_message(data, MARKER_TYPES[kind]), identity)
-    except Exception as error:
-        return MessageError(str(error))
 
 
 def serialized(kind, count=20, markers=4, seed=0):
@@ -38,19 +34,20 @@ def serialized(kind, count=20, markers=4, seed=0):
 
 @pytest.fixture
 def only_bytes(monkeypatch):
-    """From when this is called on, no message may become an object of rclpy's."""
+    """From when this is called on, no message may have a new layout."""
 
     def start():
-        def refuse(data, message_type):
-            pytest.fail('a message was deserialized')
+        def refuse(kind, identity, data):
+            MessageOffsets(kind, data)
+            pytest.fail('the layout of a message was made')
 
-        monkeypatch.setattr(module, 'deserialize_message', refuse)
+        monkeypatch.setattr(module, '_make_layout', refuse)
 
     return start
 
 
 @pytest.mark.parametrize('kind', KINDS)
-def test_messages_of_one_layout_are_read_together_without_rclpy(kind, only_bytes):
+def test_messages_of_one_layout_are_read_together_at_once(kind, only_bytes):
     messages = serialized(kind, 100)
     expected = [ordinary(kind, data) for data in messages]
     reader = MarkerReader(kind)
@@ -120,9 +117,10 @@ def test_what_is_only_drawn_may_change_at_will(only_bytes):
         one.frame_locked = True
         if k:
             one.header = Header(frame_id=array.markers[0].header.frame_id)
+    expected = read_markers(array)
     only_bytes()
     [frames] = reader.read([serialize_message(array)])
-    assert_same(frames, read_markers(array))
+    assert_same(frames, expected)
 
 
 def test_markers_that_become_lists_of_points_are_refused():
@@ -245,7 +243,7 @@ def test_markers_that_come_and_go_are_read_right_however_many_layouts_they_make(
 
 
 @pytest.mark.parametrize('identity', IDENTITIES[1:])
-def test_names_that_come_and_go_need_no_rclpy_either(identity, only_bytes):
+def test_names_that_come_and_go_need_no_new_layout(identity, only_bytes):
     generator = np.random.default_rng(4)
     messages, expected = [], []
     for k in range(200):
@@ -262,7 +260,7 @@ def test_names_that_come_and_go_need_no_rclpy_either(identity, only_bytes):
 
 
 @pytest.mark.parametrize('name', ['caf\u00e9'.encode(), b'a\0cde', b'abcde', b'\xff\xfe\xfd\xfc\0'])
-def test_names_that_are_not_plain_are_left_to_rclpy(name):
+def test_names_that_are_not_plain_are_read_as_rclpy_does(name):
     data = serialize_message(make('marker_array', names=['abcd', 'b', 'c', 'd', 'e']))
     reader = MarkerReader('marker_array', 'ns')
     reader.read([data])

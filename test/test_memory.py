@@ -3,13 +3,13 @@
 import threading
 
 import pytest
-from rclpy.serialization import serialize_message
+from conftest import ros_class
 from test_faults import Rig, message, rod
 from test_node import LIMIT
 
 import kinpole_ros.ros.listener as listen_module
 from kinpole_ros.bags import BagError
-from kinpole_ros.messages import MARKER_TYPES
+from kinpole_ros.messages import MARKER_TYPES, serialize_message
 from kinpole_ros.ros.source import MAX_MESSAGE_BYTES
 
 
@@ -23,7 +23,7 @@ def test_what_is_kept_of_a_flooded_topic_is_bounded(
     monkeypatch.setattr(listen_module, '_MAX_KEPT_BYTES', 1000)
     sent = serialize_message(message(1, rod(1))) + bytes(size)
     rig, done = Rig(), threading.Event()
-    made = rig.node.create_publisher(MARKER_TYPES['marker_array'], '/flooded', 10)
+    made = rig.node.create_publisher(ros_class(MARKER_TYPES['marker_array']), '/flooded', 10)
 
     def flood() -> None:
         while not done.wait(0.01):

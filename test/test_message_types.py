@@ -22,12 +22,12 @@ from kinpole_ros.messages import (
     INPUT_TYPE_NAMES,
     INPUT_TYPES,
     MessageError,
-    _rosidl,
     kind_of,
     marker_reader,
     reader_of,
     type_name,
 )
+from kinpole_ros.messages import _installed as installed_module
 from kinpole_ros.ros.source import subscribed_class
 from kinpole_ros.settings import ParameterError, Settings, settings_from
 
@@ -243,9 +243,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     paths = [str(tmp_path / 'site'), str(Path(__file__).parent)]
     monkeypatch.setenv('PYTHONPATH', ':'.join(paths))
     monkeypatch.syspath_prepend(paths[0])
-    _rosidl._has_messages.cache_clear()
+    installed_module._has_messages.cache_clear()
     yield tmp_path
-    _rosidl._has_messages.cache_clear()
+    installed_module._has_messages.cache_clear()
     for name in [name for name in sys.modules if name.partition('.')[0] in PACKAGES]:
         del sys.modules[name]
 

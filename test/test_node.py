@@ -16,7 +16,17 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import rclpy
-from conftest import assert_alike, bodies_of, decoded, figures, stamp_of, write_config
+from conftest import (
+    WITH_TF,
+    assert_alike,
+    bodies_of,
+    decoded,
+    figures,
+    ros_class,
+    sent,
+    stamp_of,
+    write_config,
+)
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PointStamped, Vector3Stamped
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -29,7 +39,6 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
@@ -39,8 +48,8 @@ from kinpole_ros.mechanism import scenes_folder
 from kinpole_ros.messages import (
     MARKER_TYPES,
     VIEW,
-    WITH_TF,
     Output,
+    deserialize_message,
     live_outputs,
     read_markers,
     stamp_to_ns,
@@ -94,7 +103,7 @@ class Peer:
         """What comes on a topic from now on, as it comes."""
         heard: list[Any] = []
         qos = QoSProfile(depth=1000)
-        made = self.node.create_subscription(message_type, topic, heard.append, qos)
+        made = self.node.create_subscription(ros_class(message_type), topic, heard.append, qos)
         self._heard.append(made)
         self.until(lambda: self.node.count_publishers(topic), f'a publisher of {topic}')
         return heard
@@ -143,7 +152,7 @@ class Peer:
     @contextmanager
     def publisher(self, message_type: type, topic: str = '/markers') -> Iterator[Any]:
         """A publisher that the node has found."""
-        made = self.node.create_publisher(message_type, topic, QoSProfile(depth=1000))
+        made = self.node.create_publisher(ros_class(message_type), topic, QoSProfile(depth=1000))
         self.until(made.get_subscription_count, f'the node on {topic}')
         yield made
         self.node.destroy_publisher(made)
@@ -156,7 +165,7 @@ class Peer:
         def publish_and_look() -> bool:
             if condition():
                 return True
-            publisher.publish(next(messages))
+            publisher.publish(sent(next(messages)))
             return False
 
         self.until(publish_and_look, what)
@@ -452,7 +461,7 @@ def test_a_managed_node_waits_stops_and_starts_again(
         for each in heard.values():
             each.clear()
         for k, message in enumerate(messages):
-            publisher.publish(message)
+            publisher.publish(sent(message))
             due = stamp_of(message) - 100_000_000
             if k >= 20:
                 peer.until(partial(reached, due), f'the result at {due} ns')
@@ -814,7 +823,7 @@ def test_the_stamps_of_a_loop_follow_the_last_one_by_an_interval(
     def publish(publisher: Publisher, message: Any) -> None:
         if publisher.topic_name != '/markers':
             return
-        read = message if isinstance(message, cls) else deserialize_message(message, cls)
+        read = deserialize_message(message, cls)
         # The texture of a marker has no stamp.
         stamps.append({stamp_to_ns(header.stamp) for header in headers(read)} - {0})
         if len(stamps) == 35:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 
 from kinpole_ros.bags import simulate
 from kinpole_ros.linkage._scene_poses import Anchors, residuals
@@ -24,6 +23,7 @@ from kinpole_ros.mechanism import (
 )
 from kinpole_ros.mechanism._scene_file import rewritten
 from kinpole_ros.messages import DiagnosticsMaker
+from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.settings import settings_from
 from kinpole_ros.tools import cli
 from kinpole_ros.tracking.estimate import Estimate

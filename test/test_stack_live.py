@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import yaml
-from conftest import assert_alike, bodies_of, decoded, figures
+from conftest import WITH_TF, assert_alike, bodies_of, decoded, figures, sent
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from lifecycle_msgs.srv import ChangeState
@@ -20,7 +20,7 @@ from test_node import RELIABLE, Peer, process
 from visualization_msgs.msg import MarkerArray
 
 from kinpole_ros.bags import replay
-from kinpole_ros.messages import WITH_TF, message_class
+from kinpole_ros.messages import message_class
 from kinpole_ros.settings import NODE_PARAMETERS, PARAMETERS, Settings
 
 Bag = Callable[..., Path]
@@ -83,7 +83,7 @@ def test_two_nodes_in_namespaces_do_not_collide_and_each_says_what_replay_says(
             heard[side] = peer.hear(f'/{side}{name}', Odometry)
             publisher = stack.enter_context(peer.publisher(kind, f'/{side}/markers'))
             for one in decoded(bag, '/markers')['/markers']:
-                publisher.publish(one)
+                publisher.publish(sent(one))
         for side, (body, *_) in kinds.items():
             (due,) = expected[side].values()
             peer.until(lambda s=side, d=due: len(heard[s]) == len(d), f'results of {side}')
@@ -113,7 +113,7 @@ def test_asked_to_relearn_it_begins_anew_with_poses_too(peer: Peer, simulated: B
     bag = simulated('cardan', rate=100, duration=0.8, noise=1e-4, message='pose_stamped')
     with peer.publisher(PoseStamped, '/left/markers') as publisher:
         for one in decoded(bag, '/markers')['/markers']:
-            publisher.publish(one)
+            publisher.publish(sent(one))
         # That another publisher sends may be noticed amid them, and a window starts anew then.
         peer.until(lambda: len(heard) > 5, 'results of what was learned anew')
 
@@ -190,7 +190,7 @@ def test_bodies_are_set_while_the_node_is_inactive(peer: Peer, simulated: Bag) -
     with peer.publisher(MarkerArray, '/right/markers') as publisher:
         bag = simulated('cardan', rate=100, duration=0.8, noise=1e-4, message='marker_array')
         for one in decoded(bag, '/markers')['/markers']:
-            publisher.publish(one)
+            publisher.publish(sent(one))
         peer.until(lambda: len(heard) > 50, 'results of the new body')
     # What does not go together is taken, and not activated.
     assert change('deactivate')

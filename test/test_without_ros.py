@@ -5,11 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-from rclpy.serialization import deserialize_message, serialize_message
-
-from kinpole_ros.bags import BagError, definition, message_class
-from kinpole_ros.messages import _rosbags, _types
 from kinpole_ros.tools import cli
 
 ROOT = Path(__file__).parents[1]
@@ -26,39 +21,15 @@ class Hidden:
 
 sys.meta_path.insert(0, Hidden())
 """
-TYPES = [name for name, cls in vars(_rosbags).items() if hasattr(cls, '__msgtype__')]
-# Of tf2_msgs there may be no more than enough for a bag.
-MESSAGES = [name for name in TYPES if name != 'TFMessage' or _types.WITH_TF]
-
-
-@pytest.mark.parametrize('name', MESSAGES)
-def test_messages_without_ros_are_those_of_ros(name: str) -> None:
-    ours, other = getattr(_rosbags, name), getattr(_types, name)
-    full_name = _types.type_name(other)
-    assert _rosbags.type_name(ours) == full_name
-    assert message_class(full_name) is other
-    assert _rosbags.message_class(full_name) is ours
-    # Unset fields alike, as rclpy reads them; and what rclpy wrote is read the same.
-    data = _rosbags.serialize_message(ours())
-    assert deserialize_message(data, other) == other()
-    again = _rosbags.deserialize_message(serialize_message(other()), ours)
-    assert isinstance(again, ours)
-    assert _rosbags.serialize_message(again) == data
-    # A sender may fill up what it sends.
-    filled = _rosbags.deserialize_message(data + bytes(8), ours)
-    assert _rosbags.serialize_message(filled) == data
-
 
 PROGRAM = """
 import pkgutil, sys
 from importlib import import_module
 
 import kinpole_ros
-from kinpole_ros.messages import WITH_ROS
 from kinpole_ros.tools import cli
 from kinpole_ros.tools.record.result_bag import read_record
 
-assert not WITH_ROS
 for words in {words!r}:
     assert cli.main(words) == 0, words
 # What plot draws is read from messages.
@@ -116,14 +87,3 @@ def test_every_command_but_the_live_ones_gives_the_same_without_ros(tmp_path: Pa
         ours, other = (tmp_path / name / file for name in ('without', 'with'))
         assert ours.read_bytes() == other.read_bytes(), file
     assert (folder / 'rig.yaml').is_file()
-
-
-def test_definitions_without_ros_are_those_of_ros(monkeypatch: pytest.MonkeyPatch) -> None:
-    classes = [getattr(_types, name) for name in TYPES]
-    expected = [definition(cls) for cls in classes]
-    for name in ('fields', 'constants'):
-        monkeypatch.setattr(f'kinpole_ros.bags._definition.{name}', getattr(_rosbags, name))
-    monkeypatch.setattr('kinpole_ros.messages.message_class', _rosbags.message_class)
-    assert [definition(getattr(_rosbags, name)) for name in TYPES] == expected
-    with pytest.raises(BagError, match='acme_msgs/msg/Thing'):
-        message_class('acme_msgs/msg/Thing')

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from recordings import KITE
 
 from kinpole_ros.messages import DiagnosticsMaker
+from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.tracker import Tracker

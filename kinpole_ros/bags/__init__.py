@@ -2,8 +2,7 @@
 
 from kinpole_ros.bags._bag_reader import read_blocks, read_messages, topics
 from kinpole_ros.bags._bag_writer import BagWriter
-from kinpole_ros.bags._channels import BagMessage
-from kinpole_ros.bags._definition import definition, message_class
+from kinpole_ros.bags._channels import BagMessage, message_class
 from kinpole_ros.bags._files import (
     RECORDER,
     BagError,
@@ -18,7 +17,7 @@ from kinpole_ros.bags._replay import replay
 from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._simulate import simulate
 from kinpole_ros.bags._warnings import assumed_body, warnings_of
-from kinpole_ros.messages import type_name
+from kinpole_ros.messages import definition, type_name
 
 __all__ = [
     'NODE_NAME',

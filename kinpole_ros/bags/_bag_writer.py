@@ -21,9 +21,9 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from kinpole_ros.bags._definition import definition, message_class
+from kinpole_ros.bags._channels import message_class
 from kinpole_ros.bags._files import LIBRARY, BagError, write_errors
-from kinpole_ros.messages import serialize_message, type_name, with_zero_padding
+from kinpole_ros.messages import definition, serialize_message, type_name
 
 # A program that is killed loses up to one chunk, and a reader has one in memory; zstd compresses
 # smaller ones less.
@@ -38,7 +38,6 @@ _INDEX_HEAD = struct.Struct('<BQHI')  # opcode, length, channel, bytes of entrie
 @dataclass
 class _Topic:
     channel: records.Channel
-    message_type: type | str
     type_name: str
     messages: int = 0
     # The log time and place of each of its messages in the chunk that is not written yet.
@@ -52,7 +51,7 @@ class BagWriter:
     The file is written under its own name from the start, replacing an earlier one, and folders
     above it are made. A program that dies leaves all finished chunks (256 KiB of messages) to be
     read; `flush` finishes the present one. Equal messages make equal files, for nothing of the
-    clock, the machine or its memory is in them: padding is zero, also in what `write_raw` is given.
+    clock, the machine or its memory is in them but what `write_raw` is given.
 
     Parameters
     ----------
@@ -113,14 +112,9 @@ class BagWriter:
         self._add(((log_time, row, serialize_message(message)),))
 
     def write_raw(self, topic: str, message_type: type | str, data: bytes, log_time: int) -> None:
-        """
-        Write a message that is CDR already; its type is a class or 'package/msg/Name'.
-
-        Its padding becomes zero, and bytes behind its last field are left out. Data that are no
-        such message are written unchanged.
-        """
+        """Write a message that is CDR already; its type is a class or 'package/msg/Name'."""
         row = self._checked_topic(topic, message_type, log_time)
-        self._add(((log_time, row, with_zero_padding(data, row.message_type)),))
+        self._add(((log_time, row, data),))
 
     def write_many(
         self, columns: Iterable[tuple[str, type | str, Sequence[int], Sequence[bytes]]]
@@ -159,7 +153,7 @@ class BagWriter:
     def add_topic(self, topic: str, message_type: type) -> None:
         """Have the topic in the bag, even if no message comes."""
         if topic not in self._topics:
-            self._add_topic(topic, message_type)
+            self._add_topic(topic, type_name(message_type))
 
     def flush(self) -> None:
         """Pass all messages so far to the operating system, as a chunk that can be read."""
@@ -185,19 +179,18 @@ class BagWriter:
                 f"{self._path}: a message for '{topic}' has the log time {log_time} ns; "
                 'fix: give stamps from 0 up'
             )
-        row = self._topics.get(topic) or self._add_topic(topic, message_type)
-        if message_type not in (row.message_type, row.type_name):
+        name = message_type if isinstance(message_type, str) else type_name(message_type)
+        row = self._topics.get(topic) or self._add_topic(topic, name)
+        if name != row.type_name:
             raise BagError(
                 f"{self._path}: topic '{topic}' holds {row.type_name}, so a message of "
-                f'type {message_type} cannot be added; fix: use another topic'
+                f'type {name} cannot be added; fix: use another topic'
             )
         return row
 
-    def _add_topic(self, topic: str, message_type: type | str) -> _Topic:
-        cls = message_class(message_type) if isinstance(message_type, str) else message_type
-        name = type_name(cls)
+    def _add_topic(self, topic: str, name: str) -> _Topic:
         if name not in self._schemas:
-            number, text = len(self._schemas) + 1, definition(cls).encode()
+            number, text = len(self._schemas) + 1, definition(message_class(name)).encode()
             self._schemas[name] = records.Schema(number, text, 'ros2msg', name)
             self._add_record(self._schemas[name])
         # rosbag2 keeps the publishers' QoS here; empty means unknown, and it takes its default.
@@ -209,7 +202,7 @@ class BagWriter:
             schema_id=self._schemas[name].id,
         )
         self._add_record(channel)
-        self._topics[topic] = _Topic(channel, cls, name)
+        self._topics[topic] = _Topic(channel, name)
         return self._topics[topic]
 
     def _add_record(self, record: records.McapRecord) -> None:

@@ -11,6 +11,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
+from kinpole_ros import messages
 from kinpole_ros.bags._files import ZSTD_MAGIC, BagError
 
 HEAD = struct.Struct('<BQ')  # of every record: opcode, length of the body
@@ -22,6 +23,32 @@ LARGEST_CHUNK = 1 << 27  # bytes, all in memory at once: recorders make chunks o
 _ALWAYS_ALLOWED = 1 << 24  # bytes
 _LARGEST_RATIO = 1000
 _LONGEST_NAME = 1000  # characters
+
+
+def message_class(name: str) -> type:
+    """
+    Return the class of a message type.
+
+    Parameters
+    ----------
+    name : str
+        'package/msg/Name' or 'package/Name'.
+
+    Returns
+    -------
+    type
+
+    Raises
+    ------
+    BagError
+        If the type is not installed.
+
+    """
+    try:
+        cls: type = messages.message_class(name)
+    except LookupError as error:
+        raise BagError(str(error)) from error
+    return cls
 
 
 class BagMessage(NamedTuple):

@@ -5,7 +5,7 @@ from itertools import compress
 from typing import TYPE_CHECKING
 
 from kinpole_ros.bags._files import Truncated
-from kinpole_ros.messages import identity_lines
+from kinpole_ros.messages import faults
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
@@ -173,7 +173,7 @@ def finish(outcome: Replayed, tracker: Tracker) -> None:
     outcome.noise_underestimated = [*compress(bodies, tracker.noise_underestimated())]
     outcome.space = updated(outcome.space, tracker.space())
     outcome.stamps = tracker.stamp_state()
-    outcome.misnamed = [*identity_lines(tracker, counts), *outcome.misnamed]
+    outcome.misnamed = [*faults.identity_lines(tracker, counts), *outcome.misnamed]
     if len(bodies) > MOST_PAIRED_BODIES:
         outcome.misnamed.append(
             f'relative rates and centers of pairs are left out: there are {len(bodies)} bodies, '

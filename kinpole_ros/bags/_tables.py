@@ -45,7 +45,7 @@ def column_names(
     relative rate and center; of every quantity that is `registered` with a topic, the name of that
     with _ for /. Last come the EVENT_COLUMNS of every body. SI units, sigma is one
     standard deviation. x and y are along the axes of the plane: those of the frame in xy, yz and
-    zx, else those of `messages.plane_words`.
+    zx, else those of `messages.faults.plane_words`.
     """
     quantities = quantity_names(order)
     numbers, vectors = (

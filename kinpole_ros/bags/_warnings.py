@@ -5,17 +5,7 @@ from pathlib import Path
 
 from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.derivatives import FEWEST_SAMPLES
-from kinpole_ros.messages import (
-    SMOOTHED,
-    absent_markers_fault,
-    jitter_fault,
-    marker_faults,
-    outage_fault,
-    shape_fault,
-    tilt_fault,
-    unit_fault,
-    wrong_pose_fault,
-)
+from kinpole_ros.messages import body_faults, faults
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.rejection import OFF_PATH
 
@@ -67,25 +57,28 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
             'one recording, since the folder has no metadata.yaml to tell, but the stamps do not '
             'run on; if they are several, give each file by itself'
         )
-    if result.stamps is not None and (fault := jitter_fault(result.stamps, settings.stamps)):
+    if result.stamps is not None and (fault := faults.jitter_fault(result.stamps, settings.stamps)):
         lines.append(fault)
     if result.frames:
         absent = result.absent.items()
-        lines += [absent_markers_fault(body, names, result.identities) for body, names in absent]
+        lines += [
+            body_faults.absent_markers_fault(body, names, result.identities)
+            for body, names in absent
+        ]
     for body, reason in result.unknown.items():
         is_explained = body in result.absent or (result.pose_problem and reason == _NO_POSE)
         if reason and not is_explained:
             fix = f'; {_FIXES[reason]}' if reason in _FIXES else ''
             lines.append(f'{body} was never estimated: {reason}{fix}')
     lines += result.misnamed + [result.pose_problem] * bool(result.pose_problem)
-    if tilt := tilt_fault(result.space, settings.plane):
+    if tilt := faults.tilt_fault(result.space, settings.plane):
         lines.append(tilt)
     lines += _body_warnings(result, settings)
     # Without any results the last line says why.
     for body, outage in result.outages.items() if result.estimates else ():
         name = f'{body}: ' if body else ''
         count = f'; {outage.times} such times, this the longest' if outage.times > 1 else ''
-        lines.append(f'{name}{outage_fault(body, outage.longest)}{count}')
+        lines.append(f'{name}{body_faults.outage_fault(body, outage.longest)}{count}')
     if settings.scene and result.estimates:
         if result.scene_positions is not None:
             lines += [f'scene {settings.scene}: {text}' for text in result.scene_positions.words]
@@ -103,17 +96,23 @@ def _body_warnings(result: Replayed, settings: Settings) -> list[str]:
     """Return what is wrong with the shapes, the noise and the poses of bodies."""
     lines = []
     for b, (body, off) in enumerate(result.rigidity_residual.items()):
-        unit = unit_fault(float(result.space.size[b]), settings.scale)
-        wrong = unit, shape_fault(b, off, result.causes[body], result.space)
+        unit = body_faults.unit_fault(float(result.space.size[b]), settings.scale)
+        wrong = unit, body_faults.shape_fault(b, off, result.causes[body], result.space)
         lines += [f'{body}: {text}' for text in wrong if text]
     lines += [
-        f'{body}: {SMOOTHED}'
+        f'{body}: {body_faults.SMOOTHED}'
         for body in result.noise_underestimated
         if not result.rigidity_residual[body]
     ]
     for body, erring in result.erring.items():
-        lines += [f'{body}: {fault}' for fault in marker_faults(erring, result.noise[body])]
-    lines += [f'{body}: {wrong_pose_fault(count)}' for body, count in result.wrong.items() if count]
+        lines += [
+            f'{body}: {fault}' for fault in body_faults.marker_faults(erring, result.noise[body])
+        ]
+    lines += [
+        f'{body}: {body_faults.wrong_pose_fault(count)}'
+        for body, count in result.wrong.items()
+        if count
+    ]
     return lines
 
 

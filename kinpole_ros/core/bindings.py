@@ -265,7 +265,6 @@ _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     'quantities': (None, [ctypes.c_int, _pointer(Motion), *3 * [_ARRAY]]),
     'relative_centers': (None, [_pointer(Motion), _NUMBER, _ARRAY, _NUMBER, *3 * [_ARRAY]]),
     'count_matches': (_NUMBER, [_pointer(MessageLayout), _DATA, _NUMBER, _NUMBER]),
-    'read_points': (None, [_pointer(MessageLayout), _DATA, _ARRAY]),
     'read_messages': (None, [_pointer(MessageLayout), _DATA, _NUMBER, _NUMBER, _ARRAY, _ARRAY]),
     'write_rows': (None, [_pointer(Motion), _NUMBER, _ARRAY, _ARRAY, _NUMBER, _ARRAY, _ARRAY]),
     'write_joints': (

@@ -6,6 +6,7 @@ Nothing outside this package uses OpenCV or FFmpeg (PyAV), which the extra `film
 
 from kinpole_ros.film._calibration import calibrate
 from kinpole_ros.film._film import SIZE, Filmed, FilmOptions, film_to_bag, read_film
+from kinpole_ros.film._overlay import Shape, straightened, write_overlay
 from kinpole_ros.film._printed import print_sheet
 from kinpole_ros.film._video import FilmError
 
@@ -14,8 +15,11 @@ __all__ = [
     'FilmError',
     'FilmOptions',
     'Filmed',
+    'Shape',
     'calibrate',
     'film_to_bag',
     'print_sheet',
     'read_film',
+    'straightened',
+    'write_overlay',
 ]

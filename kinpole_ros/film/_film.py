@@ -1,6 +1,5 @@
 """The tags of a film as markers in the plane of motion: four markers each, its corners."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,9 +9,8 @@ from kinpole_ros.bags import write_points
 from kinpole_ros.film._ground import PlaneMap, fit_plane, off_square, square_poses
 from kinpole_ros.film._lens import Lens, read_lens
 from kinpole_ros.film._tags import TagFinder
-from kinpole_ros.film._video import FilmError, Video
+from kinpole_ros.film._video import FilmError, Progress, Video
 
-Progress = Callable[[float], None]
 # m; the black square of a tag that `kinpole film --print` draws.
 SIZE = 0.04
 _LEAST_FRAMES = 5  # in which a tag is seen, else it is left out
@@ -32,7 +30,8 @@ class FilmOptions:
     size : float
         Side of the black square of a tag, m.
     ground : tuple of int
-        Tags that stand still; the center of the first is the origin, its top edge along x.
+        Tags that stand still. The center of the first is the origin, and x points to that of the
+        second; with one tag, along its top edge.
     family : str
         A key of `FAMILIES`, or 'auto'.
     camera : str, optional
@@ -73,6 +72,8 @@ class Filmed:
         The map of each picture, or one for all.
     lens : Lens or None
         The camera, if its file was given.
+    picture : tuple of int
+        Width and height, pixels.
     assumed : list of str
         What was assumed, and the options that change it, a line each.
 
@@ -83,6 +84,7 @@ class Filmed:
     corners: np.ndarray
     maps: list[PlaneMap]
     lens: Lens | None
+    picture: tuple[int, int]
     assumed: list[str]
 
     @property
@@ -163,7 +165,7 @@ def read_film(
         f'plane: {ground_text}; perspective such that all tags are squares of one size, lens '
         f'{lens_text}; to change: --ground 7, --camera FILE',
     ]
-    return Filmed(tuple(seen.tags), seen.stamps, corners, maps, lens, assumed)
+    return Filmed(tuple(seen.tags), seen.stamps, corners, maps, lens, seen.picture, assumed)
 
 
 def film_to_bag(
@@ -279,34 +281,33 @@ def _on_ground(
             f'tag {ids} is not seen, so the origin is the middle of the picture, and the camera is '
             'taken to stand still'
         )
-    center, turn = square_poses(corners[:, own])
-    name = f'tag {tags[own[0]]}'
-    place = complex(_median(center[:, 0]))
-    angle = float(np.angle(np.nanmean(turn[:, 0])))
+    ground = corners[:, own]
     noise = max(plane.residual * pixel, 1e-12)
-    spread = np.abs(center[:, 0] - place)
-    if not np.nanmedian(spread) > _MOVES * noise:
-        corners -= place
-        corners *= np.exp(-1j * angle)
-        text = f'{name} is the origin, x along its top edge; the camera stands still'
-        return [plane.moved(place, angle)], text
-    places, angles = _camera_motion(corners[:, own])
+    first = ground[:, 0].mean(axis=-1)
+    moved = np.nanmedian(np.abs(first - _median(first)))
+    stands_still = not moved > _MOVES * noise
+    # All pictures of what stands still may have one error, as a video repeats what it compressed.
+    places, angles = _ground_motion(_median(ground)[None] if stands_still else ground)
     corners -= places[:, None, None]
     corners *= np.exp(-1j * angles)[:, None, None]
     maps = [plane.moved(complex(p), float(a)) for p, a in zip(places, angles, strict=True)]
-    moved = np.nanmedian(spread) / pixel
-    return maps, (
-        f'{name} is the origin, x along its top edge; the camera moves by {moved:.2g} pixels, '
-        'which the ground corrects, though a tripod is better'
-    )
+    arm = float(np.abs(_median(corners[:, own[1]].mean(axis=-1)))) if len(own) > 1 else options.size
+    axis = f'toward tag {tags[own[1]]}' if len(own) > 1 else 'along its top edge'
+    camera = 'the camera stands still'
+    if not stands_still:
+        camera = f'the camera moves by {moved / pixel:.2g} pixels, which the ground corrects'
+    text = f'tag {tags[own[0]]} is the origin, x {axis} to {1e3 * noise / arm:.1g} mrad; {camera}'
+    return maps, text
 
 
-def _camera_motion(ground: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ground_motion(ground: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return places and angles (T,) of the ground, of which corners (T, G, 4) are seen."""
     center, turn = square_poses(ground)
     # The other tags of the ground, as the first one sees them.
     shape = (ground - center[:, :1, None]) * np.conj(turn[:, :1, None])
     shape = _median(shape)
+    if len(shape) > 1:
+        shape *= np.exp(-1j * np.angle(shape[1].mean()))
     is_seen = np.isfinite(ground) & np.isfinite(shape)
     count = np.maximum(is_seen.sum(axis=(1, 2)), 1)
     seen, wanted = np.where(is_seen, ground, 0), np.where(is_seen, shape, 0)

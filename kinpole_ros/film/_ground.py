@@ -42,10 +42,11 @@ class PlaneMap(NamedTuple):
             return np.asarray((x + 1j * y) / w)
 
     def to_pixels(self, points: np.ndarray) -> np.ndarray:
-        """Return the pixels (..., 2) of points of the plane (...), complex, m."""
+        """Return the pixels (..., 2) of points (...), complex, m; NaN behind the camera."""
         flat = np.stack((points.real, points.imag), axis=-1)
         numbers = _homogeneous(flat) @ np.linalg.inv(self.matrix).T
-        straight = numbers[..., :2] / numbers[..., 2:]
+        depth = numbers[..., 2:]
+        straight = numbers[..., :2] / np.where(depth > 0, depth, np.nan)
         bent = straight
         for _ in range(20):
             bent = straight / (1 + self.bending * (bent**2).sum(axis=-1, keepdims=True))

@@ -8,7 +8,7 @@ file and no network, and pictures have a limit, so memory has one too.
 import os
 import queue
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,6 +26,7 @@ _MOST_PIXELS = 4096 * 2176
 _LEAST_SIDE = 32  # pixels
 _WAITING = 3  # pictures between decoder and search
 _LONGEST = 2.0**31  # s, as stamps of ROS
+Progress = Callable[[float], None]
 # The first plane of these is the brightness, one byte a pixel.
 _PLANAR = ('yuv420p', 'yuvj420p', 'yuv422p', 'yuvj422p', 'yuv444p', 'yuvj444p', 'nv12', 'gray')
 

@@ -1,20 +1,10 @@
 """ROS messages to arrays and back: no other package handles the fields of a message."""
 
-from kinpole_ros.messages._body_faults import (
-    SMOOTHED,
-    absent_markers_fault,
-    marker_faults,
-    outage_fault,
-    shape_fault,
-    unit_fault,
-    wrong_pose_fault,
-)
-from kinpole_ros.messages._cdr import serialize_message, with_zero_padding
 from kinpole_ros.messages._diagnostics import RECEIVED, RESTARTS, DiagnosticsMaker
 from kinpole_ros.messages._drawing import COLORS, deletion_of_all
 from kinpole_ros.messages._events import read_event
-from kinpole_ros.messages._faults import identity_lines, jitter_fault, plane_words, tilt_fault
-from kinpole_ros.messages._markers import marker_arrays, read_markers, to_message
+from kinpole_ros.messages._installed import installed_class
+from kinpole_ros.messages._markers import marker_arrays, to_message
 from kinpole_ros.messages._poses import (
     AUTO_TYPES,
     PoseReader,
@@ -23,7 +13,7 @@ from kinpole_ros.messages._poses import (
     poses_data,
     reader_of,
 )
-from kinpole_ros.messages._reader import MarkerReader
+from kinpole_ros.messages._reader import MarkerReader, read_markers
 from kinpole_ros.messages._results import (
     DRAWING,
     TF,
@@ -39,17 +29,15 @@ from kinpole_ros.messages._types import (
     INPUT_TYPES,
     MARKER_TYPES,
     ROS_TYPE_NAMES,
-    WITH_ROS,
-    WITH_TF,
     DiagnosticArray,
     MessageError,
     String,
-    constants,
+    definition,
     deserialize_message,
     fields,
     message_class,
     ns_to_stamp,
-    octets,
+    serialize_message,
     stamp_to_ns,
     type_name,
 )
@@ -66,12 +54,9 @@ __all__ = [
     'RECEIVED',
     'RESTARTS',
     'ROS_TYPE_NAMES',
-    'SMOOTHED',
     'STATE',
     'TF',
     'VIEW',
-    'WITH_ROS',
-    'WITH_TF',
     'DiagnosticArray',
     'DiagnosticsMaker',
     'MarkerReader',
@@ -79,25 +64,19 @@ __all__ = [
     'Output',
     'PoseReader',
     'String',
-    'absent_markers_fault',
-    'constants',
+    'definition',
     'deletion_of_all',
     'deserialize_message',
     'fields',
-    'identity_lines',
-    'jitter_fault',
+    'installed_class',
     'joint_build',
     'kind_of',
     'live_outputs',
     'marker_arrays',
-    'marker_faults',
     'marker_reader',
     'message_class',
     'ns_to_stamp',
-    'octets',
-    'outage_fault',
     'outputs_of',
-    'plane_words',
     'poses_data',
     'quantity_lists',
     'read_event',
@@ -107,14 +86,9 @@ __all__ = [
     'reader_of',
     'result_outputs',
     'serialize_message',
-    'shape_fault',
     'stamp_to_ns',
     'state_fields',
-    'tilt_fault',
     'to_message',
     'type_name',
-    'unit_fault',
     'view_of',
-    'with_zero_padding',
-    'wrong_pose_fault',
 ]

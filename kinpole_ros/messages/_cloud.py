@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.messages._points import PointLayout, read_points
-from kinpole_ros.messages._types import Header, MessageError, PointCloud2, PointField, octets
+from kinpole_ros.messages._offsets import Cloud
+from kinpole_ros.messages._points import PointLayout
+from kinpole_ros.messages._types import Header, MessageError, PointCloud2, PointField
 
 _FLOATS = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
 _INTEGERS = {
@@ -24,9 +25,9 @@ _INTEGERS = {
 }
 
 
-def cloud_layout(cloud: PointCloud2) -> PointLayout:
+def cloud_layout(cloud: Cloud) -> PointLayout:
     """
-    Return where the points are in the data of a cloud; z may be missing and is 0 then.
+    Return where the points of a cloud are in its message; z may be missing and is 0 then.
 
     `is_dense` is ignored, since some drivers set it wrongly. Raises MessageError when x or y is
     missing, when a field or size contradicts another, or when the data is too short.
@@ -39,24 +40,18 @@ def cloud_layout(cloud: PointCloud2) -> PointLayout:
     height, width = _shape(cloud)
     rows, columns = np.arange(height) * cloud.row_step, np.arange(width) * cloud.point_step
     return PointLayout(
-        np.add.outer(rows, columns).ravel(),
+        cloud.data.start + np.add.outer(rows, columns).ravel(),
+        cloud.is_bigendian,
         tuple(0 if field is None else field[1] for field in axes.values()),
         tuple(0 if field is None else int(field[0][2]) for field in axes.values()),
-        bool(cloud.is_bigendian),
     )
 
 
-def cloud_points(cloud: PointCloud2) -> np.ndarray:
-    """Return the points (n, 3) of a cloud, row after row; one that is not finite is NaN."""
-    return read_points(cloud_layout(cloud), bytes(cloud.data))
-
-
-def id_column(cloud: PointCloud2, data: Any, first: int = 0) -> np.ndarray:
+def id_column(cloud: Cloud, message: Any) -> np.ndarray:
     """
-    Return a view (height, width) of the integer field `id` in the data of a cloud like this one.
+    Return a view (height, width) of the integer field `id` in a message with such a cloud.
 
-    The data begins at `first` in the buffer `data`. Raises MessageError when there is no field
-    `id`.
+    Raises MessageError when there is no field `id`.
     """
     field = _type_and_offset(cloud, 'id', _INTEGERS)
     if field is None:
@@ -68,12 +63,8 @@ def id_column(cloud: PointCloud2, data: Any, first: int = 0) -> np.ndarray:
     shape = _shape(cloud)
     if not shape[0]:
         return np.empty(shape, code)
-    return np.ndarray(shape, code, data, first + offset, (cloud.row_step, cloud.point_step))
-
-
-def cloud_ids(cloud: PointCloud2) -> tuple[str, ...]:
-    """The integers of the field `id`, row after row, as strings; MessageError without one."""
-    return tuple(map(str, id_column(cloud, cloud.data).ravel().tolist()))
+    first = cloud.data.start + offset
+    return np.ndarray(shape, code, message, first, (cloud.row_step, cloud.point_step))
 
 
 def make_cloud(header: Header, points: np.ndarray) -> PointCloud2:
@@ -85,13 +76,11 @@ def make_cloud(header: Header, points: np.ndarray) -> PointCloud2:
         for axis, name in enumerate('xyz')
     ]
     cloud.is_dense = bool(np.isfinite(points).all())
-    cloud.data = octets(points.astype('<f8').tobytes())
+    cloud.data = points.astype('<f8').view(np.uint8).ravel()
     return cloud
 
 
-def _type_and_offset(
-    cloud: PointCloud2, name: str, datatypes: dict[int, str]
-) -> tuple[str, int] | None:
+def _type_and_offset(cloud: Cloud, name: str, datatypes: dict[int, str]) -> tuple[str, int] | None:
     """Type and offset of one field, or None when the cloud has no such field."""
     fields = [field for field in cloud.fields if field.name == name]
     if not fields:
@@ -104,8 +93,8 @@ def _type_and_offset(
         raise MessageError(
             f"PointCloud2 field '{name}' has datatype {field.datatype}: publish it as {kind}"
         )
-    if field.count > 1:
-        raise MessageError(f"PointCloud2 field '{name}' has count {field.count}: publish it as 1")
+    if field.number > 1:
+        raise MessageError(f"PointCloud2 field '{name}' has count {field.number}: publish it as 1")
     code = datatypes[field.datatype]
     offset, step = field.offset, cloud.point_step
     if offset + int(code[1]) > step:
@@ -127,10 +116,10 @@ def _refuse_overlap(axes: dict[str, tuple[str, int] | None]) -> None:
             )
 
 
-def _shape(cloud: PointCloud2) -> tuple[int, int]:
+def _shape(cloud: Cloud) -> tuple[int, int]:
     """Height and width, checked against the data that is there."""
-    height, width, row_step, data = cloud.height, cloud.width, cloud.row_step, cloud.data
-    step = cloud.point_step
+    height, width, row_step, step = cloud.height, cloud.width, cloud.row_step, cloud.point_step
+    size = cloud.data.number
     if not height * width:
         return 0, 0
     if row_step < width * step:
@@ -138,9 +127,9 @@ def _shape(cloud: PointCloud2) -> tuple[int, int]:
             f'PointCloud2 row_step {row_step} is less than width {width} x point_step {step}: '
             'correct row_step'
         )
-    if len(data) < height * row_step:
+    if size < height * row_step:
         raise MessageError(
-            f'PointCloud2 data has {len(data)} bytes, fewer than height {height} x '
+            f'PointCloud2 data has {size} bytes, fewer than height {height} x '
             f'row_step {row_step}: publish all rows or correct the height'
         )
     return height, width

@@ -7,18 +7,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
-from kinpole_ros.messages._body_faults import (
-    SHOWN_CHARACTERS,
-    SMOOTHED,
-    absent_markers_fault,
-    marker_faults,
-    outage_fault,
-    shape_fault,
-    unit_fault,
-    wrong_pose_fault,
-)
-from kinpole_ros.messages._faults import Fault, input_faults, stamp_faults
+from kinpole_ros.messages import body_faults
 from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyValue, ns_to_stamp
+from kinpole_ros.messages.faults import Fault, input_faults, stamp_faults
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.outages import Outage
 from kinpole_ros.tracking.plane import as_parameter
@@ -126,7 +117,7 @@ class DiagnosticsMaker:
         faults = input_faults(tracker, since, trouble, self._nothing)
         faults += stamp_faults(tracker, since, stamps, seconds)
         if '' in outages:
-            faults.append((DiagnosticStatus.WARN, outage_fault('', outages[''].latest)))
+            faults.append((DiagnosticStatus.WARN, body_faults.outage_fault('', outages[''].latest)))
         input_status = _input_status(f'{self._name}: markers', tracker, since, seconds, faults)
         bodies = _bodies(self._name, tracker, self._wrong, outages)
         self._wrong = tracker.wrong()
@@ -193,14 +184,14 @@ def _bodies(
             }
         absence = ''
         if body in absent:
-            absence = absent_markers_fault(body, absent[body], tracker.identities)
-        unit = unit_fault(float(space.size[b]), tracker.settings.scale)
-        shape = shape_fault(b, residuals[b], causes[b], space)
-        warnings = marker_faults(erring[body], noise[b])
+            absence = body_faults.absent_markers_fault(body, absent[body], tracker.identities)
+        unit = body_faults.unit_fault(float(space.size[b]), tracker.settings.scale)
+        shape = body_faults.shape_fault(b, residuals[b], causes[b], space)
+        warnings = body_faults.marker_faults(erring[body], noise[b])
         if new_wrong[b] > 0:
-            warnings.append(wrong_pose_fault(int(new_wrong[b])))
+            warnings.append(body_faults.wrong_pose_fault(int(new_wrong[b])))
         if body in outages:
-            warnings.append(outage_fault(body, outages[body].latest))
+            warnings.append(body_faults.outage_fault(body, outages[body].latest))
         bodies.append(
             _Body(
                 number=b,
@@ -245,8 +236,8 @@ class _Body(NamedTuple):
         else:
             level, message = DiagnosticStatus.STALE, 'nothing known: too few frames yet'
         for marker, deviation in self.erring.items():
-            key = f'noise of marker {marker[:SHOWN_CHARACTERS]!r}, which counts for less (m)'
-            values[key] = deviation
+            name = repr(marker[: body_faults.SHOWN_CHARACTERS])
+            values[f'noise of marker {name}, which counts for less (m)'] = deviation
         if self.wrong:
             values['frames in which its pose was wrong, left out'] = self.wrong
         if self.warnings and level != DiagnosticStatus.STALE:
@@ -272,7 +263,7 @@ class _Body(NamedTuple):
             values[f'{quantity} undetermined'] = reason
         level, message = DiagnosticStatus.OK, 'tracking'
         if self.fault or self.is_smoothed:
-            level, message = DiagnosticStatus.WARN, self.fault or SMOOTHED
+            level, message = DiagnosticStatus.WARN, self.fault or body_faults.SMOOTHED
         if reasons:
             message += '; undetermined: ' + ', '.join(reasons)
         return level, message
@@ -315,9 +306,7 @@ def _input_status(
     return _status(name, level, message, values)
 
 
-def _status(
-    name: str, level: bytes, message: str, values: Mapping[str, object]
-) -> DiagnosticStatus:
+def _status(name: str, level: int, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
     pairs = [
         KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float) else str(value))
         for key, value in values.items()

@@ -87,10 +87,7 @@ def read_event(data: bytes) -> tuple[int, dict[str, float]]:
     Raises
     ------
     ValueError
-        For another cloud.
-    RuntimeError
-        If rclpy cannot read the message.
-
+        For another cloud, and for other bytes.
     """
     cloud = deserialize_message(data, PointCloud2)
     content = bytes(cloud.data)

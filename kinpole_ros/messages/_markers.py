@@ -1,123 +1,28 @@
-"""Messages of markers as arrays: each of the four types becomes MarkerFrames, and back."""
+"""Messages of markers, written from arrays."""
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
-from itertools import chain
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
-from kinpole_ros.messages._cdr import (
-    ALIGNMENT,
-    HEAD,
-    LITTLE,
-    serialize_message,
-    stamp_bytes,
-)
-from kinpole_ros.messages._cloud import cloud_ids, cloud_points, make_cloud
+from kinpole_ros.messages._cdr import ALIGNMENT, HEAD, LITTLE, stamp_bytes
+from kinpole_ros.messages._cloud import make_cloud
+from kinpole_ros.messages._points import blank_unseen
 from kinpole_ros.messages._types import (
-    END_OF_TIME,
     MARKER_TYPES,
-    ROS_TYPE_NAMES,
     ColorRGBA,
     Header,
     Marker,
     MarkerArray,
-    MessageError,
     Point,
-    PointCloud2,
     Pose,
     PoseArray,
     Vector3,
     ns_to_stamp,
-    stamp_to_ns,
+    serialize_message,
 )
-from kinpole_ros.tracking.frame import MarkerFrames
-
-_SHOWN_CHARACTERS = 80  # of a name, which may be as long as the message
-_LISTS = (Marker.CUBE_LIST, Marker.SPHERE_LIST, Marker.POINTS)  # drawn at each of their points
-_SINGLE = (Marker.CUBE, Marker.SPHERE, Marker.CYLINDER)  # drawn once, at their pose
-_IDENTITIES = ('auto', 'index', 'id', 'ns', 'ns_id', 'shape')
-_xyz = attrgetter('x', 'y', 'z')
-
-
-def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
-    """
-    Read the markers of a MarkerArray, Marker, PoseArray or PointCloud2.
-
-    A MarkerArray gives one marker for each of its entries, at its position, except those that it
-    deletes. Its header is that of the first entry. A Marker gives its `points`, moved by its pose.
-
-    Parameters
-    ----------
-    message : object
-        The message, of a class in `MARKER_TYPES`.
-    identity : str
-        How markers are named: auto, index, id, ns, ns_id or shape. A MarkerArray has all of them;
-        auto means ns_id ('ns/id', or 'id' where ns is empty), and the index counts every entry, so
-        that a deleted marker does not rename others. The other types have the index alone, and a
-        PointCloud2 the id, its integer field `id`. shape reads as index does: the tracker assigns
-        the markers by the shapes of the bodies.
-
-    Returns
-    -------
-    MarkerFrames
-        One frame (T = 1), m, in the frame of the header. A marker with a coordinate that is not
-        finite is NaN.
-
-    Raises
-    ------
-    MessageError
-        Where the message cannot be read so: without a stamp, as an empty MarkerArray, with markers
-        in several frames, or with lists of points as entries.
-    ValueError
-        For another identity.
-    """
-    if identity not in _IDENTITIES:
-        raise ValueError(f"identity '{identity}' is unknown: use one of {', '.join(_IDENTITIES)}")
-    identity = 'index' if identity == 'shape' else identity
-    if isinstance(message, MarkerArray):
-        header, identities, points = _read_marker_array(message, identity)
-    else:
-        points = _unnamed_points(message)
-        header = message.header
-        identities = _identities(message, identity, len(points))
-    stamps = np.array([_checked_stamp(header.stamp)])
-    blank_unseen(points)
-    return MarkerFrames(stamps, header.frame_id, identities, points[None])
-
-
-def _unnamed_points(message: Any) -> np.ndarray:
-    """Points (n, 3), m, of a message without names, in the frame of its header."""
-    if isinstance(message, PointCloud2):
-        return cloud_points(message)
-    if isinstance(message, Marker):
-        return _marker_points(message)
-    if isinstance(message, PoseArray):
-        return _positions(pose.position for pose in message.poses)
-    raise MessageError(
-        f'{type(message).__name__} is not a message of markers: '
-        f'publish one of {", ".join(ROS_TYPE_NAMES.values())}'
-    )
-
-
-def _checked_stamp(stamp: Any) -> int:
-    """A stamp in ns; raises MessageError for one that no ROS time has."""
-    if stamp.sec < 0:
-        raise MessageError(
-            f'header.stamp is {stamp.sec} s; see that the driver sets it to the time of capture, '
-            'counted from 1970 or from its start'
-        )
-    ns = stamp_to_ns(stamp)
-    if ns >= END_OF_TIME:
-        raise MessageError(
-            f'header.stamp has {stamp.nanosec} ns after {stamp.sec} s, more than a ROS time holds; '
-            'see that the driver sets nanosec to less than 1e9'
-        )
-    return ns
 
 
 def to_message(
@@ -232,155 +137,6 @@ def _marker_block(frame_id: str, name: str, number: int, phase: int) -> tuple[by
     message = marker if phase == 0 else MarkerArray(markers=[marker])
     block = serialize_message(message)[HEAD + phase :]
     return block, block.index(np.array((corner.x, corner.y, corner.z), '<f8').tobytes())
-
-
-def _read_marker_array(
-    message: MarkerArray, identity: str
-) -> tuple[Header, tuple[str, ...], np.ndarray]:
-    markers = message.markers
-    rows = shown_entries(markers)
-    points = _positions(markers[k].pose.position for k in rows)
-    header = markers[rows[0] if rows else 0].header if markers else Header()
-    if not rows and header == Header():
-        raise MessageError(
-            'MarkerArray without markers has no stamp; see that the driver sends nothing when it '
-            'sees nothing, or markers with coordinates that are not finite'
-        )
-    # A marker without a frame is in the frame of the other markers.
-    frame_ids = {markers[k].header.frame_id for k in rows} - {''}
-    if len(frame_ids) > 1:
-        shown = ', '.join(repr(name)[:_SHOWN_CHARACTERS] for name in sorted(frame_ids)[:2])
-        raise MessageError(
-            f'MarkerArray has markers in {len(frame_ids)} frames, as {shown}: publish all of them '
-            'in one, such as that of the ground'
-        )
-    header = Header(stamp=header.stamp, frame_id=''.join(frame_ids) or header.frame_id)
-    # If only some entries are lists they may be a drawing, and the others are the markers.
-    if rows and all(len(markers[k].points) > 1 and markers[k].type in _LISTS for k in rows):
-        raise MessageError(
-            'MarkerArray has lists of points, and a marker of an array is but one point: send a '
-            'list as a Marker, or each point as a marker of the array'
-        )
-    if identity == 'index':
-        return header, tuple(map(str, rows)), points
-    return header, marker_names([(markers[k].ns, markers[k].id) for k in rows], identity), points
-
-
-def marker_names(keys: Sequence[tuple[str, int]], identity: str) -> tuple[str, ...]:
-    """Return the identities of markers by ns and id; MessageError where one comes twice."""
-    if identity == 'id':
-        identities = tuple([str(number) for _, number in keys])
-    elif identity == 'ns':
-        identities = tuple([ns for ns, _ in keys])
-    else:
-        identities = tuple([f'{ns}/{number}' if ns else str(number) for ns, number in keys])
-    _check_unique(identities, 'MarkerArray', identity)
-    return identities
-
-
-def shown_entries(markers: Sequence[Marker]) -> Sequence[int]:
-    """Return the indices of the markers that a viewer shows after the whole array."""
-    if all(marker.action < Marker.DELETE for marker in markers):
-        return range(len(markers))
-    # Backward, because a deletion applies only to the entries before it.
-    rows: list[int] = []
-    deleted: set[tuple[str, int]] = set()
-    for k in reversed(range(len(markers))):
-        marker = markers[k]
-        if marker.action == Marker.DELETEALL:
-            break
-        if marker.action == Marker.DELETE:
-            deleted.add((marker.ns, marker.id))
-        elif (marker.ns, marker.id) not in deleted:
-            rows.append(k)
-    return rows[::-1]
-
-
-def _marker_points(marker: Marker) -> np.ndarray:
-    """Return the points (n, 3) of a Marker in the frame of its header."""
-    if marker.action in (Marker.DELETE, Marker.DELETEALL):
-        return np.empty((0, 3))
-    if not marker.points and marker.type in _SINGLE:
-        raise MessageError(
-            'Marker has no points, and these are the markers: send all markers of a frame in one '
-            'message, as a MarkerArray or as the points of a Marker'
-        )
-    q, origin = marker.pose.orientation, marker.pose.position
-    pose = np.array([[origin.x, origin.y, origin.z, q.x, q.y, q.z, q.w]])
-    return transformed(_positions(marker.points)[None], pose)[0]
-
-
-def transformed(points: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """
-    Transform points (T, n, 3) of local frames by the poses (T, 7) of these frames.
-
-    A pose is x, y, z and a quaternion x, y, z, w of any length.
-    """
-    quaternions = poses[:, 3:]
-    # A quaternion of zeros, as in a message with default fields, is the identity, as in RViz.
-    is_turned = quaternions[:, :3].any(axis=1) | ~np.isfinite(quaternions[:, 3])
-    # A pose that is not finite makes its points NaN; numpy need not warn of it.
-    with np.errstate(invalid='ignore', over='ignore'):
-        if is_turned.any():
-            x, y, z, w = quaternions.T
-            norm = np.where(is_turned, np.hypot(np.hypot(x, y), np.hypot(z, w)), 1.0)
-            rotations = rotation_matrices(quaternions / norm[:, None])
-            # Not by a matrix product, which rounds differently for other numbers of frames.
-            points = (rotations[:, None] * points[:, :, None, :]).sum(axis=-1)
-        return points + poses[:, None, :3]
-
-
-def rotation_matrices(quaternions: np.ndarray) -> np.ndarray:
-    """Return the rotation matrices (..., 3, 3) of unit quaternions (..., 4) x, y, z, w."""
-    x, y, z, w = np.moveaxis(quaternions, -1, 0)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def _identities(message: Any, identity: str, n: int) -> tuple[str, ...]:
-    """Return the identities of a message whose markers have an index."""
-    if identity in ('auto', 'index'):
-        return _indices(n)
-    if identity == 'id' and isinstance(message, PointCloud2):
-        identities = cloud_ids(message)
-        _check_unique(identities, 'PointCloud2', identity)
-        return identities
-    raise MessageError(
-        f"{type(message).__name__} has no identities but the index, so none by '{identity}': "
-        'set marker_identity to auto or index'
-    )
-
-
-# Few entries: that of a dense cloud takes megabytes, and n changes seldom.
-@lru_cache(maxsize=16)
-def _indices(n: int) -> tuple[str, ...]:
-    return tuple(map(str, range(n)))
-
-
-def _check_unique(identities: tuple[str, ...], kind: str, identity: str) -> None:
-    if len(set(identities)) < len(identities):
-        name, times = Counter(identities).most_common(1)[0]
-        raise MessageError(
-            f"{kind} has the identity {name[:_SHOWN_CHARACTERS]!r} {times} times by '{identity}': "
-            'set another marker_identity (index always works)'
-        )
-
-
-def _positions(positions: Iterable[Any]) -> np.ndarray:
-    """Return an array (n, 3) of objects with x, y and z."""
-    flat = chain.from_iterable(map(_xyz, positions))
-    return np.fromiter(flat, np.float64).reshape(-1, 3)
-
-
-def blank_unseen(points: np.ndarray) -> None:
-    """Set every row of `points` (..., 3) that is not finite to NaN, in place."""
-    finite = np.isfinite(points)
-    if np.count_nonzero(finite) < finite.size:
-        points[~finite.all(axis=-1)] = np.nan
 
 
 def _sphere(header: Header, ns: str, number: int, **fields: Any) -> Marker:

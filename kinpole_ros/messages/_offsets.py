@@ -6,15 +6,16 @@ taken for what they claim. Offsets are counted from the start of the message.
 """
 
 import struct
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from kinpole_ros.messages._cdr import HEAD, LITTLE
-from kinpole_ros.messages._types import INPUT_TYPE_NAMES, MessageError
+from kinpole_ros.messages._types import END_OF_TIME, INPUT_TYPE_NAMES, SECOND, MessageError
 from kinpole_ros.settings import MESSAGE_TYPES, MessageType
 from kinpole_ros.settings.message_types import Field
 
-# Objects that rclpy would make of a message; beyond, they take 5 s and hundreds of MB. A marker
-# takes as long as 16 points.
+# Parts of a message; beyond, they take seconds and hundreds of MB. A marker takes as long as 16
+# points.
 _MAX_OBJECTS = 1 << 18
 _MARKER = 16
 # Bytes and alignment of the kinds of fields in MESSAGE_TYPES.
@@ -49,16 +50,37 @@ class PoseOffsets(NamedTuple):
     poses: Items
 
 
+class CloudField(NamedTuple):
+    """A PointField."""
+
+    name: str
+    offset: int
+    datatype: int
+    number: int
+
+
+class Cloud(NamedTuple):
+    """What a PointCloud2 says of its data, which are at `data`."""
+
+    height: int
+    width: int
+    fields: Sequence[CloudField]
+    is_bigendian: bool
+    point_step: int
+    row_step: int
+    data: Items
+
+
 class MessageOffsets:
     """
     The offsets in one message of markers or poses of the type `kind`, a key of INPUT_TYPES.
 
     `size` is that of the message in bytes, `order` its byte order as `struct` names it. `sizes` are
     the offsets of the lengths of all sequences and strings. A Marker or MarkerArray has `markers`,
-    the other types a `stamp`, a `frame_id` and `items`: poses, or the data of a cloud. `poses` has
-    the poses of bodies. `entries` are the offsets of the fields of each item of a type of which
-    MESSAGE_TYPES has the fields. `layout` are first and last offsets of the fields of a cloud that
-    describe its data.
+    the other types a `stamp` and a `frame_id`. A PoseArray has `items`, its poses; a PointCloud2 is
+    a `cloud`, and `layout` are first and last offsets of the fields that describe its data. `poses`
+    has the poses of bodies. `entries` are the offsets of the fields of each item of a type of which
+    MESSAGE_TYPES has the fields.
 
     Raises MessageError for a message that is cut off, or that holds more than 16,384 markers or
     262,144 poses or points.
@@ -72,6 +94,7 @@ class MessageOffsets:
         self.stamp = 0
         self.frame_id = self.items = Items(0, 0)
         self.layout: list[tuple[int, int]] = []
+        self.cloud = Cloud(0, 0, (), False, 0, 0, self.items)
         row = MESSAGE_TYPES[kind]
         order = _ORDERS.get(data[:2])
         if order is None or len(data) < HEAD:
@@ -156,16 +179,23 @@ class MessageOffsets:
 
     def _point_cloud2(self) -> None:
         self.stamp, self.frame_id = self._header()
-        self._describe(8, 4)  # height, width
+        height, width = self._describe('2I')
+        fields: list[CloudField] = []
         for _ in range(self._length()):
+            self._objects += 1
+            if self._objects > _MAX_OBJECTS:
+                return
             name = self._sequence(1)
             self.layout.append((name.start, name.start + name.number))
-            self._describe(5, 4)  # offset, datatype
-            self._describe(4, 4)  # count
-        self._describe(1)  # is_bigendian
-        self._describe(8, 4)  # point_step, row_step
-        self.items = self._sequence(1)
+            offset, datatype = self._describe('IB')
+            fields.append(
+                CloudField(text_at(self._data, name), offset, datatype, *self._describe('I'))
+            )
+        (is_bigendian,) = self._describe('?')
+        point_step, row_step = self._describe('2I')
+        data = self._sequence(1)
         self._skip(1)  # is_dense
+        self.cloud = Cloud(height, width, fields, is_bigendian, point_step, row_step, data)
 
     def _list(self, row: MessageType) -> None:
         """Pass a header, the fields behind it, and a list of markers or bodies."""
@@ -192,9 +222,12 @@ class MessageOffsets:
     def _header(self) -> tuple[int, Items]:
         return self._skip(8, 4), self._sequence(1)
 
-    def _describe(self, size: int, align: int = 1) -> None:
-        start = self._skip(size, align)
-        self.layout.append((start, start + size))
+    def _describe(self, form: str) -> tuple[Any, ...]:
+        """Pass numbers that describe the data of a cloud, the first of them aligned."""
+        numbers = struct.Struct(self.order + form)
+        start = self._skip(numbers.size, 1 if form == '?' else 4)
+        self.layout.append((start, start + numbers.size))
+        return numbers.unpack_from(self._data, start)
 
     def _skip(self, size: int, align: int = 1) -> int:
         start = self._at + (HEAD - self._at) % align
@@ -212,3 +245,24 @@ class MessageOffsets:
         if size > 1:
             self._objects += count
         return Items(self._skip(count * size, align if count else 1), count)
+
+
+def text_at(data: bytes, text: Items) -> str:
+    """Return a string in a message; what is no UTF-8 in it is replaced."""
+    start, number = text
+    return data[start : start + number].partition(b'\0')[0].decode(errors='replace')
+
+
+def check_stamp(data: bytes, at: int, order: str) -> None:
+    """Raise MessageError for a stamp that no ROS time has."""
+    seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, at)
+    if seconds < 0:
+        raise MessageError(
+            f'header.stamp is {seconds} s; see that the driver sets it to the time of capture, '
+            'counted from 1970 or from its start'
+        )
+    if seconds * SECOND + nanoseconds >= END_OF_TIME:
+        raise MessageError(
+            f'header.stamp has {nanoseconds} ns after {seconds} s, more than a ROS time holds; '
+            'see that the driver sets nanosec to less than 1e9'
+        )

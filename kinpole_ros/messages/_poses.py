@@ -15,8 +15,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from kinpole_ros.messages._cdr import Writer
-from kinpole_ros.messages._markers import blank_unseen, rotation_matrices
-from kinpole_ros.messages._offsets import Items, MessageOffsets, PoseOffsets
+from kinpole_ros.messages._offsets import MessageOffsets, PoseOffsets, text_at
+from kinpole_ros.messages._points import blank_unseen, rotation_matrices
 from kinpole_ros.messages._reader import MarkerReader
 from kinpole_ros.messages._types import (
     END_OF_TIME,
@@ -247,14 +247,14 @@ class PoseReader:
             )
         if self._width == len(_UNSEEN):
             self._note_names(named)
-        return _Poses(_stamp(data, stamp, offsets.order), _text(data, frame_id), named)
+        return _Poses(_stamp(data, stamp, offsets.order), text_at(data, frame_id), named)
 
     def _name(self, index: int, entry: Mapping[str, Any], data: bytes) -> str:
         """Return the name in the message of a marker or body, else its number, else its index."""
         if not self._has_names:
             return str(index)
         is_numbered = 'id_type' in entry and data[entry['id_type']] == _NUMBER_IS_MEANT
-        name = '' if is_numbered else _text(data, entry['name'])
+        name = '' if is_numbered else text_at(data, entry['name'])
         if name or 'number' not in entry:
             return name or str(index)
         form = '<i' if data[1] else '>i'
@@ -268,11 +268,11 @@ class PoseReader:
         results: 'list[_Poses | MessageError]',
     ) -> None:
         """Add a transform of /tf to the pending frame; append a frame that is complete."""
-        child = _text(data, transform.child)
+        child = text_at(data, transform.child)
         self._note_names((child,))
         if child not in self._names:
             return
-        parent = _text(data, transform.frame_id)
+        parent = text_at(data, transform.frame_id)
         if parent in self._names or parent != (self._parent or parent):
             before = f', and others in {_shown(self._parent)}' if self._parent else ''
             results.append(
@@ -297,7 +297,7 @@ class PoseReader:
     ) -> None:
         """Complete the pending frame where no later message can add to it."""
         if not self._is_single:
-            children = {_text(data, transform.child) for transform in offsets.poses}
+            children = {text_at(data, transform.child) for transform in offsets.poses}
             self._is_single = children >= set(self._names)
         if self._pending and (self._is_single or len(self._pending.poses) == len(self._names)):
             self._complete(results)
@@ -402,10 +402,6 @@ def _stamp(data: bytes, offset: int, order: str) -> int:
             'time of capture, counted from 1970 or from its start'
         )
     return stamp
-
-
-def _text(data: bytes, text: Items) -> str:
-    return data[text.start : text.start + text.number].rstrip(b'\0').decode(errors='replace')
 
 
 def _shown(name: str) -> str:

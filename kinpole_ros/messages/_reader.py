@@ -1,17 +1,16 @@
 """
-Marker messages read straight from their bytes, messages of one layout at once.
+Marker messages read from their bytes, messages of one layout at once.
 
-Making the objects of rclpy takes milliseconds for an array of 100 markers, though only stamps and
-coordinates differ from one message to the next. So the first message of a layout is read with
-rclpy. The layout keeps the offsets of stamp and coordinates in it, and a mask of the bytes that
-decide what these mean. Messages that agree with it in the masked bytes are read by compiled code.
-If they differ in the names of markers alone, as where markers come and go, the names are read
-again.
+Making objects of a message takes milliseconds for an array of 100 markers, though only stamps and
+coordinates differ from one message to the next. So the layout of the first message keeps the
+offsets of stamp and coordinates in it, and a mask of the bytes that decide what these mean.
+Messages that agree with it in the masked bytes are read by compiled code. If they differ in the
+names of markers alone, as where markers come and go, the names are read again.
 """
 
-import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from ctypes import byref
+from functools import lru_cache
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -20,37 +19,91 @@ import numpy as np
 from kinpole_ros.core.bindings import MessageLayout, library, pass_new_array
 from kinpole_ros.messages._cdr import LITTLE
 from kinpole_ros.messages._cloud import cloud_layout, id_column
-from kinpole_ros.messages._markers import (
-    blank_unseen,
+from kinpole_ros.messages._marker_array import (
+    SINGLE,
+    Names,
+    check_unique,
+    entry_of,
+    header_of,
     marker_names,
-    read_markers,
+    names_at,
     shown_entries,
+)
+from kinpole_ros.messages._offsets import Items, MessageOffsets, check_stamp, text_at
+from kinpole_ros.messages._points import (
+    PointLayout,
+    blank_unseen,
+    layout_of_messages,
     transformed,
 )
-from kinpole_ros.messages._offsets import MarkerOffsets, MessageOffsets
-from kinpole_ros.messages._points import PointLayout, layout_of_messages
 from kinpole_ros.messages._types import (
-    MARKER_TYPES,
     ROS_TYPE_NAMES,
     Marker,
     MessageError,
-    deserialize_message,
+    serialize_message,
+    type_name,
 )
+from kinpole_ros.settings import MESSAGE_TYPES
 from kinpole_ros.tracking.frame import MarkerFrames
 
+_IDENTITIES = ('auto', 'index', 'id', 'ns', 'ns_id', 'shape')
 # Markers that come and go make many layouts: limits of their number and of their memory in bytes.
 _MAX_LAYOUTS = 64
 _MAX_RENAMED_LAYOUTS = 8  # of one mask, so that they do not push out the other layouts
 _MAX_LAYOUT_BYTES = 1 << 25
 _MAX_CONCATENATED_BYTES = 1 << 23
-_ID = struct.Struct('<i')
 
-Names = Callable[[bytes], tuple[str, ...] | None]
+
+def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
+    """
+    Read the markers of a MarkerArray, Marker, PoseArray or PointCloud2.
+
+    A MarkerArray gives one marker for each of its entries, at its position, except those that it
+    deletes. Its header is that of the first entry. A Marker gives its `points`, moved by its pose.
+
+    Parameters
+    ----------
+    message : object
+        The message, of a class in `MARKER_TYPES`.
+    identity : str
+        How markers are named: auto, index, id, ns, ns_id or shape. A MarkerArray has all of them;
+        auto means ns_id ('ns/id', or 'id' where ns is empty), and the index counts every entry, so
+        that a deleted marker does not rename others. The other types have the index alone, and a
+        PointCloud2 the id, its integer field `id`. shape reads as index does: the tracker assigns
+        the markers by the shapes of the bodies.
+
+    Returns
+    -------
+    MarkerFrames
+        One frame (T = 1), m, in the frame of the header. A marker with a coordinate that is not
+        finite is NaN.
+
+    Raises
+    ------
+    MessageError
+        Where the message cannot be read so: without a stamp, as an empty MarkerArray, with markers
+        in several frames, or with lists of points as entries.
+    ValueError
+        For another identity.
+    """
+    if identity not in _IDENTITIES:
+        raise ValueError(f"identity '{identity}' is unknown: use one of {', '.join(_IDENTITIES)}")
+    kinds = {name: kind for kind, name in ROS_TYPE_NAMES.items() if not MESSAGE_TYPES[kind].item}
+    kind = kinds.get(type_name(type(message)))
+    if kind is None:
+        raise MessageError(
+            f'{type(message).__name__} is not a message of markers: '
+            f'publish one of {", ".join(kinds)}'
+        )
+    (result,) = MarkerReader(kind, identity).read([serialize_message(message)])
+    if isinstance(result, MessageError):
+        raise result
+    return result
 
 
 class MarkerReader:
     """
-    Reads serialized messages of one type of markers, with the results of `read_markers`.
+    Reads serialized messages of one type of markers: see `read_markers`.
 
     `kind` is a key of MARKER_TYPES, `identity` as in `read_markers`.
     """
@@ -132,21 +185,14 @@ class MarkerReader:
             self._layouts.pop()
 
     def _read_new(self, data: bytes) -> MarkerFrames | MessageError:
-        """Read a message with rclpy, and remember its layout if that gives the same."""
+        """Read a message of a layout that is not known, and remember the layout."""
         try:
-            offsets = MessageOffsets(self._kind, data)
-            message = _deserialized(self._kind, data)
-            frames = read_markers(message, self._identity)
+            layout = _make_layout(self._kind, self._identity, data)
         except MessageError as error:
             return error
-        if len(data) > _MAX_LAYOUT_BYTES or offsets.order != '<':
-            return frames
-        if frames.identities or self._kind != 'marker_array':
-            reading = _Reading(offsets, message, frames)
-            layout = _make_layout(self._kind, self._identity, reading, data)
-            if _equal(layout.read(data, 0, 1), frames):
-                self._remember(layout)
-        return frames
+        if len(data) <= _MAX_LAYOUT_BYTES:
+            self._remember(layout)
+        return layout.read(data, 0, 1)
 
 
 class _Layout(NamedTuple):
@@ -159,6 +205,7 @@ class _Layout(NamedTuple):
     """
 
     size: int
+    order: str
     fields: MessageLayout
     points: PointLayout
     mask: np.ndarray
@@ -182,8 +229,8 @@ class _Layout(NamedTuple):
         identities = self.names(data)
         if identities is None:
             return None
-        key = start & self.mask
-        fields = layout_of_messages(self.points, self.size, self.fields.stamp, self.mask, key)
+        key, stamp = start & self.mask, self.fields.stamp
+        fields = layout_of_messages(self.points, self.size, stamp, self.order, self.mask, key)
         return self._replace(fields=fields, key=key, identities=identities)
 
     def count_matches(self, data: bytes, first: int, count: int) -> int:
@@ -198,35 +245,10 @@ class _Layout(NamedTuple):
         library.kinpole_read_messages(byref(self.fields), data, first, count, *into)
         if self.pose is not None:
             start, strides = first * self.size + self.pose, (self.size, 8)
-            points = transformed(points, np.ndarray((count, 7), '<f8', data, start, strides))
+            poses = np.ndarray((count, 7), f'{self.order}f8', data, start, strides)
+            points = transformed(points, poses)
             blank_unseen(points)
         return MarkerFrames(stamps, self.frame_id, self.identities, points)
-
-
-def _deserialized(kind: str, data: bytes) -> Any:
-    try:
-        return deserialize_message(data, MARKER_TYPES[kind])
-    except Exception as error:  # rclpy raises the errors of its middleware
-        raise MessageError(
-            f'{len(data)} bytes are no {ROS_TYPE_NAMES[kind]} '
-            f'({" ".join(str(error).split()) or type(error).__name__}); see that nothing is damaged'
-        ) from None
-
-
-def _equal(a: MarkerFrames, b: MarkerFrames) -> bool:
-    return (
-        bool((a.stamps == b.stamps).all())
-        and a.points.shape == b.points.shape
-        and np.array_equal(a.points, b.points, equal_nan=True)
-    )
-
-
-class _Reading(NamedTuple):
-    """A message read with rclpy: its offsets, the object, and its frame."""
-
-    offsets: MessageOffsets
-    message: Any
-    frames: MarkerFrames
 
 
 class _Mask:
@@ -240,62 +262,68 @@ class _Mask:
         self.bytes[start : start + size] = 0xFF
 
 
-def _make_layout(kind: str, identity: str, reading: _Reading, data: bytes) -> _Layout:
-    """Make the layout of a message that was read with rclpy."""
-    offsets, message, frames = reading
+class _Markers(NamedTuple):
+    """What the markers of a message are; `names` and `pose` as in a layout."""
+
+    points: PointLayout
+    stamp: int
+    frame_id: Items
+    identities: tuple[str, ...]
+    names: Names | None = None
+    pose: int | None = None
+
+
+def _make_layout(kind: str, identity: str, data: bytes) -> _Layout:
+    """Return the layout of a message; MessageError for one that cannot be read."""
+    offsets = MessageOffsets(kind, data)
+    # The bytes that decide what the numbers mean, and those of names.
     mask, naming = _Mask(offsets.size), _Mask(offsets.size)
     mask.add(0, len(LITTLE))
     for start, end in offsets.layout:
         mask.add(start, end - start)
     for start in offsets.sizes:
         mask.add(start, 4)
-    stamp, frame_id = offsets.stamp, offsets.frame_id
-    names, pose = None, None
     if kind == 'marker_array':
-        rows = shown_entries(message.markers)
-        stamp, frame_id = offsets.markers[rows[0]][:2]
-        points = PointLayout(np.array([offsets.markers[k].pose for k in rows]))
-        names = _add_array(mask, naming, reading, identity)
-    elif kind == 'marker':
-        (marker,) = offsets.markers
-        stamp, frame_id, pose = marker.stamp, marker.frame_id, marker.pose
-        # Action, and type where that decides whether it is refused.
-        mask.add(marker.number + 8, 4)
-        if not marker.points.number:
-            mask.add(marker.number + 4, 4)
-        points = PointLayout(marker.points.start + 24 * np.arange(frames.points.shape[1]))
-    elif kind == 'pose_array':
-        points = PointLayout(offsets.items.start + 56 * np.arange(offsets.items.number))
+        found = _in_array(offsets, data, identity, mask, naming)
+    elif kind == 'point_cloud2':
+        found = _in_cloud(offsets, data, identity, mask)
     else:
-        points = cloud_layout(message)
-        points = points._replace(offsets=points.offsets + offsets.items.start)
-        if identity == 'id':
-            column = id_column(message, mask.bytes, offsets.items.start)
-            np.invert(column, out=column)
-    mask.add(frame_id.start, frame_id.number)
+        in_one = _in_marker if kind == 'marker' else _in_pose_array
+        found = in_one(offsets, data, mask)
+        if identity not in ('auto', 'index'):
+            raise _no_identity(kind, identity)
+    check_stamp(data, found.stamp, offsets.order)
+    mask.add(*found.frame_id)
     # The sign of the seconds of the stamp: negative ones are refused.
-    mask.add(stamp + 3, 1)
+    mask.add(found.stamp + (3 if offsets.order == '<' else 0), 1)
     combined = mask.bytes | naming.bytes
     compared = int(combined.nonzero()[0][-1]) + 1
-    combined, fixed = combined[:compared].copy(), mask.bytes[:compared].copy()
-    if names is None or names(data) != frames.identities:
+    combined, fixed, names = combined[:compared].copy(), mask.bytes[:compared].copy(), found.names
+    if names is None or names(data) != found.identities:
         names, fixed = None, combined
     key = np.frombuffer(data, np.uint8, compared) & combined
-    fields = layout_of_messages(points, offsets.size, stamp, combined, key)
-    about = names, pose, frames.frame_id, frames.identities
-    return _Layout(offsets.size, fields, points, combined, key, fixed, *about)
+    about = offsets.size, found.stamp, offsets.order
+    return _Layout(
+        *(offsets.size, offsets.order, layout_of_messages(found.points, *about, combined, key)),
+        *(found.points, combined, key, fixed, names, found.pose),
+        *(text_at(data, found.frame_id), found.identities),
+    )
 
 
-def _add_array(mask: _Mask, naming: _Mask, reading: _Reading, identity: str) -> Names | None:
-    """Add the bytes of a MarkerArray to the masks; return the reader of its names, if any."""
-    offsets, message, _ = reading
-    rows = shown_entries(message.markers)
+def _in_array(
+    offsets: MessageOffsets, data: bytes, identity: str, mask: _Mask, naming: _Mask
+) -> _Markers:
+    """Return what a MarkerArray has, and add the bytes that decide it."""
+    markers, order = offsets.markers, offsets.order
+    entries = [entry_of(marker, data, order) for marker in markers]
+    rows = shown_entries(entries)
+    stamp, frame_id = header_of(offsets, data, entries, rows)
     for k in rows:
-        mask.add(*offsets.markers[k].frame_id)
+        mask.add(*markers[k].frame_id)
     # Where all entries are lists of points, their types decide whether they are refused.
-    has_lists = all(offsets.markers[k].points.number > 1 for k in rows)
-    is_deleting = any(marker.action >= Marker.DELETE for marker in message.markers)
-    for marker in offsets.markers:
+    has_lists = all(markers[k].points.number > 1 for k in rows)
+    is_deleting = any(entry.action >= Marker.DELETE for entry in entries)
+    for marker in markers:
         mask.add(marker.number + 8, 4)
         if has_lists:
             mask.add(marker.number + 4, 4)
@@ -303,22 +331,64 @@ def _add_array(mask: _Mask, naming: _Mask, reading: _Reading, identity: str) -> 
             naming.add(*marker.ns)
         if is_deleting or identity not in ('index', 'ns'):
             naming.add(marker.number, 4)
-    return None if is_deleting or identity == 'index' else _names_at(offsets.markers, identity)
+    points = PointLayout(np.array([markers[k].pose for k in rows], np.int64), order == '>')
+    if identity == 'index':
+        return _Markers(points, stamp, frame_id, tuple(map(str, rows)))
+    names = None if is_deleting else names_at(markers, identity, order)
+    keys = [(entries[k].ns, entries[k].number) for k in rows]
+    return _Markers(points, stamp, frame_id, marker_names(keys, identity), names)
 
 
-def _names_at(markers: list[MarkerOffsets], identity: str) -> Names:
-    """Return a function that reads the identities of the markers of an array."""
+def _in_marker(offsets: MessageOffsets, data: bytes, mask: _Mask) -> _Markers:
+    """Return what a Marker has, and add the bytes that decide it: action, and type if it counts."""
+    (marker,) = offsets.markers
+    entry = entry_of(marker, data, offsets.order)
+    start, count = marker.points
+    mask.add(marker.number + 8, 4)
+    if not count:
+        mask.add(marker.number + 4, 4)
+    if entry.action in (Marker.DELETE, Marker.DELETEALL):
+        count = 0
+    elif not count and entry.kind in SINGLE:
+        raise MessageError(
+            'Marker has no points, and these are the markers: send all markers of a frame in one '
+            'message, as a MarkerArray or as the points of a Marker'
+        )
+    points = PointLayout(start + 24 * np.arange(count), offsets.order == '>')
+    return _Markers(points, marker.stamp, marker.frame_id, _indices(count), pose=marker.pose)
 
-    def names(data: bytes) -> tuple[str, ...] | None:
-        keys = []
-        for _, _, (start, length), number, *_ in markers:
-            ns, end, remainder = data[start : start + length].partition(b'\0')
-            if not end or remainder or not ns.isascii():
-                return None
-            keys.append((ns.decode(), _ID.unpack_from(data, number)[0]))
-        try:
-            return marker_names(keys, identity)
-        except MessageError:
-            return None
 
-    return names
+def _in_pose_array(offsets: MessageOffsets, _: bytes, __: _Mask) -> _Markers:
+    start, count = offsets.items
+    points = PointLayout(start + 56 * np.arange(count), offsets.order == '>')
+    return _Markers(points, offsets.stamp, offsets.frame_id, _indices(count))
+
+
+def _in_cloud(offsets: MessageOffsets, data: bytes, identity: str, mask: _Mask) -> _Markers:
+    """Return what a PointCloud2 has, and add the bytes of its ids if they are the names."""
+    points = cloud_layout(offsets.cloud)
+    if identity in ('auto', 'index'):
+        identities = _indices(len(points.offsets))
+    elif identity == 'id':
+        identities = tuple(map(str, id_column(offsets.cloud, data).ravel().tolist()))
+        check_unique(identities, 'PointCloud2', identity)
+        column = id_column(offsets.cloud, mask.bytes)
+        np.invert(column, out=column)
+    else:
+        raise _no_identity('point_cloud2', identity)
+    return _Markers(points, offsets.stamp, offsets.frame_id, identities)
+
+
+# Few entries: that of a dense cloud takes megabytes, and n changes seldom.
+@lru_cache(maxsize=16)
+def _indices(n: int) -> tuple[str, ...]:
+    return tuple(map(str, range(n)))
+
+
+def _no_identity(kind: str, identity: str) -> MessageError:
+    """Return the error of markers that have no identities but the index."""
+    name = ROS_TYPE_NAMES[kind].rpartition('/')[2]
+    return MessageError(
+        f"{name} has no identities but the index, so none by '{identity}': "
+        'set marker_identity to auto or index'
+    )

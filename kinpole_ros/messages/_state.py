@@ -106,9 +106,7 @@ def read_state(data: bytes) -> tuple[int, Quantities]:
     Raises
     ------
     ValueError
-        For a cloud of another topic.
-    RuntimeError
-        Where rclpy cannot read the message.
+        For a cloud of another topic, and for other bytes.
     """
     ((stamp, quantities),) = read_states([data])
     of_bodies = {
@@ -136,7 +134,7 @@ def read_states(messages: Iterable[bytes]) -> Iterator[tuple[np.ndarray, Quantit
 
     Raises
     ------
-    ValueError, RuntimeError
+    ValueError
         As `read_state`.
     """
     alike: list[bytes] = []

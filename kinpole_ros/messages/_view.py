@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.messages._cdr import serialize_message
 from kinpole_ros.messages._rows import Build, Built
 from kinpole_ros.messages._state import STATE
-from kinpole_ros.messages._types import PointCloud2, String, type_name
+from kinpole_ros.messages._types import PointCloud2, String, serialize_message, type_name
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane, as_parameter
 from kinpole_ros.tracking.values import Numbers, Vectors, ellipse_axes, sigma_along

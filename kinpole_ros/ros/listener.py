@@ -17,12 +17,13 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from kinpole_ros.bags import BagError, message_class
+from kinpole_ros.bags import BagError
 from kinpole_ros.messages import (
     DRAWING,
     PAGE_TOPICS,
     ROS_TYPE_NAMES,
     MessageError,
+    installed_class,
     marker_reader,
 )
 from kinpole_ros.ros.executor import start_ros
@@ -199,7 +200,7 @@ class Watcher:
         for name in topics.keys() - self._subscriptions.keys():
             self.newest[name] = deque(maxlen=_RESULT_DEPTH)
             self._subscriptions[name] = self._node.create_subscription(
-                message_class(topics[name]),
+                installed_class(topics[name]),
                 name,
                 lambda _: None,
                 qos,

@@ -32,6 +32,7 @@ from kinpole_ros.messages import (
     DiagnosticsMaker,
     MessageError,
     live_outputs,
+    serialize_message,
 )
 from kinpole_ros.ros.executor import make_executor, reason_of, start_ros
 from kinpole_ros.ros.parameters import ParameterNode, qos_overrides_without_effect
@@ -270,7 +271,7 @@ class KinpoleNode(ParameterNode):
             stamp, self._tracker, self._latest, seconds, self._faults, self._stamps
         )
         self._stamps, self._latest = [], None
-        self._status_publisher.publish(array)
+        self._status_publisher.publish(serialize_message(array))
 
     def _note_duplicate_publishers(self) -> None:
         """Note other nodes that publish the same results."""

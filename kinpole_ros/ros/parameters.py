@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from kinpole_ros.messages import WITH_TF
+from kinpole_ros.messages import INPUT_TYPE_NAMES, installed_class
 from kinpole_ros.ros.private import wrap_service
 from kinpole_ros.settings import (
     INACTIVE,
@@ -283,11 +283,15 @@ def checked_theory(settings: Settings) -> 'Theory | None':
         ('publish_tf', 'true', settings.publish_tf),
         ('marker_type', 'tf', settings.marker_type == 'tf'),
     ):
-        if is_needed and not WITH_TF:
+        if not is_needed:
+            continue
+        try:
+            installed_class(INPUT_TYPE_NAMES['tf'])
+        except LookupError:
             raise ParameterError(
                 f'parameter {name} is {value}, and tf2_msgs is not installed; install '
                 'ros-jazzy-tf2-msgs, or set it otherwise'
-            )
+            ) from None
     if not settings.scene:
         return None
     # Linkages take as long to import as the rest of the node.

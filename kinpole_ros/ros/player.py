@@ -5,30 +5,31 @@ In a loop the stamps of each pass follow those of the one before.
 """
 
 import math
-import re
 import struct
 import time
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from functools import cache
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rclpy
-from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMessage
-from std_msgs.msg import Header
 
 from kinpole_ros.bags import BagError, BagMessage, message_class, read_messages, topics
-from kinpole_ros.messages import fields, ns_to_stamp, stamp_to_ns
+from kinpole_ros.messages import (
+    deserialize_message,
+    installed_class,
+    serialize_message,
+    stamp_to_ns,
+)
 from kinpole_ros.ros.executor import check_domain, reason_of
 from kinpole_ros.ros.private import RCLError
 
@@ -131,10 +132,10 @@ def _make_publishers(
     publishers = {}
     for name, kind in types.items():
         try:
-            cls = message_class(kind)
-        except BagError as error:
+            cls = installed_class(kind)
+        except LookupError as error:
             if is_strict:
-                raise
+                raise BagError(str(error)) from None
             node.get_logger().warning(f'{name} is not played: {error}')
             continue
         try:
@@ -201,7 +202,7 @@ def _publish(
                     'what else takes the processor'
                 )
             publisher = publishers[message.topic]
-            data = shift.shifted(number, message, publisher.msg_type) if loop else message.data
+            data = shift.shifted(number, message) if loop else message.data
             publisher.publish(data)
             count += 1
         if not loop or count == count_before:
@@ -234,7 +235,7 @@ class _Pace:
             if self._clocks is not None and passed >= self._clock_due:
                 # No later than the message that is due next.
                 now = min(first + int(passed * self._speed * 1e9), log_time)
-                self._clocks.publish(ClockMessage(clock=ns_to_stamp(now)))
+                self._clocks.publish(ClockMessage(clock=Time(nanoseconds=now).to_msg()))
                 self._clock_due = passed + self._period
             if remaining <= 0:
                 return -remaining
@@ -293,10 +294,10 @@ class LoopShift:
             self._log_length = _loop_length(self._log_times)
         self._loops += 1
 
-    def shifted(self, number: int, message: BagMessage, cls: type) -> bytes:
+    def shifted(self, number: int, message: BagMessage) -> bytes:
         """Return a message, the one of this number in the loop, with the stamps of this loop."""
         if not self._loops:
-            self._prepare(message, cls)
+            self._prepare(message)
             return message.data
         data, places = self._prepared[number]
         shifted = bytearray(data or message.data)
@@ -305,20 +306,23 @@ class LoopShift:
             _STAMP.pack_into(shifted, place, *divmod(ns, 10**9))
         return bytes(shifted)
 
-    def _prepare(self, message: BagMessage, cls: type) -> None:
+    def _prepare(self, message: BagMessage) -> None:
         """Note the times of a message, and the places of its stamps."""
         self._log_times.setdefault(message.topic, array('q')).append(message.log_time)
-        read = _read(message.data, cls)
-        # 0 means no stamp, as of the texture of a marker, unless the clock of the bag begins at 0.
-        stamped = [h for h in headers(read) if stamp_to_ns(h.stamp) or not message.log_time]
-        stamps = [stamp_to_ns(header.stamp) for header in stamped]
+        stamps, stamped = [], []
+        # Errors of many kinds, for bytes that cannot be read.
+        with suppress(Exception):
+            read = deserialize_message(message.data, message_class(message.type_name))
+            # 0 means no stamp, as of the texture of a marker, unless the clock of the bag begins at
+            # 0.
+            stamped = [h for h in headers(read) if stamp_to_ns(h.stamp) or not message.log_time]
+            stamps = [stamp_to_ns(header.stamp) for header in stamped]
         if not stamps:
             self._prepared.append((b'', []))
             return
         self._stamps.setdefault(message.topic, array('q')).append(min(stamps))
-        marks = [Time(sec=_MARK, nanosec=k) for k in range(len(stamps))]
-        for header, mark in zip(stamped, marks, strict=True):
-            header.stamp = mark
+        for number, header in enumerate(stamped):
+            header.stamp.sec, header.stamp.nanosec = _MARK, number
         marked = serialize_message(read)
         places = [marked.index(_STAMP.pack(_MARK, k)) for k in range(len(stamps))]
         as_read = all(
@@ -340,37 +344,12 @@ def _loop_length(times: Mapping[str, Sequence[int]]) -> int:
     return max(map(max, times.values())) - min(map(min, times.values())) + int(interval)
 
 
-def headers(message: Any) -> Iterator[Header]:
+def headers(message: Any) -> Iterator[Any]:
     """Yield all headers in a message, also those inside its fields."""
-    if message is None:
-        return
-    cls: Any = type(message)
-    for name, is_list in _header_fields(cls):
-        value = getattr(message, name)
-        for item in value if is_list else (value,):
-            if isinstance(item, Header):
+    for value in vars(message).values():
+        for item in value if isinstance(value, list) else (value,):
+            kind = getattr(item, '__msgtype__', '')
+            if kind == 'std_msgs/msg/Header':
                 yield item
-            else:
+            elif kind:
                 yield from headers(item)
-
-
-@cache
-def _header_fields(cls: Any) -> list[tuple[str, bool]]:
-    """Return the fields of a message class that hold headers, and whether each is a list."""
-    names = []
-    for name, kind in fields(cls).items():
-        base = re.sub(r'[\[<].*', '', kind)
-        item: Any = message_class(base) if '/' in base else None
-        if item is Header or (item is not None and _header_fields(item)):
-            names.append((name, base != kind))
-    return names
-
-
-def _read(data: bytes, cls: type) -> Any:
-    """Read a message that has headers; None for others, and for bytes that cannot be read."""
-    if not _header_fields(cls):
-        return None
-    try:
-        return deserialize_message(data, cls)
-    except (RuntimeError, ValueError):
-        return None

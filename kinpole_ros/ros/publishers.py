@@ -8,7 +8,14 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState
 
-from kinpole_ros.messages import DRAWING, Output, deletion_of_all, joint_build
+from kinpole_ros.messages import (
+    DRAWING,
+    Output,
+    deletion_of_all,
+    installed_class,
+    joint_build,
+    type_name,
+)
 from kinpole_ros.ros.private import sender
 from kinpole_ros.tracking.estimate import Estimate
 
@@ -47,8 +54,9 @@ class ResultPublishers:
         for output in outputs:
             publisher = self._publisher_of_topic.get(output.topic)
             if publisher is None:
+                cls = installed_class(type_name(output.message_type))
                 publisher = self._node.create_lifecycle_publisher(
-                    output.message_type, output.under('~'), _DEPTH, event_callbacks=NO_EVENTS
+                    cls, output.under('~'), _DEPTH, event_callbacks=NO_EVENTS
                 )
                 if is_active:
                     publisher.on_activate(LifecycleState('active', 0))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import rclpy
 from rclpy.clock import Clock
@@ -17,7 +18,8 @@ from rclpy.qos import (
 )
 from rclpy.subscription import Subscription
 
-from kinpole_ros.bags import RECORDER, BagError, BagWriter, message_class, type_name
+from kinpole_ros.bags import RECORDER, BagError, BagWriter
+from kinpole_ros.messages import installed_class
 from kinpole_ros.ros.executor import make_executor, start_ros
 from kinpole_ros.ros.player import bag_errors, with_slash
 from kinpole_ros.ros.private import received_at, take
@@ -72,6 +74,14 @@ def record(output: str | Path, prefixes: list[str]) -> int:
         rclpy.try_shutdown()
 
 
+class _Recorded(NamedTuple):
+    """A topic that is recorded: its type, and what saves a message."""
+
+    subscription: Subscription
+    kind: str
+    save: Callable[..., None]
+
+
 class Recorder(Node):
     """Records every topic under some prefixes, from its first publisher on."""
 
@@ -81,7 +91,7 @@ class Recorder(Node):
         self._prefixes = tuple(map(with_slash, prefixes))
         # By topic: the type that is recorded, and other types that it was published as.
         self._types: dict[str, set[str]] = {}
-        self._recorded: list[tuple[Subscription, Callable[..., None]]] = []
+        self._recorded: list[_Recorded] = []
         # Those with a publisher that offers less than was requested.
         self._incompatible: set[Subscription] = set()
         self.messages = 0
@@ -94,11 +104,11 @@ class Recorder(Node):
     @property
     def subscriptions(self) -> list[Subscription]:
         """The subscriptions that are recorded."""
-        return [subscription for subscription, _ in self._recorded]
+        return [recorded.subscription for recorded in self._recorded]
 
     def take_messages(self) -> None:
         """Record the messages that wait."""
-        for subscription, save in self._recorded:
+        for subscription, _, save in self._recorded:
             # A bounded number, so that a busy topic does not delay the others.
             for data, info in take(subscription, _DEPTH):
                 save(data, received_at(info))
@@ -127,36 +137,33 @@ class Recorder(Node):
             kind = published[0].topic_type
             self._types[name] = {kind}
             try:
-                cls = message_class(kind)
-            except BagError as error:
+                installed_class(kind)
+            except LookupError as error:
                 self.get_logger().warning(f'{name} is not recorded: {error}')
                 continue
             offers = [o.qos_profile for o in published if o.topic_type == kind]
-            self._subscribe(name, cls, _least_of(offers))
+            self._subscribe(name, kind, _least_of(offers))
         # The event of an incompatible publisher may come after it is gone.
-        for subscription, _ in list(self._recorded):
-            if subscription in self._incompatible:
-                self._request_less(subscription)
+        for recorded in list(self._recorded):
+            if recorded.subscription in self._incompatible:
+                self._request_less(recorded)
 
-    def _subscribe(self, name: str, cls: type, qos: QoSProfile) -> None:
-        save = self._saver(name, cls)
+    def _subscribe(self, name: str, kind: str, qos: QoSProfile) -> None:
+        save = self._saver(name, kind)
         events = SubscriptionEventCallbacks(
             incompatible_qos=lambda _: self._incompatible.add(subscription)
         )
         subscription: Subscription = self.create_subscription(
-            cls, name, save, qos, event_callbacks=events, raw=True
+            installed_class(kind), name, save, qos, event_callbacks=events, raw=True
         )
-        self._recorded.append((subscription, save))
+        self._recorded.append(_Recorded(subscription, kind, save))
 
-    def _request_less(self, subscription: Subscription) -> None:
+    def _request_less(self, recorded: '_Recorded') -> None:
         """Subscribe again with the QoS of a publisher that offers less than those before."""
-        name, cls, requested = (
-            subscription.topic_name,
-            subscription.msg_type,
-            subscription.qos_profile,
-        )
-        published, kind = self.get_publishers_info_by_topic(name), type_name(cls)
-        offers = [o.qos_profile for o in published if o.topic_type == kind]
+        subscription = recorded.subscription
+        name, requested = subscription.topic_name, subscription.qos_profile
+        published = self.get_publishers_info_by_topic(name)
+        offers = [o.qos_profile for o in published if o.topic_type == recorded.kind]
         lower = [
             o for o in offers if qos_check_compatible(o, requested)[0] == QoSCompatibility.ERROR
         ]
@@ -165,9 +172,9 @@ class Recorder(Node):
         self.get_logger().info(f'{name} is recorded with less QoS from now on, as offered')
         self.take_messages()
         self._incompatible.remove(subscription)
-        self._recorded = [row for row in self._recorded if row[0] is not subscription]
+        self._recorded.remove(recorded)
         self.destroy_subscription(subscription)
-        self._subscribe(name, cls, _least_of([requested, *lower]))
+        self._subscribe(name, recorded.kind, _least_of([requested, *lower]))
 
     def _note_other_types(self, name: str, types: set[str]) -> None:
         if new := types - self._types[name]:
@@ -178,11 +185,11 @@ class Recorder(Node):
                 'type for a topic; record anew'
             )
 
-    def _saver(self, name: str, cls: type) -> Callable[..., None]:
+    def _saver(self, name: str, kind: str) -> Callable[..., None]:
         def save(data: bytes, received: int | None = None) -> None:
             # The time of arrival: messages of other topics may be taken before this one.
             when = received or self.get_clock().now().nanoseconds
-            self._writer.write_raw(name, cls, data, when)
+            self._writer.write_raw(name, kind, data, when)
             self.messages += 1
 
         return save

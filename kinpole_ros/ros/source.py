@@ -25,7 +25,7 @@ from kinpole_ros.messages import (
     INPUT_TYPE_NAMES,
     MessageError,
     PoseReader,
-    message_class,
+    installed_class,
     reader_of,
 )
 from kinpole_ros.ros.private import has_known_node, received_at, sequence_number, take
@@ -349,7 +349,7 @@ def subscribed_class(kind: str) -> type:
     package = name.partition('/')[0]
     reason = f'the package {package} is not installed, or its workspace is not sourced'
     try:
-        found: type = message_class(name)
+        found: type = installed_class(name)
         reason = f'the package {package} that is installed has no {name} for this Python'
         check_is_valid_msg_type(found)
     except Exception:  # LookupError, and whatever rclpy raises where it loads the type

@@ -21,10 +21,17 @@ import rclpy
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-from kinpole_ros.bags import BagError, message_class, read_messages
+from kinpole_ros.bags import BagError, read_messages
 from kinpole_ros.bags import topics as topics_of
 from kinpole_ros.mechanism import share_folder
-from kinpole_ros.messages import DRAWING, STATE, outputs_of, read_states, stamp_to_ns
+from kinpole_ros.messages import (
+    DRAWING,
+    STATE,
+    installed_class,
+    outputs_of,
+    read_states,
+    stamp_to_ns,
+)
 from kinpole_ros.ros.player import headers, own_context, play, with_slash
 from kinpole_ros.ros.private import take
 from kinpole_ros.settings import Settings, load_settings
@@ -115,7 +122,7 @@ def live_run(
     types = {markers: topics_of(bag)[markers], f'/kinpole/{STATE}': 'sensor_msgs/msg/PointCloud2'}
     watched = [
         watcher.create_subscription(
-            message_class(kind), topic, print, QoSProfile(depth=_MANY), raw=True
+            installed_class(kind), topic, print, QoSProfile(depth=_MANY), raw=True
         )
         for topic, kind in types.items()
     ]

@@ -43,6 +43,7 @@ from kinpole_ros.bags import (
     topics,
     type_name,
 )
+from kinpole_ros.messages import installed_class
 
 POINT = 'geometry_msgs/msg/Point'
 COMPRESSIONS = list(CompressionType)
@@ -580,7 +581,7 @@ def test_what_is_written_is_read_back_equal(tmp_path):
     read = list(read_messages(path))
     assert [m.log_time for m in read] == [*range(6), *range(10, 16)]
     for message in read:
-        cls = message_class(message.type_name)
+        cls = installed_class(message.type_name)
         assert deserialize_message(message.data, cls) == written[message.topic]
 
 

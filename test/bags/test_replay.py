@@ -12,8 +12,7 @@ import pytest
 import yaml
 from conftest import assert_alike, bodies_of, decoded, figures, numbers, stamp_of
 from mcap.writer import Writer
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import PointCloud2, PointField
+from sensor_msgs.msg import PointField
 from visualization_msgs.msg import MarkerArray
 
 from kinpole_ros.bags import (
@@ -25,7 +24,14 @@ from kinpole_ros.bags import (
     type_name,
 )
 from kinpole_ros.bags import topics as topics_of
-from kinpole_ros.messages import MARKER_TYPES, TF, read_markers, result_outputs, to_message
+from kinpole_ros.messages import (
+    MARKER_TYPES,
+    TF,
+    read_markers,
+    result_outputs,
+    serialize_message,
+    to_message,
+)
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
@@ -166,7 +172,7 @@ def spoil(kind: str, damage: str, stamp: int, names: tuple[str, ...], points: np
     if kind == 'point_cloud2':
         axis = slice(None) if 'all' in damage else 0
         points[lost, axis] = number
-        message.data = np.asarray(points, '<f8').tobytes()
+        message.data = np.frombuffer(np.asarray(points, '<f8').tobytes(), np.uint8)
         message.is_dense = 'dense' in damage
         return message
     placed = {
@@ -248,8 +254,7 @@ def test_coarse_clouds_give_answers_as_coarse_as_they_are(
             field.datatype, field.offset = PointField.FLOAT32, 4 * axis
         padded = np.zeros((len(points), 4), '<f4')
         padded[:, :3] = points
-        cloud.data = padded.tobytes()
-        assert isinstance(cloud, PointCloud2)
+        cloud.data = padded.view(np.uint8).ravel()
         listed.append(cloud)
     topics = ('body/angular_velocity', 'body/icr', 'body/iap')
     found = run(write(tmp_path / 'coarse.mcap', listed), ONE_BODY, *topics)

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rclpy.serialization import deserialize_message
 
 from kinpole_ros.bags import message_class, read_messages, replay
-from kinpole_ros.messages import read_markers, stamp_to_ns
+from kinpole_ros.messages import deserialize_message, read_markers, stamp_to_ns
 from kinpole_ros.settings import (
     ParameterError,
     Settings,

@@ -112,7 +112,8 @@ class Film:
 
     `times` are the instants (T,) of the middles of the exposures, s. `line_time` is the time from
     one row to the next of a rolling shutter, s, and `noise` that of a pixel, gray levels. `hidden`
-    maps the number of a tag to the frames in which a finger is in front of it.
+    maps the number of a tag to the frames in which a finger is in front of it, and `shake` (T, 3)
+    moves and turns the picture, pixels and rad, as a hand does.
     """
 
     times: np.ndarray
@@ -124,6 +125,7 @@ class Film:
     noise: float = 2.0
     crf: int = 20
     hidden: dict[int, range] = field(default_factory=dict)
+    shake: np.ndarray | None = None
 
     def poses(self, times: np.ndarray) -> dict[int, tuple[np.ndarray, np.ndarray]]:
         """Return the center and angle (3, ...) of each tag, with two derivatives."""
@@ -191,6 +193,11 @@ class Film:
                 if k in self.hidden.get(tag.number, ()):
                     center = self.camera.pixels(place[:1, k])[0] + (6, 6)
                     cv2.circle(picture, np.rint(center).astype(int).tolist(), 14, 150.0, -1)
+            if self.shake is not None:
+                right, down, turn = self.shake[k]
+                move = cv2.getRotationMatrix2D((w / 2, h / 2), np.degrees(turn), 1)
+                move[:, 2] += right, down
+                picture = cv2.warpAffine(picture, move, (w, h), borderMode=cv2.BORDER_REPLICATE)
             for field_of_noise, apply in ((over, cv2.add), (under, cv2.subtract)):
                 shift = random.integers(0, min(h, w), 2)
                 picture = apply(picture, np.roll(field_of_noise, shift, axis=(0, 1)))

@@ -97,20 +97,41 @@ def test_a_lens_and_uneven_stamps_and_a_rolling_shutter_are_corrected(tmp_path: 
     given = FilmOptions(size=SIZE, camera=str(tmp_path / 'camera.yaml'), line_time=line_time)
     filmed = read_film(path, given)
     assert np.abs(np.diff(filmed.stamps) * 1e-9 - np.diff(uneven)).max() < 1e-4
-    assert rms(filmed.corners - exact(film)) < 0.25e-3
+    assert rms(filmed.corners - exact(film)) < 0.3e-3
     # Without each of them it is worse.
     others = [FilmOptions(size=SIZE, camera=given.camera), FilmOptions(SIZE, line_time=line_time)]
     assert rms(read_film(path, others[0]).corners - exact(film)) > 0.5e-3
 
 
 def test_a_tag_behind_a_finger_is_left_out_and_found_again(tmp_path: Path) -> None:
-    film = Film(times(24), camera=SMALL, hidden={4: range(8, 14)})
+    film = Film(times(18), camera=SMALL, hidden={4: range(6, 11)})
     filmed = read_film(film.write(tmp_path / 'finger.mp4'), OPTIONS)
     is_seen = np.isfinite(filmed.corners).all(axis=-1)
-    assert not is_seen[8:14, 4].any()
-    assert is_seen[15:, 4].all()
+    assert not is_seen[6:11, 4].any()
+    assert is_seen[12:, 4].all()
     assert is_seen[:, [0, 1, 2, 3, 5, 6]].mean() > 0.98
     assert rms(filmed.corners - exact(film)) < 0.3e-3
+
+
+def test_a_hand_that_holds_the_camera_is_corrected_by_the_ground(tmp_path: Path) -> None:
+    t = times(14)
+    shake = np.stack((8 * np.sin(5 * t), 6 * np.cos(4 * t), 0.01 * np.sin(3 * t)), axis=-1)
+    tags = (*FOUR_BAR, Tag(7, 'ground', 0.42 - 0.13j, 0.5))
+    film = Film(t, tags, SMALL, shake=shake)
+    path = film.write(tmp_path / 'hand.mp4')
+    two = read_film(path, FilmOptions(SIZE, ground=(0, 7)))
+    assert 'x toward tag 7' in two.assumed[2] and 'the camera moves by' in two.assumed[2]
+    assert rms(two.corners - exact(film)) < 0.4e-3
+    pixels = [two.to_pixels(row, k) for k, row in enumerate(two.corners)]
+    middle = np.array(SMALL.size) / 2
+    for k, (right, down, turn) in enumerate(shake):
+        c, s = np.cos(turn), np.sin(turn)
+        still = np.stack(list(film.corners(t[k : k + 1]).values()), axis=1)[0]
+        seen = (still - middle) @ np.array([[c, -s], [s, c]]) + middle + (right, down)
+        assert np.nanmedian(np.abs(pixels[k] - seen)) < 0.5
+    # One tag of 29 pixels tells less about how the camera turns.
+    one = read_film(path, FilmOptions(SIZE))
+    assert rms(one.corners - exact(film)) < 3e-3
 
 
 def test_markers_have_the_names_of_their_tags(four_bar: tuple[Film, Path], tmp_path: Path) -> None:
@@ -170,12 +191,12 @@ def test_a_film_without_tags_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize('ending', ['mp4', 'mkv'])
 def test_damaged_videos_end_in_one_line(ending: str, tmp_path: Path) -> None:
-    film = Film(times(12), camera=SMALL)
+    film = Film(times(7), camera=SMALL)
     whole = film.write(tmp_path / f'whole.{ending}').read_bytes()
     random = np.random.default_rng(0)
     path = tmp_path / f'damaged.{ending}'
     read = 0
-    for number in range(12):
+    for number in range(10):
         damaged = bytearray(whole)
         for place in random.integers(0, len(whole), 1 + 3 * number):
             damaged[place] = random.integers(256)

@@ -12,7 +12,6 @@ from conftest import title_of
 from geometry_msgs.msg import Vector3Stamped
 from matplotlib.figure import Figure
 from nav_msgs.msg import Odometry
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
 from kinpole_ros.bags import (
@@ -25,7 +24,7 @@ from kinpole_ros.bags import (
     topics,
 )
 from kinpole_ros.mechanism import load_scene
-from kinpole_ros.messages import stamp_to_ns
+from kinpole_ros.messages import deserialize_message, stamp_to_ns
 from kinpole_ros.settings import Settings
 from kinpole_ros.tools.plot import _instant, _result_picture, _style, plot
 from kinpole_ros.tools.record import lost

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rclpy.serialization import serialize_message
 
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import (
@@ -15,6 +14,7 @@ from kinpole_ros.messages import (
     MarkerReader,
     MessageError,
     read_markers,
+    serialize_message,
     to_message,
 )
 from kinpole_ros.settings import ParameterError, settings_from

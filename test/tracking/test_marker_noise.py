@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from recordings import KITE
 from test_wrong_frames import frames_of, motion, off_by, tracker_of
 
 from kinpole_ros.messages import DiagnosticsMaker
+from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 
 T = np.arange(700) / 200

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
@@ -15,7 +14,8 @@ from recordings import START
 from kinpole_ros.bags import BagWriter, warnings_of
 from kinpole_ros.bags import replay as replay_bag
 from kinpole_ros.mechanism import load_scene, marker_positions
-from kinpole_ros.messages import DiagnosticsMaker, result_outputs, unit_fault
+from kinpole_ros.messages import DiagnosticsMaker, body_faults, result_outputs
+from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.settings import settings_from
 from kinpole_ros.tools.record.result_bag import read_record
 from kinpole_ros.tracking.estimate import Estimate
@@ -380,7 +380,7 @@ def test_markers_in_mm_are_named_and_scaled_give_the_same() -> None:
 def test_a_body_of_an_odd_size_is_likely_in_another_unit(
     size: float, scale: float, words: str
 ) -> None:
-    text = unit_fault(size, scale)
+    text = body_faults.unit_fault(size, scale)
     assert words in text
     assert bool(words) == bool(text)
 

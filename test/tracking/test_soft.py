@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinpole_ros import planar
 from kinpole_ros.messages import DiagnosticsMaker
+from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.deformation import TISSUE, ResultWindow, deformation_covariance
 from kinpole_ros.tracking.estimate import Estimate

@@ -334,7 +334,7 @@ def _convert(message: Any, cls: type) -> Any:
             convert = partial(_convert, cls=messages.message_class(base))
             value = [convert(one) for one in value] if '[' in kind else convert(value)
         elif kind == 'uint8[]':
-            value = messages.octets(bytes(value))
+            value = np.frombuffer(bytes(value), np.uint8)
         values[name] = value
     return cls(**values)
 

@@ -36,6 +36,7 @@ API long long kinpole_assign(const Slots *slots, const double *points, long long
     VALUE(long long, size)                         \
     VALUE(long long, compared)                     \
     VALUE(long long, stamp)                        \
+    VALUE(long long, is_stamp_big_endian)          \
     VALUE(long long, end_of_time)                  \
     VALUE(long long, count)                        \
     VALUE(long long, is_big_endian)                \
@@ -49,7 +50,6 @@ typedef STRUCT(MESSAGE_LAYOUT_FIELDS) MessageLayout;
 
 API long long kinpole_count_matches(const MessageLayout *layout, const unsigned char *messages,
                                     long long first, long long count);
-API void kinpole_read_points(const MessageLayout *layout, const unsigned char *message, double *points);
 API void kinpole_read_messages(const MessageLayout *layout, const unsigned char *messages, long long first,
                                long long count, long long *stamps, double *points);
 

@@ -41,7 +41,9 @@ static long long
 stamp_of(const MessageLayout *layout, const unsigned char *message)
 {
     const unsigned char *stamp = message + layout->stamp;
-    return (int)integer_at(stamp, 4, 0) * SECOND + (long long)integer_at(stamp + 4, 4, 0);
+    int is_big_endian = layout->is_stamp_big_endian != 0;
+    return (int)integer_at(stamp, 4, is_big_endian) * SECOND
+        + (long long)integer_at(stamp + 4, 4, is_big_endian);
 }
 
 /* Returns how many messages from message `first` on are of the layout, of `count` in all. */
@@ -61,8 +63,8 @@ kinpole_count_matches(const MessageLayout *layout, const unsigned char *messages
 }
 
 /* Reads the points (n, 3) of a message. One with a coordinate that is not finite becomes NaN. */
-void
-kinpole_read_points(const MessageLayout *layout, const unsigned char *message, double *points)
+static void
+read_points(const MessageLayout *layout, const unsigned char *message, double *points)
 {
     int is_big_endian = layout->is_big_endian != 0;
     for (long long k = 0; k < layout->count; k++, points += 3) {
@@ -85,6 +87,6 @@ kinpole_read_messages(const MessageLayout *layout, const unsigned char *messages
     messages += first * layout->size;
     for (long long t = 0; t < count; t++, messages += layout->size) {
         stamps[t] = stamp_of(layout, messages);
-        kinpole_read_points(layout, messages, points + 3 * t * layout->count);
+        read_points(layout, messages, points + 3 * t * layout->count);
     }
 }

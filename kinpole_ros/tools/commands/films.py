@@ -1,16 +1,23 @@
 """The command that makes markers of films: film."""
 
 import argparse
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from kinpole_ros.tools.commands._command import FILM_OPTIONS, command, option
 from kinpole_ros.tools.commands._output_files import check_outputs
 from kinpole_ros.tools.commands._terminal import UsageError, print_lines, progress_bar
+
+if TYPE_CHECKING:
+    from kinpole_ros.film import FilmOptions
 
 
 @command(
     'film',
     option('video VIDEO', 'a video of the mechanism with tags on its links', nargs='?'),
     option('--output BAG', '.mcap file to write'),
+    option('--overlay VIDEO', '.mp4 to write: the video with poles and centrodes drawn over it'),
     option('--print SHEET', 'write a sheet of tags to print, .svg or .pdf, and end'),
     option('--calibrate CAMERA', 'write the file of the camera that filmed the uncut sheet'),
     *FILM_OPTIONS,
@@ -29,6 +36,7 @@ def film(options: argparse.Namespace) -> int:
     Examples:
       kinpole film --print tags.pdf
       kinpole film crank.mp4 --output crank.mcap --size 40mm
+      kinpole film crank.mp4 --overlay poles.mp4
       kinpole film sheet.mp4 --calibrate phone.yaml
       kinpole film crank.mp4 --output crank.mcap --camera phone.yaml
       kinpole report crank.mp4
@@ -37,15 +45,16 @@ def film(options: argparse.Namespace) -> int:
         [options.video, options.camera],
         [
             ('--output', options.output, 'an MCAP bag'),
+            ('--overlay', options.overlay, 'a video'),
             ('--print', options.print, 'a sheet of tags'),
             ('--calibrate', options.calibrate, 'a YAML file'),
         ],
     )
     if options.print is None and options.video is None:
         raise UsageError('film needs a VIDEO, or --print SHEET for tags to tape on the links')
-    if options.print is None and options.output is None and options.calibrate is None:
-        raise UsageError('film needs --output BAG or --calibrate CAMERA, for what it is to write')
-    from kinpole_ros.film import calibrate, film_to_bag, print_sheet
+    if not any((options.print, options.output, options.overlay, options.calibrate)):
+        raise UsageError('film needs --output BAG, --overlay VIDEO or --calibrate CAMERA to write')
+    from kinpole_ros.film import calibrate, print_sheet
     from kinpole_ros.tools.filmed import film_options
 
     given = film_options(options)
@@ -57,10 +66,27 @@ def film(options: argparse.Namespace) -> int:
     if options.calibrate is not None:
         found = calibrate(options.video, options.calibrate, given.size, given.family)
         print(f'{found}; written to {options.calibrate}')
-    if options.output is not None:
+    if options.output is not None or options.overlay is not None:
+        _write_markers(options, given)
+    return 0
+
+
+def _write_markers(options: argparse.Namespace, given: 'FilmOptions') -> None:
+    """Write the bag of a video, and the video with what follows from it drawn over it."""
+    from kinpole_ros.film import film_to_bag
+    from kinpole_ros.tools.overlay import draw_over
+
+    with tempfile.TemporaryDirectory(prefix='kinpole_') as folder:
+        bag = options.output or str(Path(folder) / 'markers.mcap')
         with progress_bar('film') as progress:
-            filmed = film_to_bag(options.video, options.output, given, progress)
-        print_lines(filmed.assumed)
+            filmed = film_to_bag(options.video, bag, given, progress)
+        lines = filmed.assumed
+        if options.overlay is not None:
+            with progress_bar('overlay') as progress:
+                lines = lines + draw_over(options.video, filmed, bag, options.overlay, progress)
+    print_lines(lines)
+    if options.output is not None:
         frames = f'{len(filmed.stamps)} frames of {len(filmed.names)} markers'
         print(f'{frames} written to {options.output}')
-    return 0
+    if options.overlay is not None:
+        print(f'drawn over the video in {options.overlay}')

@@ -60,7 +60,7 @@ def replay(options: argparse.Namespace) -> int:
     """
     from kinpole_ros.bags import assumed_body, warnings_of
     from kinpole_ros.bags import replay as replay_bag
-    from kinpole_ros.messages import plane_words
+    from kinpole_ros.messages import faults
     from kinpole_ros.tracking.plane import AXES
 
     settings = settings_of(options)
@@ -92,7 +92,7 @@ def replay(options: argparse.Namespace) -> int:
     for output in filter(None, outputs):
         print(f'written to {output}')
     if result.space.plane is not None and settings.plane not in AXES:
-        print(f'plane: {plane_words(result.space.plane)}')
+        print(f'plane: {faults.plane_words(result.space.plane)}')
     for warning in warnings_of(result, settings):
         print_error('replay', warning)
     if result.truncated is not None:

@@ -50,6 +50,7 @@ def plot(options: argparse.Namespace) -> int:
         '--scene SCENE', 'show the theory of a scene too; without --config, its bodies are tracked'
     ),
     *POINT_OPTIONS,
+    option('--video VIDEO', 'the film that the bag was made of, to be shown behind the drawing'),
     *FILM_OPTIONS,
 )
 def report(options: argparse.Namespace) -> int:
@@ -75,7 +76,8 @@ def report(options: argparse.Namespace) -> int:
     settings = settings_for(settings_of(options), options.scene)
     output = options.output or f'{Path(options.bag).stem}.html'
     check_outputs(
-        [options.config, settings.scene, options.bag], [('--output', output, 'an HTML page')]
+        [options.config, settings.scene, options.bag, options.video, options.camera],
+        [('--output', output, 'an HTML page')],
     )
     with (
         progress_bar('report') as progress,
@@ -90,6 +92,7 @@ def report(options: argparse.Namespace) -> int:
             progress,
             assumptions.append,
             options.bag,
+            ready.film,
         )
     thinned = '' if len(record.stamp) == record.total else f' of {record.total}'
     if assumptions:

@@ -65,9 +65,7 @@ class DiagnosticsLog:
 
 def parse_status(status: Any) -> tuple[str, int, str, dict[str, str]]:
     """Return the subject, level and text of a DiagnosticStatus, and reasons by quantity."""
-    # A byte, which is bytes in rclpy and a number in rosbags.
-    level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
     end = ' undetermined'
     reasons = {p.key.removesuffix(end): p.value for p in status.values if p.key.endswith(end)}
     text = status.message.partition('; undetermined: ')[0]
-    return status.name.rpartition(': ')[2], level, text, reasons
+    return status.name.rpartition(': ')[2], int(status.level), text, reasons

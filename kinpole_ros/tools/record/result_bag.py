@@ -179,7 +179,7 @@ def _read(
     except Truncated as error:
         cut = str(error)
     for node, messages in states.items():
-        with suppress(ValueError, RuntimeError):  # clouds of another program
+        with suppress(ValueError):  # clouds of another program
             found.states[node] = list(read_states(messages))
     return found._replace(cut=cut)
 

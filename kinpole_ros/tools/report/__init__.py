@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,7 +21,10 @@ from kinpole_ros.tools.report._prepare import prepared
 from kinpole_ros.tools.report._record_page import intervals, pack, page
 from kinpole_ros.tracking.plane import XY, plane_of
 
-__all__ = ['pack', 'page', 'prepared', 'report', 'settings_for']
+__all__ = ['pack', 'page', 'prepared', 'replayed', 'report', 'settings_for']
+
+if TYPE_CHECKING:
+    from kinpole_ros.film import Filmed
 
 # More instants are no clearer on a screen. With more than three bodies there are fewer, which keeps
 # the page below about 4 MB.
@@ -50,13 +54,15 @@ def report(
     progress: Callable[[float], None] | None = None,
     on_assumption: Callable[[str], None] | None = None,
     source: str | Path | None = None,
+    film: 'tuple[str, Filmed] | None' = None,
 ) -> MotionRecord:
     """
     Write the report of a bag to `output`, an .html file; return what the page shows.
 
     A bag of results is shown as it is, unless `topic` names markers; markers are replayed with the
     settings first, and `on_assumption` is called with what the replay assumed. `source` is the file
-    that the bag was made of, which the page names. Raises BagError if there is nothing to show, or
+    that the bag was made of, which the page names, and `film` a video that it shows, with what was
+    found in it. Raises BagError if there is nothing to show, or
     `output` cannot be written.
     """
     joints: list[JointSummary] = []
@@ -71,7 +77,7 @@ def report(
         record = record.at_most(_most_instants(len(record.bodies)))
         record = record._replace(notes=(*cut, *record.notes))
     else:
-        record, joints = _replayed(bag, settings, topic, progress, on_assumption, source or bag)
+        record, joints = replayed(bag, settings, topic, progress, on_assumption, source or bag)
     shown, is_lost = with_lost_frames(record)
     data = {
         **pack(shown),
@@ -83,12 +89,16 @@ def report(
         'deviations': [[row.joint, f'{row.rms:.2g} m', f'{row.deviations:.1f}'] for row in joints],
         'made': f'kinpole {__version__}',
     }
+    if film is not None:
+        from kinpole_ros.film import straightened
+
+        data['film'] = straightened(*film, shown.stamp)
     with in_place_of(output) as part:
         part.write_text(page(data), encoding='utf-8')
     return record
 
 
-def _replayed(
+def replayed(
     bag: str | Path,
     settings: Settings,
     topic: str | None,

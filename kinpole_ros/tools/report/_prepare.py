@@ -6,12 +6,15 @@ from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from kinpole_ros.bags import BagError, Imported, import_points
 from kinpole_ros.settings import Settings, assignments, load_settings
 from kinpole_ros.tools.filmed import film_options, given_names, is_video
 from kinpole_ros.tools.record.result_bag import has_results, is_bag
+
+if TYPE_CHECKING:
+    from kinpole_ros.film import Filmed
 
 _OF_POINTS = 'rate', 'scale', 'y_down'  # options for data that a file of points may lack
 _OF_FILM = 0.7  # of the time, which the search for tags takes
@@ -22,11 +25,16 @@ Progress = Callable[[float], None] | None
 
 
 class Prepared(NamedTuple):
-    """A bag, the settings to replay it with, and the assumptions, with the options to change."""
+    """
+    A bag, the settings to replay it with, and the assumptions, with the options to change.
+
+    `film` is the video of the bag, if there is one, and what was found in it.
+    """
 
     bag: str
     settings: Settings
     assumed: list[str]
+    film: 'tuple[str, Filmed] | None' = None
 
 
 @contextmanager
@@ -41,13 +49,15 @@ def prepared(
     """
     file, topic = options.bag, options.topic
     assumed: list[str] = []
+    film = None
     with tempfile.TemporaryDirectory(prefix='kinpole_') as folder:
         bag = file
         if is_video(file):
             _refuse_given(options, f'{file} is a video, which has its stamps; its scale is --size')
             bag = str(Path(folder) / f'{Path(file).stem}.mcap')
-            assumed += _film(file, bag, options, progress)
-        elif names := given_names(options):
+            film = file, _read(file, options, bag, progress)
+            assumed += film[1].assumed
+        elif (names := given_names(options)) and options.video is None:
             raise BagError(
                 f'{file} is no video, and {", ".join(names)} are of videos; fix: leave them out'
             )
@@ -57,9 +67,11 @@ def prepared(
             assumed.append(_import_text(imported))
         else:
             _refuse_given(options, f'{file} is a bag, which has its stamps and is in m')
+        if options.video is not None:
+            film = options.video, _read(options.video, options, None, progress)
         has_bodies = settings.bodies != Settings().bodies
         if not has_bodies and (topic is not None or not has_results(bag)):
-            rig, lines, found = _discover(file, bag, topic, Path(folder) / 'rig.yaml', progress)
+            rig, lines, found = found_rig(file, bag, topic, Path(folder) / 'rig.yaml', progress)
             assumed += lines
             if rig is not None:
                 settings = load_settings(rig, changes=assignments(options.set))
@@ -68,7 +80,7 @@ def prepared(
                     'the markers; to change: --set window:=0.2 --set lag:=0.1'
                 )
             assumed += found
-        yield Prepared(bag, settings, assumed)
+        yield Prepared(bag, settings, assumed, film)
 
 
 def _refuse_given(options: Namespace, why: str) -> None:
@@ -81,12 +93,13 @@ def _refuse_given(options: Namespace, why: str) -> None:
         )
 
 
-def _film(file: str, bag: str, options: Namespace, progress: Progress) -> list[str]:
-    """Write the tags of a video to a bag; return the assumptions."""
-    from kinpole_ros.film import film_to_bag
+def _read(file: str, options: Namespace, bag: str | None, progress: Progress) -> 'Filmed':
+    """Return what is found in a video, and write it to a bag, if there is one to write."""
+    from kinpole_ros.film import film_to_bag, read_film
 
     share = progress and (lambda done: progress(_OF_FILM * done))
-    return film_to_bag(file, bag, film_options(options), share).assumed
+    given = film_options(options)
+    return film_to_bag(file, bag, given, share) if bag else read_film(file, given, share)
 
 
 def _import_text(imported: Imported) -> str:
@@ -94,7 +107,7 @@ def _import_text(imported: Imported) -> str:
     return f'file: {imported}{notes}; to change: --scale, --rate, --y-down'
 
 
-def _discover(
+def found_rig(
     file: str, bag: str, topic: str | None, rig: Path, progress: Progress
 ) -> tuple[Path | None, list[str], list[str]]:
     """Write the parameter file of a rig; return it or None, assumptions, and what was found."""

@@ -34,8 +34,8 @@ _ELLIPSE_STEP = 0.02  # rad, for the direction of an ellipse
 _FOLDER = Path(__file__).parent / 'page'
 # In this order: each script uses those before it.
 _SCRIPTS = (
-    'data', 'drawing', 'motion', 'curvature', 'instant', 'stage', 'table', 'charts', 'polygons',
-    'input', 'live', 'solver', 'editor', 'page',
+    'data', 'drawing', 'motion', 'curvature', 'instant', 'film', 'stage', 'table', 'charts',
+    'polygons', 'input', 'live', 'solver', 'editor', 'page',
 )  # fmt: skip
 # The page loads nothing; a live page reads its stream of events.
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
@@ -48,7 +48,7 @@ def page(data: dict[str, Any]) -> str:
     With `live` in the data, it is the page of a stream of events next to it.
     """
     is_live, has_editor = 'live' in data, 'edit' in data
-    needed = {'live': is_live, 'solver': has_editor, 'editor': has_editor}
+    needed = {'film': 'film' in data, 'live': is_live, 'solver': has_editor, 'editor': has_editor}
     scripts = [f'{name}.js' for name in _SCRIPTS if needed.get(name, True)]
     values = {
         'POLICY': f"{_POLICY}; connect-src 'self'" if is_live else _POLICY,

@@ -177,7 +177,7 @@ class Live:
             return
         try:
             self._read_messages(self._state)
-        except (RuntimeError, ValueError) as error:  # rclpy raises RuntimeError
+        except ValueError as error:
             self._state.trouble = f'a message cannot be read: {error}'
 
     def _update(self) -> None:

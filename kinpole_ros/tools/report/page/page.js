@@ -159,6 +159,7 @@ function addButtons({ page, data, toggle }) {
   for (const [layer, title] of Object.entries(LAYERS)) {
     const needed = LAYER_NEEDS[layer] ?? (POLES.includes(layer) ? layer : 'angle');
     if (!data.bodies.some((body) => body[needed])) continue;
+    if (layer === 'film' && !data.film) continue;
     if (layer === 'relative' && !data.pairs.length) continue;
     addToggle('layers', page.off, layer, {}, layerIcon(layer), title);
   }
@@ -174,6 +175,7 @@ function addButtons({ page, data, toggle }) {
 // A sample of a layer.
 function layerIcon(layer) {
   const shapes = {
+    film: '<rect x="1" y="2" width="16" height="10" fill="#1c2127"/><circle cx="9" cy="7" r="3" fill="#fff"/>',
     outlines: '<rect x="1" y="3" width="16" height="8" rx="4" fill="#0072b233" stroke="#0072b2"/>',
     tracks: '<path d="M1 12Q7-4 17 8" fill="none" stroke="#0072b2" opacity=".5"/>',
     fixed: '<path d="M1 12Q7-4 17 8" fill="none" stroke="#0072b2" opacity=".42" stroke-width="4"/>',

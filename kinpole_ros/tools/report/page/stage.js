@@ -1,7 +1,7 @@
 // ---- The stage: the plane of the motion. One canvas is static, the other moves with the cursor ----
 
 const LAYERS = {
-  outlines: 'bodies', tracks: 'tracks', fixed: 'fixed centrode', moving: 'moving centrode',
+  film: 'film', outlines: 'bodies', tracks: 'tracks', fixed: 'fixed centrode', moving: 'moving centrode',
   icr: 'ICR', iap: 'IAP', ijp: 'IJP', isp: 'ISP', relative: 'relative centers',
   circle: 'inflection circle', ball: "Ball's point", cubic: 'cubic of stationary curvature',
   path: 'path at the pointer', velocities: 'velocities', names: 'names',
@@ -22,6 +22,7 @@ function makeStage(element, page, data) {
   stage.isOn = (layer) => !page.off.has(layer);
   stage.shownBodies = () => data.bodies.filter((body) => !page.hidden.has(body.name));
   const drawInstant = makeInstantDrawer(stage);
+  const film = data.film && makeFilm(element, stage);
   updateMotion();
 
   // Updates box, arrows and bars; the view changes where the motion leaves the box.
@@ -168,6 +169,7 @@ function makeStage(element, page, data) {
   }
 
   function drawCursor() {
+    film?.draw();
     const { context } = emptyCanvas(over, page.printing);
     drawInstant(context, page.k);
     page.drawOver?.(context);

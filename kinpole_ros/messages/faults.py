@@ -19,7 +19,7 @@ from kinpole_ros.tracking.space import SpaceReport
 from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.tracker import Tracker
 
-Fault: TypeAlias = tuple[bytes, str]
+Fault: TypeAlias = tuple[int, str]
 """Level of diagnostic_msgs and text."""
 
 _LISTED_NOTES, _NOTE_CHARACTERS = 3, 120  # notes on identities may be of any number and length
@@ -51,19 +51,9 @@ _STAMP_FIX = 'see that the driver sets header.stamp to the time of capture, in s
 
 def identity_lines(tracker: Tracker, counts: Mapping[str, int]) -> Iterator[str]:
     """
-    Yield the faults of the identities of markers.
+    Yield the faults of the identities of markers: the present ones, then those counted.
 
-    Parameters
-    ----------
-    tracker : Tracker
-        The tracker.
-    counts : mapping of str to int
-        What the tracker counted in the time that is described.
-
-    Yields
-    ------
-    str
-        The present faults, then those counted, each with its fix.
+    `counts` are what the tracker counted in the time that is described.
     """
     matcher, bodies = tracker.matcher, np.array(tracker.bodies)
     if matcher.disordered:
@@ -129,19 +119,7 @@ def _short(text: str) -> str:
 
 
 def plane_words(plane: Plane) -> str:
-    """
-    Describe a plane.
-
-    Parameters
-    ----------
-    plane : Plane
-        The plane.
-
-    Returns
-    -------
-    str
-        Its name, or its axes in the frame of the markers.
-    """
+    """Return the name of a plane, or its axes in the frame of the markers."""
     if plane.axes is not None:
         return plane.name
     first, second, normal = map(as_parameter, plane.basis)
@@ -150,19 +128,9 @@ def plane_words(plane: Plane) -> str:
 
 def tilt_fault(report: SpaceReport, setting: PlaneSetting) -> str:
     """
-    Return the fault of a motion that is tilted against the plane.
+    Return the fault of a motion that is tilted against the plane; '' where there is none.
 
-    Parameters
-    ----------
-    report : SpaceReport
-        The motion in space.
-    setting : str or tuple
-        The parameter `plane`.
-
-    Returns
-    -------
-    str
-        The fault and its fix in one line; '' where there is none.
+    `setting` is the parameter `plane`.
     """
     if report.plane is None or report.normal is None or not report.is_tilted:
         return ''
@@ -217,19 +185,9 @@ def _pace_faults(stamps: Sequence[int], seconds: float, window: float) -> list[F
 
 def jitter_fault(state: StampState, mode: str) -> str:
     """
-    Return the fault of stamps that are late by random times.
+    Return the fault of stamps that are late by random times; '' where there is none.
 
-    Parameters
-    ----------
-    state : StampState
-        The clock of the stamps.
-    mode : str
-        The parameter `stamps`.
-
-    Returns
-    -------
-    str
-        The fault and its fix in one line; '' where there is none.
+    `mode` is the parameter `stamps`.
     """
     if state.regularized and state.jitter > state.interval:
         return (

@@ -19,7 +19,6 @@ SMOOTHED = (
     'its tracker has time-correlated noise, as after smoothing, that is more than is measured, so '
     'figures are overconfident; fix: have it send them unsmoothed, or set noise or a longer window'
 )
-"""The fault of a body whose noise is underestimated."""
 _DEFORMATION_CAUSES = {
     '': 'far more than their noise: name those of one link only',
     TISSUE: (
@@ -32,23 +31,10 @@ _DEFORMATION_CAUSES = {
 
 def shape_fault(b: int, off: float, cause: str, report: SpaceReport) -> str:
     """
-    Return the fault of a body that is not rigid, or leaves the plane.
+    Return the fault of a body that is not rigid, or leaves the plane; '' where there is none.
 
-    Parameters
-    ----------
-    b : int
-        Number of the body.
-    off : float
-        How far its markers are off one rigid body in the plane, m; 0 if they are not.
-    cause : str
-        The cause of the deformation, where it is known.
-    report : SpaceReport
-        The motion in space.
-
-    Returns
-    -------
-    str
-        The fault and its fix in one line; '' where there is none.
+    `b` is its number, `off` how far its markers are off one rigid body in the plane, m, 0 if they
+    are not, and `cause` that of the deformation, where it is known.
     """
     leaves = float(np.nan_to_num(report.off_plane[b]))
     if np.isnan(report.stretch[b]):
@@ -78,21 +64,7 @@ def shape_fault(b: int, off: float, cause: str, report: SpaceReport) -> str:
 
 
 def unit_fault(size: float, scale: float) -> str:
-    """
-    Return the fault of a body of an implausible size.
-
-    Parameters
-    ----------
-    size : float
-        Size, m.
-    scale : float
-        The parameter `scale`, m per unit.
-
-    Returns
-    -------
-    str
-        The fault and its fix in one line; '' where there is none.
-    """
+    """Return the fault of a body of an implausible `size`, m, or ''; `scale` is in m per unit."""
     smallest, largest = _PLAUSIBLE_SIZES
     if not size or not np.isfinite(size) or smallest <= size <= largest:
         return ''
@@ -112,17 +84,7 @@ def marker_faults(erring: Mapping[str, float], noise: float) -> list[str]:
     """
     Return the faults of noisy markers of a body.
 
-    Parameters
-    ----------
-    erring : mapping of str to float
-        Noise by marker, m.
-    noise : float
-        Noise of the other markers, m.
-
-    Returns
-    -------
-    list of str
-        A fault for each marker with more than three times the noise of the others.
+    `erring` is the noise by marker, m, `noise` that of the other markers.
     """
     return [
         f'marker {marker[:SHOWN_CHARACTERS]!r} errs by {deviation:.2g} m, {deviation / noise:.2g} '
@@ -134,19 +96,7 @@ def marker_faults(erring: Mapping[str, float], noise: float) -> list[str]:
 
 
 def wrong_pose_fault(frames: int) -> str:
-    """
-    Return the fault of a body whose pose was wrong in some frames.
-
-    Parameters
-    ----------
-    frames : int
-        The number of these frames.
-
-    Returns
-    -------
-    str
-        The fault and its fix in one line; '' where there is none.
-    """
+    """Return the fault of a body whose pose was wrong in so many frames."""
     return (
         f'left out of {frames} frames in which its pose was far off and then back: see that the '
         'tracker takes no other markers for it'
@@ -154,21 +104,7 @@ def wrong_pose_fault(frames: int) -> str:
 
 
 def outage_fault(body: str, outage: tuple[int, int]) -> str:
-    """
-    Return the fault of an outage.
-
-    Parameters
-    ----------
-    body : str
-        The body; '' where no frames came.
-    outage : tuple of int
-        Start and duration, ns.
-
-    Returns
-    -------
-    str
-        The fault and its fix in one line; '' where there is none.
-    """
+    """Return the fault of an outage of a body, or of all frames: its start and duration, ns."""
     since, duration = outage
     what = 'it was not seen' if body else 'no frames came'
     return (
@@ -179,21 +115,9 @@ def outage_fault(body: str, outage: tuple[int, int]) -> str:
 
 def absent_markers_fault(body: str, names: Sequence[str], identities: Sequence[str]) -> str:
     """
-    Return the fault of markers that messages do not have.
+    Return the fault of markers of a body that messages do not have.
 
-    Parameters
-    ----------
-    body : str
-        The body.
-    names : sequence of str
-        Its markers that are missing.
-    identities : sequence of str
-        The markers of the last message.
-
-    Returns
-    -------
-    str
-        The fault and its fix in one line; '' where there is none.
+    `identities` are the markers of the last message.
     """
     return (
         f'messages lack {_listed(names)} of {body}; the last one has {_listed(identities)}; '
