@@ -23,7 +23,7 @@ from kinpole_ros.tools.solve._text import Row, table_lines
 _WIDTH, _HEIGHT = 620.0, 560.0  # px
 # In sizes of a body with its pole: what is farther away than this is not drawn.
 _REACH = 2.5
-# Rates below this share of the largest are rounding; so is an angle between two rays, rad.
+# Lengths below this share of others are rounding; so is an angle between two rays, rad.
 _ROUNDING, _SAME_RAY = 1e-9, 1e-3
 _ARC = np.linspace(0, 1, 40)
 # The pole, the inflection pole, and where two lines meet on the axis.
@@ -69,48 +69,36 @@ class BodyCurvature(NamedTuple):
 def curved_bodies(here: SolvedScene) -> list[BodyCurvature]:
     """Return the bodies whose pole moves; bodies that move alike are one. Raises SceneError."""
     scene, motion = here.scene, here.motion
-    body_poles, rates = poles(scene.mechanism, motion), motion.angle[1, :, 0]
-    speeds = np.abs(body_poles.velocity[:, 0])
-    least_speed, least_rate = (
-        _ROUNDING * np.nanmax(np.abs(sizes), initial=0.0) for sizes in (speeds, rates)
-    )
+    of_bodies = poles(scene.mechanism, motion)
     alike: dict[tuple[float, ...], tuple[str, dict[str, complex]]] = {}
     found: dict[str, BodyCurvature] = {}
     for b, body in enumerate(scene.mechanism.bodies):
-        # NaN where there is no pole.
-        if not speeds[b] > least_speed or abs(rates[b]) <= least_rate:
+        if np.isnan(of_bodies.inflection_circle[b, 0]):
             continue
         own = {_label(n): z for n, (of, z) in scene.points.items() if of == body}
         if not scene.mechanism.assembly.joints:
             own |= {f'{body} tail': 0j, f'{body} head': body_vector(scene, body)}
         turn, origin = np.exp(1j * motion.angle[0, b, 0]), motion.position[0, b, 0]
-        pole, velocity = complex(body_poles.icr[b, 0]), complex(body_poles.velocity[b, 0])
-        share = _ROUNDING * rates[b] / least_rate
-        key = tuple(np.round([share, *planar.to_plane(pole)], 9))
+        rate, pole = float(motion.angle[1, b, 0]), complex(of_bodies.icr[b, 0])
+        key = tuple(np.round([rate, *planar.to_plane(pole)], 9))
         name, points = alike.setdefault(key, (body, {}))
         points |= {point: complex(origin + z * turn) for point, z in own.items()}
-        if ordered := _ordered(points, pole):
-            found[name] = _curvature(name, ordered, float(rates[b]), pole, velocity)
+        ordered = _ordered(points, pole)
+        if not ordered:
+            continue
+        velocity = complex(of_bodies.velocity[b, 0])
+        at, *about = (planar.to_plane(z) for z in (np.array([*ordered.values()]), pole, velocity))
+        centers = planar.to_complex(planar.path_curvature(at, rate, *about).center)
+        inflection = 2 * complex(of_bodies.inflection_circle[b, 0]) - pole
+        # A center this far away is at infinity but for rounding.
+        centers[~(np.abs(centers - pole) < np.abs(inflection - pole) / _ROUNDING)] = np.nan
+        named = dict(zip(ordered, centers.tolist(), strict=True))
+        found[name] = BodyCurvature(name, ordered, named, pole, velocity, inflection)
     if not found:
         raise SceneError(
             f'--curvature: no body of {scene.name} has a pole that moves here: give another --at'
         )
     return list(found.values())
-
-
-def _curvature(
-    name: str, points: dict[str, complex], rate: float, pole: complex, velocity: complex
-) -> BodyCurvature:
-    about = [planar.to_plane(z) for z in (pole, velocity)]
-    middle = complex(planar.to_complex(planar.inflection_circle(rate, *about).center))
-    inflection = 2 * middle - pole
-    at = planar.to_plane(np.array(list(points.values())))
-    centers = planar.to_complex(planar.path_curvature(at, rate, *about).center)
-    # A center this far away is at infinity but for rounding.
-    near = np.abs(centers - pole) < np.abs(inflection - pole) / _ROUNDING
-    centers[~near] = np.nan
-    named = dict(zip(points, centers.tolist(), strict=True))
-    return BodyCurvature(name, points, named, pole, velocity, inflection)
 
 
 def _label(name: str) -> str:
