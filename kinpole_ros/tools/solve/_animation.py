@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism import GROUND, SceneError
-from kinpole_ros.packages import install_command
 from kinpole_ros.tools.solve import _solution
 from kinpole_ros.tools.solve._panels import Panel, svg_of, svg_points
 from kinpole_ros.tools.solve._shapes import BODY_COLORS, INK, DrawnLine, SceneLines
@@ -41,13 +40,9 @@ def animation_kind(file: str) -> str:
     if kind == 'mp4' and not shutil.which('ffmpeg'):
         raise SceneError(f'{file}: films need the program ffmpeg; install it, or write a .gif')
     if kind != 'svg':
-        try:
-            import matplotlib.animation  # noqa: F401
-        except ImportError:
-            raise SceneError(
-                f'{file} needs matplotlib; install it with {install_command("plot")}, or write a '
-                '.svg'
-            ) from None
+        from kinpole_ros.tools.plot import picture_format
+
+        picture_format(f'{file}.png')  # raises where there is no matplotlib
     return kind
 
 

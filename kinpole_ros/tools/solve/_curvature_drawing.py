@@ -23,7 +23,7 @@ from kinpole_ros.tools.solve._text import Row, table_lines
 _WIDTH, _HEIGHT = 620.0, 560.0  # px
 # In sizes of a body with its pole: what is farther away than this is not drawn.
 _REACH = 2.5
-# Rates below this share of the largest are rounding; so is an angle between two rays, rad.
+# Lengths below this share of others are rounding; so is an angle between two rays, rad.
 _ROUNDING, _SAME_RAY = 1e-9, 1e-3
 _ARC = np.linspace(0, 1, 40)
 # The pole, the inflection pole, and where two lines meet on the axis.
@@ -69,48 +69,36 @@ class BodyCurvature(NamedTuple):
 def curved_bodies(here: SolvedScene) -> list[BodyCurvature]:
     """Return the bodies whose pole moves; bodies that move alike are one. Raises SceneError."""
     scene, motion = here.scene, here.motion
-    body_poles, rates = poles(scene.mechanism, motion), motion.angle[1, :, 0]
-    speeds = np.abs(body_poles.velocity[:, 0])
-    least_speed, least_rate = (
-        _ROUNDING * np.nanmax(np.abs(sizes), initial=0.0) for sizes in (speeds, rates)
-    )
+    of_bodies = poles(scene.mechanism, motion)
     alike: dict[tuple[float, ...], tuple[str, dict[str, complex]]] = {}
     found: dict[str, BodyCurvature] = {}
     for b, body in enumerate(scene.mechanism.bodies):
-        # NaN where there is no pole.
-        if not speeds[b] > least_speed or abs(rates[b]) <= least_rate:
+        if np.isnan(of_bodies.inflection_circle[b, 0]):
             continue
         own = {_label(n): z for n, (of, z) in scene.points.items() if of == body}
         if not scene.mechanism.assembly.joints:
             own |= {f'{body} tail': 0j, f'{body} head': body_vector(scene, body)}
         turn, origin = np.exp(1j * motion.angle[0, b, 0]), motion.position[0, b, 0]
-        pole, velocity = complex(body_poles.icr[b, 0]), complex(body_poles.velocity[b, 0])
-        share = _ROUNDING * rates[b] / least_rate
-        key = tuple(np.round([share, *planar.to_plane(pole)], 9))
+        rate, pole = float(motion.angle[1, b, 0]), complex(of_bodies.icr[b, 0])
+        key = tuple(np.round([rate, *planar.to_plane(pole)], 9))
         name, points = alike.setdefault(key, (body, {}))
         points |= {point: complex(origin + z * turn) for point, z in own.items()}
-        if ordered := _ordered(points, pole):
-            found[name] = _curvature(name, ordered, float(rates[b]), pole, velocity)
+        ordered = _ordered(points, pole)
+        if not ordered:
+            continue
+        velocity = complex(of_bodies.velocity[b, 0])
+        at, *about = (planar.to_plane(z) for z in (np.array([*ordered.values()]), pole, velocity))
+        centers = planar.to_complex(planar.path_curvature(at, rate, *about).center)
+        inflection = 2 * complex(of_bodies.inflection_circle[b, 0]) - pole
+        # A center this far away is at infinity but for rounding.
+        centers[~(np.abs(centers - pole) < np.abs(inflection - pole) / _ROUNDING)] = np.nan
+        named = dict(zip(ordered, centers.tolist(), strict=True))
+        found[name] = BodyCurvature(name, ordered, named, pole, velocity, inflection)
     if not found:
         raise SceneError(
             f'--curvature: no body of {scene.name} has a pole that moves here: give another --at'
         )
     return list(found.values())
-
-
-def _curvature(
-    name: str, points: dict[str, complex], rate: float, pole: complex, velocity: complex
-) -> BodyCurvature:
-    about = [planar.to_plane(z) for z in (pole, velocity)]
-    middle = complex(planar.to_complex(planar.inflection_circle(rate, *about).center))
-    inflection = 2 * middle - pole
-    at = planar.to_plane(np.array(list(points.values())))
-    centers = planar.to_complex(planar.path_curvature(at, rate, *about).center)
-    # A center this far away is at infinity but for rounding.
-    near = np.abs(centers - pole) < np.abs(inflection - pole) / _ROUNDING
-    centers[~near] = np.nan
-    named = dict(zip(points, centers.tolist(), strict=True))
-    return BodyCurvature(name, points, named, pole, velocity, inflection)
 
 
 def _label(name: str) -> str:
@@ -176,7 +164,7 @@ def _angle(body: BodyCurvature, name: str) -> float:
     return float((angle + np.pi / 2) % np.pi - np.pi / 2)
 
 
-class _Mark(NamedTuple):
+class _Stroke(NamedTuple):
     """A line of a drawing, m, or with the style 'dot' a point."""
 
     points: np.ndarray
@@ -190,7 +178,7 @@ def curvature_panels(
     """Return two panels for each body, to scale: Euler and Savary, and Bobillier."""
     panels = []
     for row, body in enumerate(bodies):
-        links = [_Mark(line.points, 'shape') for line in drawn.at(here)]
+        links = [_Stroke(line.points, 'shape') for line in drawn.at(here)]
         shared = [one for one in links if np.abs(one.points - body.pole).max() < _REACH * body.size]
         shared += _circle_marks(body)
         drawings = [(f'{body.name}, Euler–Savary: PA² = AO · AA_J', list(_ray_marks(body)))]
@@ -217,26 +205,26 @@ def _near(body: BodyCurvature, z: complex) -> bool:
     return bool(abs(z - body.pole) < _REACH * body.size)
 
 
-def _dot(z: complex, name: str) -> _Mark:
-    return _Mark(np.array([z]), 'dot', name)
+def _dot(z: complex, name: str) -> _Stroke:
+    return _Stroke(np.array([z]), 'dot', name)
 
 
-def _circle_marks(body: BodyCurvature) -> list[_Mark]:
+def _circle_marks(body: BodyCurvature) -> list[_Stroke]:
     """Return what both constructions share: the circle, the pole, its tangent and the points."""
     middle = (body.pole + body.inflection) / 2
     # From the far side on, the part near the pole is one piece.
     circle = middle + (body.inflection - middle) * np.exp(2j * np.pi * np.linspace(0, 1, 721))
     marks = [_dot(body.pole, 'P'), *(_dot(z, name) for name, z in body.points.items())]
     if _near(body, body.inflection):
-        marks.append(_Mark(np.array([body.pole, body.inflection]), 'construction'))
+        marks.append(_Stroke(np.array([body.pole, body.inflection]), 'construction'))
         marks.append(_dot(body.inflection, 'J'))
     else:
         circle = circle[np.abs(circle - body.pole) < body.size]
     tangent = body.pole + 0.4 * body.size * body.tangent * np.array([-1, 1])
-    return [*marks, _Mark(circle, 'inflection'), _Mark(tangent, 'construction', 't')]
+    return [*marks, _Stroke(circle, 'inflection'), _Stroke(tangent, 'construction', 't')]
 
 
-def _ray(body: BodyCurvature, name: str) -> Iterator[_Mark]:
+def _ray(body: BodyCurvature, name: str) -> Iterator[_Stroke]:
     """Yield the ray of a point to its center, or to the point alone if that is far away."""
     z, center = body.points[name], body.centers[name]
     ends = [body.pole, z]
@@ -244,20 +232,20 @@ def _ray(body: BodyCurvature, name: str) -> Iterator[_Mark]:
         ends.append(center)
         yield _dot(center, f'O_{{{name}}}')
     ends.sort(key=lambda end: ((end - body.pole) * (z - body.pole).conjugate()).real)
-    yield _Mark(np.array([ends[0], ends[-1]]), 'ray')
+    yield _Stroke(np.array([ends[0], ends[-1]]), 'ray')
 
 
-def _ray_marks(body: BodyCurvature) -> Iterator[_Mark]:
+def _ray_marks(body: BodyCurvature) -> Iterator[_Stroke]:
     """Yield the rays of all points, with their points on the inflection circle."""
     for name, z in body.points.items():
         yield from _ray(body, name)
         on_circle = body.on_circle(z)
         if _near(body, on_circle) and abs(on_circle - z) > 1e-6 * body.size:
-            yield _Mark(np.array([z, on_circle]), 'ray')
+            yield _Stroke(np.array([z, on_circle]), 'ray')
             yield _dot(on_circle, f'{name}_{{J}}')
 
 
-def _axis_marks(body: BodyCurvature) -> Iterator[_Mark]:
+def _axis_marks(body: BodyCurvature) -> Iterator[_Stroke]:
     """Yield two rays, the axis and both equal angles; from the axis of a third point its center."""
     first, second, *others = body.points
     for name in (first, second):
@@ -267,7 +255,7 @@ def _axis_marks(body: BodyCurvature) -> Iterator[_Mark]:
     rays = [body.points[name] - body.pole for name in (first, second)]
     for k, start in enumerate((rays[0] * np.exp(-1j * angle), rays[1])):
         radius = (0.22 + 0.04 * k) * body.size * start / abs(start)
-        yield _Mark(body.pole + radius * np.exp(1j * angle * _ARC), 'angle', 'φ')
+        yield _Stroke(body.pole + radius * np.exp(1j * angle * _ARC), 'angle', 'φ')
     for name in others[:1]:
         yield from _ray(body, name)
         yield from _pair_marks(body, first, name, 'construction', f'Q_{{{name}}}')
@@ -275,18 +263,18 @@ def _axis_marks(body: BodyCurvature) -> Iterator[_Mark]:
 
 def _pair_marks(
     body: BodyCurvature, first: str, second: str, style: str, name: str
-) -> Iterator[_Mark]:
+) -> Iterator[_Stroke]:
     """Yield the collineation axis of two points, and the lines that meet on it."""
     axis, (a, b) = body.axis(first, second), (body.points[first], body.points[second])
     across = ((b - a).conjugate() * axis).imag
     offset = ((body.pole - a).conjugate() * axis).imag
     crossing = a + (b - a) * offset / across if across else complex(np.inf)
     if not _near(body, crossing):
-        yield _Mark(body.pole + 0.5 * body.size * axis * np.array([-1, 1]), style)
+        yield _Stroke(body.pole + 0.5 * body.size * axis * np.array([-1, 1]), style)
         return
-    yield _Mark(np.array([body.pole, crossing]), style)
+    yield _Stroke(np.array([body.pole, crossing]), style)
     yield _dot(crossing, name)
     for ends in ((a, b), (body.centers[first], body.centers[second])):
         if all(_near(body, z) for z in ends):
             far = max(ends, key=lambda z: abs(z - crossing))
-            yield _Mark(np.array([far, crossing]), 'construction')
+            yield _Stroke(np.array([far, crossing]), 'construction')

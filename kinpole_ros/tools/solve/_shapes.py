@@ -40,7 +40,7 @@ class DrawnLine(NamedTuple):
     points: np.ndarray
 
 
-class Span(NamedTuple):
+class DrawnSpan(NamedTuple):
     """
     A cylinder or spring between two points of bodies.
 
@@ -104,7 +104,7 @@ class SceneLines:
             for follower in assembly.followers
             for body, points in (follower.shape.outlines() if follower.shape else ())
         ]
-        self.spans: list[Span] = []
+        self.spans: list[DrawnSpan] = []
         poses = poses_of(assembly, motion.values)
         spans: list[Strut | Spring] = [j for j in joints_of(scene) if isinstance(j, Strut)]
         spans += [spring for spring in scene.springs if isinstance(spring, Spring)]
@@ -117,7 +117,7 @@ class SceneLines:
                 names = one.name, f'{one.name}.length'
                 driven = (d.low for d in scene.mechanism.drivers if d.name in names)
                 least, lines = max(least, *driven, _NO_LENGTH), _cylinder
-            self.spans.append(Span(ends, least, lines(least)))
+            self.spans.append(DrawnSpan(ends, least, lines(least)))
         self._struts = [one.name for one in spans if isinstance(one, Strut)]
 
     def at(self, here: SolvedScene) -> list[DrawnLine]:

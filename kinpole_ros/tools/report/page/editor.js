@@ -65,6 +65,8 @@ function makeEditor({ data, page, stage, redraw, play }) {
       const still = [[0, data.n, 'the ICR stands still']];
       body.withheld = isPinned ? { centrode_curvature: still, inflection_circle: still } : {};
     });
+    // How far points go in slots is that of the first scene.
+    data.shapes = data.shapes.filter(({ kind }) => kind !== 'guide');
     for (const end of data.spans.flatMap(({ ends }) => ends)) {
       const owner = end.body ? data.bodies.indexOf(data.byName[end.body]) : ground;
       const point = edit.points.find(([body, name]) => body === owner && name === end.name);
