@@ -210,6 +210,14 @@ def test_damaged_videos_end_in_one_line(ending: str, tmp_path: Path) -> None:
     assert read
 
 
+def test_an_unknown_compression_is_refused(tmp_path: Path) -> None:
+    film = Film(times(2), camera=Camera((320, 180)))
+    whole = film.write(tmp_path / 'whole.mp4').read_bytes()
+    (tmp_path / 'odd.mp4').write_bytes(whole.replace(b'avc1', b'zzz1'))
+    with pytest.raises(FilmError, match='cannot be read as a video'):
+        read_film(tmp_path / 'odd.mp4')
+
+
 def test_without_the_extra_one_line_names_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
