@@ -6,6 +6,7 @@ Nothing outside this package uses OpenCV or FFmpeg (PyAV), which the extra `film
 
 from kinpole_ros.film._calibration import calibrate
 from kinpole_ros.film._film import SIZE, Filmed, FilmOptions, film_to_bag, read_film
+from kinpole_ros.film._live import LiveTags, jpeg, live_pictures
 from kinpole_ros.film._overlay import Shape, straightened, write_overlay
 from kinpole_ros.film._printed import print_sheet
 from kinpole_ros.film._video import FilmError
@@ -15,9 +16,12 @@ __all__ = [
     'FilmError',
     'FilmOptions',
     'Filmed',
+    'LiveTags',
     'Shape',
     'calibrate',
     'film_to_bag',
+    'jpeg',
+    'live_pictures',
     'print_sheet',
     'read_film',
     'straightened',

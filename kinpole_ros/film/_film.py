@@ -1,6 +1,6 @@
 """The tags of a film as markers in the plane of motion: four markers each, its corners."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -99,7 +99,7 @@ class Filmed:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class Seen:
     """Tags in the pictures: numbers, stamps (T,), pixels (T, n, 4, 2), and the picture's size."""
 
     tags: list[int]
@@ -138,6 +138,12 @@ def read_film(
     options.check()
     video = Video(path)
     seen = _find_tags(video, options, progress)
+    filmed = place_tags(seen, options)
+    return replace(filmed, assumed=[_film_line(video, seen, options), *filmed.assumed])
+
+
+def place_tags(seen: Seen, options: FilmOptions) -> Filmed:
+    """Place tags in the plane of motion; raises FilmError."""
     lens = None
     if options.camera is not None:
         lens = read_lens(options.camera, seen.picture)
@@ -159,7 +165,6 @@ def read_film(
     if options.camera is None:
         lens_text = f'too (it bends by {abs(plane.bending):.1%} at the edge of the picture)'
     assumed = [
-        _film_line(video, seen, options),
         f'{_tag_line(seen, corners, options)}; noise of a corner {plane.residual:.2g} pixels or '
         f'{plane.residual * pixel * 1e3:.2g} mm; to change: --size 40mm, --family',
         f'plane: {ground_text}; perspective such that all tags are squares of one size, lens '
@@ -200,7 +205,7 @@ def film_to_bag(
     return filmed
 
 
-def _find_tags(video: Video, options: FilmOptions, progress: Progress | None) -> _Seen:
+def _find_tags(video: Video, options: FilmOptions, progress: Progress | None) -> Seen:
     """Find the tags in all pictures."""
     finder = TagFinder(options.family)
     stamps, found = [], []
@@ -216,28 +221,41 @@ def _find_tags(video: Video, options: FilmOptions, progress: Progress | None) ->
         found.append((tags, corners.places.astype(np.float32)))
         if progress is not None and video.count:
             progress(min(1.0, len(stamps) / video.count))
-    counts: dict[int, int] = {}
-    for tags, _ in found:
-        for tag in tags:
-            counts[tag] = counts.get(tag, 0) + 1
-    kept = sorted(tag for tag, count in counts.items() if count >= _LEAST_FRAMES)
-    if not kept:
+    seen = gather(stamps, found, picture, finder.family)
+    if seen is None:
         cut = f', and {video.cut}' if video.cut else ''
         raise FilmError(
             f'{video.path} shows no tag in {_LEAST_FRAMES} pictures ({len(stamps)} were searched'
             f'{cut}); fix: tape tags of `kinpole film --print` on the links, and film nearer, in '
             'more light'
         )
+    return seen
+
+
+def gather(
+    stamps: list[int],
+    found: list[tuple[list[int], np.ndarray]],
+    picture: tuple[int, int],
+    family: str,
+) -> Seen | None:
+    """Return the tags, and corners (n, 4, 2), of each picture as arrays; None if there are none."""
+    counts: dict[int, int] = {}
+    for tags, _ in found:
+        for tag in tags:
+            counts[tag] = counts.get(tag, 0) + 1
+    kept = sorted(tag for tag, count in counts.items() if count >= _LEAST_FRAMES)
+    if not kept:
+        return None
     columns = {tag: k for k, tag in enumerate(kept)}
     pixels = np.full((len(stamps), len(kept), 4, 2), np.nan, np.float32)
     for row, (tags, places) in enumerate(found):
         for tag, place in zip(tags, places, strict=True):
             if tag in columns:
                 pixels[row, columns[tag]] = place
-    return _Seen(kept, np.array(stamps, np.int64), pixels, picture, finder.family)
+    return Seen(kept, np.array(stamps, np.int64), pixels, picture, family)
 
 
-def _at_one_instant(seen: _Seen, line_time: float) -> np.ndarray:
+def _at_one_instant(seen: Seen, line_time: float) -> np.ndarray:
     """
     Return the pixels (T, n, 4, 2) at the stamps of their pictures.
 
@@ -327,7 +345,7 @@ def _median(numbers: np.ndarray) -> np.ndarray:
     return np.asarray(np.nanmedian(numbers.real, axis=0) + 1j * np.nanmedian(numbers.imag, axis=0))
 
 
-def _film_line(video: Video, seen: _Seen, options: FilmOptions) -> str:
+def _film_line(video: Video, seen: Seen, options: FilmOptions) -> str:
     count = len(seen.stamps)
     seconds = float(seen.stamps[-1]) * 1e-9
     rate = f' at {1e9 / float(np.median(np.diff(seen.stamps))):.4g} Hz' if count > 1 else ''
@@ -340,7 +358,7 @@ def _film_line(video: Video, seen: _Seen, options: FilmOptions) -> str:
     )
 
 
-def _tag_line(seen: _Seen, corners: np.ndarray, options: FilmOptions) -> str:
+def _tag_line(seen: Seen, corners: np.ndarray, options: FilmOptions) -> str:
     shares = np.isfinite(corners).all(axis=-1).mean(axis=0)
     names = ', '.join(map(str, seen.tags[:_SHOWN])) + (', ...' if len(seen.tags) > _SHOWN else '')
     worst = int(shares.argmin())

@@ -129,6 +129,8 @@ class Video:
                     raise FilmError(f'{self.path} has sound only; fix: give a video')
                 stream = container.streams.video[0]
                 context = stream.codec_context
+                if context is None:
+                    raise self._unreadable(ValueError('its compression is not known'))
                 self._check_size(context.width, context.height)
                 context.thread_count = min(2, os.cpu_count() or 1)
                 context.thread_type = 'AUTO'

@@ -30,7 +30,7 @@ def add_segments(window: Window, samples: Real, weight: Real, found: Found) -> N
     count, orders = len(samples), window.orders
     at = window.at + (count - 1) / 2
     present = np.concatenate(([0], np.cumsum(weight > 0)))
-    values = _values(samples, weight, present)
+    values = _values(samples, weight)
     for c, part in enumerate(_SIGNALS):
         before, after = _divide(values[c], c + 1)
         whole = before[:, None] + values[c] + after
@@ -69,7 +69,7 @@ def add_segments(window: Window, samples: Real, weight: Real, found: Found) -> N
         found.freedom[c] += probability * (likely @ freedom - found.freedom[c])
 
 
-def _values(samples: Real, weight: Real, present: np.ndarray) -> Real:
+def _values(samples: Real, weight: Real) -> Real:
     """Evidence (2, n + 1, n + 1) of segments of angle and position, by their first and last + 1."""
     count = len(samples)
     values = np.full((2, count + 1, count + 1), -np.inf)
@@ -85,21 +85,20 @@ def _values(samples: Real, weight: Real, present: np.ndarray) -> Real:
             best, _ = _best(
                 (along[..., part] ** 2).sum(axis=-1),
                 squares[:, part].sum(axis=-1),
-                present[first + length] - present[first],
+                length,
                 c + 1,
             )
             values[c, first, first + length] = best
     return values
 
 
-def _best(of_degree: Real, squares: Real, length: np.ndarray, signals: int) -> tuple[Real, Real]:
+def _best(of_degree: Real, squares: Real, length: int, signals: int) -> tuple[Real, Real]:
     """Evidence (B,) of the best degree, and that degree, by the squares (B, K) of coefficients."""
     after = np.cumsum(of_degree[:, ::-1], axis=1)[:, ::-1]
     left = squares[:, None] + np.pad(after, ((0, 0), (0, 1)))[:, 1:]
     degrees = np.arange(_DEGREE + 1)
     value = -left / 2 - _COEFFICIENT * signals * (degrees + 1) - _EVENT
-    value[degrees + 2 > length[:, None]] = -np.inf
-    value[length < _SHORTEST] = -np.inf
+    value[:, degrees + 2 > length] = -np.inf
     return value.max(axis=1), value.argmax(axis=1)
 
 
@@ -128,7 +127,7 @@ def _derive(window: Window, own: Real, weight: Real, first: int) -> tuple[Real, 
     squares = ((root * own - low @ along[: _DEGREE + 1]) ** 2).sum()
     of_degree = (along[None, : _DEGREE + 1] ** 2).sum(axis=2)
     signals = own.shape[1]
-    degree = int(_best(of_degree, squares[None], np.array([present]), signals)[1][0])
+    degree = int(_best(of_degree, squares[None], len(own), signals)[1][0])
     powers = np.zeros((orders, columns))
     for order in range(min(orders, columns)):
         powers[order, order] = factorial(order) / float(len(own)) ** order

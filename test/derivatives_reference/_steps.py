@@ -26,7 +26,7 @@ _WORTH = 3
 # How probable an event is, and the logarithm of the part of all sizes that is as large.
 _PRIOR, _SIZE_COST = 0.05, 2.4
 # Events in a window at most.
-_MOST_EVENTS = 4
+_MOST_EVENTS = 2
 # Evidence that a candidate gains, by which it is at most behind another, and with which another
 # event makes the set without it not count.
 _GAIN, _BEHIND, _SURE_GAIN = 8.0, 3.0, 25.0

@@ -1,5 +1,6 @@
 """A film of printed tags becomes markers in the plane, by the exact motion that it shows."""
 
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,8 @@ from rendered import FOUR_BAR, Camera, Film, Tag
 
 from kinpole_ros import replay
 from kinpole_ros.bags import read_frames
-from kinpole_ros.film import FilmError, FilmOptions, film_to_bag, read_film
+from kinpole_ros.film import FilmError, FilmOptions, LiveTags, film_to_bag, read_film
+from kinpole_ros.film._video import Video
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.tools.cli import main
 
@@ -183,6 +185,40 @@ def test_what_is_no_video_is_refused_in_one_line(
     assert not (tmp_path / 'x.mcap').exists()
 
 
+def test_tags_of_a_camera_are_placed_after_a_second_and_a_half(
+    four_bar: tuple[Film, Path],
+) -> None:
+    film, path = four_bar
+    live, whole = LiveTags(OPTIONS), exact(film)
+    seen = 0
+    for k, picture in enumerate(Video(path).pictures()):
+        names, places = live.find(picture.gray)
+        assert bool(names) == (k >= 44)
+        for name, place in zip(names, places, strict=True):
+            tag, corner = map(int, name.removeprefix('tag').split('_'))
+            assert abs(place - whole[k, tag, corner - 1]) < 1.5e-3
+        seen += len(names)
+    assert seen > 0.98 * 28 * 16
+
+
+def test_a_camera_publishes_markers(four_bar: tuple[Film, Path]) -> None:
+    pytest.importorskip('rclpy')
+    from kinpole_ros.ros.listener import listen
+
+    words = ['-m', 'kinpole_ros.tools.cli', 'camera', str(four_bar[1]), '--size', '24mm']
+    command = [sys.executable, *words, '--topic', '/film/markers']
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
+        try:
+            frames, _ = listen('/film/markers', 0.2)
+            out, _ = process.communicate(timeout=50)
+        finally:
+            process.kill()
+    assert b'16 messages published' in out and b'is the origin' in out
+    steps = np.diff(np.concatenate([one.stamps for one in frames]))
+    assert len(steps) and np.abs(steps % (10**9 / 30)).min() < 1e6
+    assert frames[0].points.shape[1] == 28
+
+
 def test_a_film_without_tags_is_refused(tmp_path: Path) -> None:
     film = Film(times(8), tags=(Tag(1, 'crank', 5.0 + 0j),), camera=Camera((320, 180)))
     with pytest.raises(FilmError, match='shows no tag'):
@@ -208,6 +244,14 @@ def test_damaged_videos_end_in_one_line(ending: str, tmp_path: Path) -> None:
         except FilmError as error:
             assert '\n' not in str(error)
     assert read
+
+
+def test_an_unknown_compression_is_refused(tmp_path: Path) -> None:
+    film = Film(times(2), camera=Camera((320, 180)))
+    whole = film.write(tmp_path / 'whole.mp4').read_bytes()
+    (tmp_path / 'odd.mp4').write_bytes(whole.replace(b'avc1', b'zzz1'))
+    with pytest.raises(FilmError, match='cannot be read as a video'):
+        read_film(tmp_path / 'odd.mp4')
 
 
 def test_without_the_extra_one_line_names_it(

@@ -16,9 +16,8 @@
 
 /* Derivatives from order 0 on. */
 #define MAX_ORDERS (HIGHEST + 1)
-/* Events in a window at most: of a body that rebounds, several fall into one. With 2 the jerk at events has
-   1.04 times the error at 200 Hz, and the acceleration 1.05 times. */
-#define MAX_EVENTS 4
+/* Events of processes in a window at most; segments have any number. With 4 the error at events is that of 2. */
+#define MAX_EVENTS 2
 /* Sets of events: none, one of each order, and more. Columns of an event. */
 #define MAX_SETS (STEP_ORDERS + MAX_EVENTS)
 #define EVENT_COLUMNS 3

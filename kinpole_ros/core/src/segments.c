@@ -19,29 +19,24 @@
 /* Segments around the instant that count, and the log evidence by which others may be behind the best. */
 #define MAX_KEPT 8
 #define MAX_BEHIND 10.0
+/* Log evidence behind the models with which segments have no weight, whatever their covariance. */
+#define NEGLIGIBLE 60.0
 
 /* All segments of a window, by part: the log evidence of those of length k + 1, by their first sample (count, count);
    the best evidence of the samples before and from each one on (count + 1). */
 typedef struct {
     long long count;
-    double *root;       /* (count): of the weights */
-    long long *present; /* (count + 1): how many samples before each one are not missing */
+    double *root;    /* (count): of the weights */
+    double *present; /* (count + 1): how many samples before each one are not missing */
     double *value[2], *before[2], *after[2];
+    double *scratch; /* at least (COLUMNS + 3, count) */
 } Division;
 
 /* The polynomials of all segments of one length, by their first sample (count). */
 typedef struct {
     double *factor[DEGREE + 1][DEGREE + 1], *along[DEGREE + 1][3], *squares[3];
-    double *row[DEGREE + 1], *cosine, *sine, *x[3];
+    double *row[DEGREE + 1], *cosine[DEGREE + 1], *sine[DEGREE + 1];
 } Fits;
-
-static inline void
-find_rotation(double own, double other, double *cosine, double *sine)
-{
-    double size = sqrt(own * own + other * other);
-    *cosine = size > 0.0 ? own / size : 1.0;
-    *sine = size > 0.0 ? other / size : 0.0;
-}
 
 static inline void
 rotate(double cosine, double sine, double *own, double *other)
@@ -51,52 +46,95 @@ rotate(double cosine, double sine, double *own, double *other)
     *other = cosine * *other - sine * old;
 }
 
-/* Rotate one more sample, the one `last` after the first, into all segments that it extends. If all samples count
-   alike, so do all segments of a length. */
+/* Rotate one more sample, the one `last` after the first, into the triangular factors of all segments that it extends.
+   If all samples count alike, the `distinct` factors are one. */
 static void
-extend_segments(const Samples *s, const Division *d, int is_even, long long last, Fits *f)
+extend_factors(const Division *d, long long distinct, long long last, Fits *f)
 {
-    long long segments = d->count - last, distinct = is_even ? 1 : segments;
     double time = last / (double)d->count;
     for (long long i = 0; i < distinct; i++)
         for (int k = 0; k <= DEGREE; k++)
             f->row[k][i] = k ? f->row[k - 1][i] * time : d->root[i + last];
-    for (int c = 0; c < 3; c++)
-        for (long long i = 0; i < segments; i++)
-            f->x[c][i] = d->root[i + last] * s->x[c][i + last];
-    for (int k = 0; k <= DEGREE; k++) {
+    for (int k = 0; k <= DEGREE; k++)
         for (long long i = 0; i < distinct; i++) {
-            find_rotation(f->factor[k][k][i], f->row[k][i], f->cosine + i, f->sine + i);
+            double own = f->factor[k][k][i], other = f->row[k][i];
+            double size = sqrt(own * own + other * other);
+            f->cosine[k][i] = size > 0.0 ? own / size : 1.0;
+            f->sine[k][i] = size > 0.0 ? other / size : 0.0;
             for (int l = k; l <= DEGREE; l++)
-                rotate(f->cosine[i], f->sine[i], f->factor[k][l] + i, f->row[l] + i);
+                rotate(f->cosine[k][i], f->sine[k][i], f->factor[k][l] + i, f->row[l] + i);
         }
-        for (long long i = distinct; i < segments; i++)
-            f->cosine[i] = f->cosine[0], f->sine[i] = f->sine[0];
-        for (int c = 0; c < 3; c++) {
-            double *restrict along = f->along[k][c], *restrict x = f->x[c];
-            const double *restrict cosine = f->cosine, *restrict sine = f->sine;
-            for (long long i = 0; i < segments; i++)
-                rotate(cosine[i], sine[i], along + i, x + i);
-        }
-    }
-    for (int c = 0; c < 3; c++)
-        for (long long i = 0; i < segments; i++)
-            f->squares[c][i] += f->x[c][i] * f->x[c][i];
 }
 
-/* Return the log evidence of the best degree of a segment of this length, by the `squares` that the highest degree
-   leaves, and those of each coefficient, both summed over the signals of a part. */
-static inline double
-best_degree(int part, long long length, double squares, const double *of_degree, int *degree)
+/* Rotate it into the coefficients of a signal. */
+static void
+extend_signal(const double *restrict sample, const double *restrict root, long long segments,
+              long long distinct, const Fits *f, int c)
 {
-    double cost = COEFFICIENT_COST * (part + 1), best = -INFINITY;
-    double value = -squares / 2 - (DEGREE + 1) * cost - EVENT_COST;
-    for (int k = DEGREE; k >= 0; k--) {
-        int is_better = k + 2 <= length && value > best;
-        best = is_better ? value : best, *degree = is_better ? k : *degree;
-        value += cost - of_degree[k] / 2;
+    double *restrict along[DEGREE + 1], *restrict squares = f->squares[c];
+    for (int k = 0; k <= DEGREE; k++)
+        along[k] = f->along[k][c];
+    if (distinct == 1) {
+        double cosine[DEGREE + 1], sine[DEGREE + 1];
+        for (int k = 0; k <= DEGREE; k++)
+            cosine[k] = f->cosine[k][0], sine[k] = f->sine[k][0];
+        for (long long i = 0; i < segments; i++) {
+            double x = sample[i];
+            for (int k = 0; k <= DEGREE; k++)
+                rotate(cosine[k], sine[k], along[k] + i, &x);
+            squares[i] += x * x;
+        }
+        return;
     }
-    return length < MIN_LENGTH ? -INFINITY : best;
+    for (long long i = 0; i < segments; i++) {
+        double x = root[i] * sample[i];
+        for (int k = 0; k <= DEGREE; k++)
+            rotate(f->cosine[k][i], f->sine[k][i], along[k] + i, &x);
+        squares[i] += x * x;
+    }
+}
+
+/* Find the log evidence of a segment by its degree, from the `squares` that the highest degree leaves and those of each
+   coefficient, both summed over the signals of a part. */
+static inline void
+evidence_of_degrees(int part, double squares, const double *of_degree, double *evidence)
+{
+    double cost = COEFFICIENT_COST * (part + 1);
+    evidence[DEGREE] = -squares / 2 - (DEGREE + 1) * cost - EVENT_COST;
+    for (int k = DEGREE; k > 0; k--)
+        evidence[k - 1] = evidence[k] + cost - of_degree[k] / 2;
+}
+
+/* Return the highest degree of a segment of this length, or -1. */
+static inline int
+highest_degree(long long length)
+{
+    return length < MIN_LENGTH ? -1 : length < DEGREE + 2 ? (int)(length - 2) : DEGREE;
+}
+
+/* Find the evidence of all segments of a length, up to a degree. */
+static void
+find_values(const Division *d, int part, long long last, int highest, const Fits *f)
+{
+    double *restrict value = d->value[part] + last * d->count;
+    const double *restrict z[DEGREE + 1][2], *restrict squares[2];
+    double none[DEGREE + 1];
+    for (int k = 0; k <= DEGREE; k++)
+        none[k] = k <= highest ? 0.0 : INFINITY;
+    for (int j = 0; j < 2; j++) {
+        squares[j] = f->squares[part + part * j];
+        for (int k = 0; k <= DEGREE; k++)
+            z[k][j] = f->along[k][part + part * j];
+    }
+    for (long long i = 0; i < d->count - last; i++) {
+        double of_degree[DEGREE + 1], evidence[DEGREE + 1], best = -INFINITY;
+        for (int k = 0; k <= DEGREE; k++)
+            of_degree[k] = z[k][0][i] * z[k][0][i] + part * (z[k][1][i] * z[k][1][i]);
+        evidence_of_degrees(part, squares[0][i] + part * squares[1][i], of_degree, evidence);
+        for (int k = 0; k <= DEGREE; k++)
+            best = larger(best, evidence[k] - none[k]);
+        value[i] = best;
+    }
 }
 
 /* Lay out the arrays of a window, and find the evidence of all of its segments. */
@@ -104,23 +142,24 @@ static int
 evaluate_segments(Call *call, const Samples *s, Division *d)
 {
     long long n = s->count;
-    int is_even = 1, degree;
-    size_t of_fits = (DEGREE + 1) * (DEGREE + 1 + 3 + 1) + 3 + 2 + 3;
+    int is_even = 1;
+    size_t of_fits = (DEGREE + 1) * (DEGREE + 1 + 3 + 3) + 3;
     char *data = kinpole_buffer(call, OF_SEGMENTS, ((of_fits + 6 + 2 * n) * n + 5) * sizeof(double));
     Fits f;
     if (!data)
         return NO_MEMORY;
     memset(data, 0, of_fits * n * sizeof(double));
+    d->scratch = (double *)data; /* free when all are evaluated */
     for (int k = 0; k <= DEGREE; k++) {
-        TAKE(f.row[k], n);
+        TAKE(f.row[k], n), TAKE(f.cosine[k], n), TAKE(f.sine[k], n);
         for (int l = 0; l <= DEGREE; l++)
             TAKE(f.factor[k][l], n);
         for (int c = 0; c < 3; c++)
             TAKE(f.along[k][c], n);
     }
     for (int c = 0; c < 3; c++)
-        TAKE(f.squares[c], n), TAKE(f.x[c], n);
-    TAKE(f.cosine, n), TAKE(f.sine, n), TAKE(d->root, n), TAKE(d->present, n + 1);
+        TAKE(f.squares[c], n);
+    TAKE(d->root, n), TAKE(d->present, n + 1);
     for (int part = 0; part < 2; part++)
         TAKE(d->value[part], n * n), TAKE(d->before[part], n + 1), TAKE(d->after[part], n + 1);
     d->count = n, d->present[0] = 0;
@@ -130,43 +169,47 @@ evaluate_segments(Call *call, const Samples *s, Division *d)
         is_even &= d->root[t] == 1.0;
     }
     for (long long last = 0; last < n; last++) {
-        extend_segments(s, d, is_even, last, &f);
-        for (long long i = 0; i < n - last; i++) {
-            double of_degree[2][DEGREE + 1];
-            long long length = d->present[i + last + 1] - d->present[i];
-            for (int k = 0; k <= DEGREE; k++) {
-                double *const *z = f.along[k];
-                of_degree[0][k] = z[0][i] * z[0][i];
-                of_degree[1][k] = z[1][i] * z[1][i] + z[2][i] * z[2][i];
-            }
-            d->value[0][last * n + i] = best_degree(0, length, f.squares[0][i], of_degree[0], &degree);
-            d->value[1][last * n + i] =
-                best_degree(1, length, f.squares[1][i] + f.squares[2][i], of_degree[1], &degree);
-        }
+        long long distinct = is_even ? 1 : n - last;
+        extend_factors(d, distinct, last, &f);
+        for (int c = 0; c < 3; c++)
+            extend_signal(s->x[c] + last, d->root + last, n - last, distinct, &f, c);
+        for (int part = 0; part < 2; part++)
+            find_values(d, part, last, highest_degree(last + 1), &f);
     }
     return DONE;
 }
 
-/* Find the best evidence of the samples before each one, and from it on. The first segment is not after an event, and
-   its mean and slope cost nothing, as those of the models. */
-static void
-divide(const Division *d, int part)
+/* Find the best evidence of the samples before each one. The first segment is not after an event, and its mean and
+   slope cost nothing, as those of the models. Returns the evidence of all, over that of noise alone, which leaves a
+   square of 1 a sample. */
+static double
+divide_before(const Division *d, int part)
 {
     long long n = d->count;
-    double *before = d->before[part], *after = d->after[part];
-    before[0] = EVENT_COST + 2 * COEFFICIENT_COST * (part + 1), after[n] = 0.0;
-    for (long long end = 1; end <= n; end++) {
+    double *before = d->before[part];
+    before[0] = EVENT_COST + 2 * COEFFICIENT_COST * (part + 1);
+    for (long long end = 1; end <= n; end++)
         before[end] = -INFINITY;
-        for (long long first = 0; first < end; first++)
-            before[end] = larger(before[end],
-                                 before[first] + d->value[part][(end - 1 - first) * n + first]);
-    }
-    for (long long first = n - 1; first >= 0; first--) {
+    for (long long first = 0; first < n; first++)
+        for (long long last = 0; last < n - first; last++)
+            before[first + last + 1] = larger(
+                before[first + last + 1], before[first] + d->value[part][last * n + first]);
+    return before[n] + d->present[n] * (part + 1) / 2;
+}
+
+/* Find the best evidence of the samples from each one on. */
+static void
+divide_after(const Division *d, int part)
+{
+    long long n = d->count;
+    double *after = d->after[part];
+    after[n] = 0.0;
+    for (long long first = 0; first < n; first++)
         after[first] = -INFINITY;
-        for (long long end = first + 1; end <= n; end++)
-            after[first] =
-                larger(after[first], after[end] + d->value[part][(end - 1 - first) * n + first]);
-    }
+    for (long long end = n; end > 0; end--)
+        for (long long first = 0; first < end; first++)
+            after[first] = larger(
+                after[first], after[end] + d->value[part][(end - 1 - first) * n + first]);
 }
 
 /* Samples from `first` to before `end`, and the evidence of the best division that has them as a segment. */
@@ -205,42 +248,51 @@ typedef struct {
     double mean[3][MAX_ORDERS], spread[MAX_ORDERS][COLUMNS];
 } Piece;
 
-/* Fit a segment by a polynomial of COLUMNS coefficients, and differentiate that of its best degree. */
+/* Fit a segment by a polynomial of COLUMNS coefficients, and differentiate that of its best degree. The powers of
+   time, of which each is made orthonormal to those before it, and the signals are at `scratch` (COLUMNS + 3, n). */
 static void
 differentiate_segment(const Stencils *by, const Samples *s, const Division *d, int part,
-                      const Segment *segment, Piece *out)
+                      const Segment *segment, double *scratch, Piece *out)
 {
-    double factor[COLUMNS][COLUMNS] = {{0.0}}, along[COLUMNS][3] = {{0.0}}, squares[3] = {0.0};
-    double of_degree[COLUMNS] = {0.0}, left = 0.0;
-    long long length = d->present[segment->end] - d->present[segment->first];
-    double unit = segment->end - segment->first;
-    for (long long t = segment->first; t < segment->end; t++) {
-        double row[COLUMNS], x[3], time = (t - by->at) / unit;
-        for (int k = 0; k < COLUMNS; k++)
-            row[k] = k ? row[k - 1] * time : d->root[t];
-        for (int c = 0; c < 3; c++)
-            x[c] = d->root[t] * s->x[c][t];
-        for (int k = 0; k < COLUMNS; k++) {
-            double cosine, sine;
-            find_rotation(factor[k][k], row[k], &cosine, &sine);
-            for (int l = k; l < COLUMNS; l++)
-                rotate(cosine, sine, &factor[k][l], row + l);
-            for (int c = 0; c < 3; c++)
-                rotate(cosine, sine, &along[k][c], x + c);
+    double factor[COLUMNS][COLUMNS], along[COLUMNS][3], of_degree[COLUMNS] = {0.0}, left = 0.0;
+    double evidence[DEGREE + 1];
+    long long n = segment->end - segment->first, first = segment->first;
+    double length = d->present[segment->end] - d->present[first], *signals = scratch + COLUMNS * n;
+    for (long long t = 0; t < n; t++) {
+        scratch[t] = d->root[first + t];
+        for (int k = 1; k < COLUMNS; k++)
+            scratch[k * n + t] = scratch[(k - 1) * n + t] * (first + t - by->at) / n;
+        for (int c = part; c <= 2 * part; c++)
+            signals[c * n + t] = d->root[first + t] * s->x[c][first + t];
+    }
+    for (int k = 0; k < COLUMNS; k++) {
+        double *own = scratch + k * n;
+        factor[k][k] = sqrt(dot(own, own, n));
+        for (long long t = 0; t < n; t++)
+            own[t] = k < length ? own[t] / factor[k][k] : 0.0;
+        for (int l = k + 1; l < COLUMNS + 3; l++) {
+            if (l >= COLUMNS && !(l - COLUMNS >= part && l - COLUMNS <= 2 * part))
+                continue;
+            double product = dot(own, scratch + l * n, n);
+            *(l < COLUMNS ? &factor[k][l] : &along[k][l - COLUMNS]) = product;
+            for (long long t = 0; t < n; t++)
+                scratch[l * n + t] -= product * own[t];
         }
-        for (int c = 0; c < 3; c++)
-            squares[c] += x[c] * x[c];
     }
     for (int c = part; c <= 2 * part; c++) {
-        left += squares[c];
-        for (int k = 0; k < COLUMNS; k++)
-            of_degree[k] += along[k][c] * along[k][c], left += k > DEGREE ? along[k][c] * along[k][c] : 0.0;
+        left += dot(signals + c * n, signals + c * n, n);
+        for (int k = 0; k < COLUMNS; k++) {
+            of_degree[k] += along[k][c] * along[k][c];
+            left += k > DEGREE ? along[k][c] * along[k][c] : 0.0;
+        }
     }
     *out = (Piece){.degree = 0};
-    best_degree(part, length, left, of_degree, &out->degree);
+    evidence_of_degrees(part, left, of_degree, evidence);
+    for (int k = 1; k <= highest_degree(n); k++)
+        out->degree = evidence[k] > evidence[out->degree] ? k : out->degree;
     for (int o = 0; o < by->orders; o++) {
         /* The derivative of this order of the powers of time is not zero for one of them only. */
-        double of_power = tgamma(o + 1) * pow(unit, -o), basis[COLUMNS];
+        double of_power = tgamma(o + 1) * pow(n, -o), basis[COLUMNS];
         out->highest[o] = out->degree + MORE_DEGREES > o ? out->degree + MORE_DEGREES : o;
         for (int k = 0; k < COLUMNS; k++) {
             basis[k] = k == o ? of_power : 0.0;
@@ -260,8 +312,8 @@ typedef struct {
 } Average;
 
 /* Average the best segments of one part by their evidence, and its square root in the covariance. A segment that is
-   too short to show a derivative has the `unknown` variance of it. Returns the log evidence of the best. */
-static double
+   too short to show a derivative has the `unknown` variance of it. Returns how many segments there are. */
+static int
 average_segments(const Stencils *by, const Samples *s, const Division *d, int part,
                  const double (*unknown)[MAX_ORDERS], Average *out)
 {
@@ -274,7 +326,7 @@ average_segments(const Stencils *by, const Samples *s, const Division *d, int pa
         total += exp(kept[k].value - kept->value), root_total += exp((kept[k].value - kept->value) / 2);
     for (int k = 0; k < number; k++) {
         double probability = exp(kept[k].value - kept->value) / total;
-        differentiate_segment(by, s, d, part, kept + k, piece + k);
+        differentiate_segment(by, s, d, part, kept + k, d->scratch, piece + k);
         out->freedom += probability * (piece[k].degree + 1);
         for (int c = part; c <= 2 * part; c++)
             for (int o = 0; o < by->orders; o++)
@@ -282,7 +334,7 @@ average_segments(const Stencils *by, const Samples *s, const Division *d, int pa
     }
     for (int k = 0; k < number; k++) {
         double weight = exp((kept[k].value - kept->value) / 2) / root_total;
-        long long length = d->present[kept[k].end] - d->present[kept[k].first];
+        double length = d->present[kept[k].end] - d->present[kept[k].first];
         for (int o = 0; o < by->orders; o++) {
             if (piece[k].highest[o] >= length)
                 out->covariance[o][o] += weight * unknown[o][o];
@@ -295,7 +347,7 @@ average_segments(const Stencils *by, const Samples *s, const Division *d, int pa
             }
         }
     }
-    return number ? kept->value : -INFINITY;
+    return number;
 }
 
 /* Mix a result of segments into that of the models, by a probability in the mean and a weight in the covariance. */
@@ -330,11 +382,12 @@ add_segments(Call *call, const Stencils *by, const Samples *s, Estimate *estimat
         return NO_MEMORY;
     for (int part = 0; part < 2; part++) {
         Average segments;
-        divide(&d, part);
-        double value = average_segments(by, s, &d, part, estimate->covariance[part], &segments);
-        /* Noise alone leaves a square of 1 a sample, which has no evidence in the models. */
-        double ahead = value + d.present[d.count] * (part + 1) / 2.0 - estimate->evidence[part];
-        mix(&segments, part, by->orders, 1 / (1 + exp(-ahead)), 1 / (1 + exp(-ahead / 2)), estimate);
+        double ahead = divide_before(&d, part) - estimate->evidence[part];
+        if (ahead < -NEGLIGIBLE)
+            continue;
+        divide_after(&d, part);
+        if (average_segments(by, s, &d, part, estimate->covariance[part], &segments))
+            mix(&segments, part, by->orders, 1 / (1 + exp(-ahead)), 1 / (1 + exp(-ahead / 2)), estimate);
     }
     return DONE;
 }

@@ -1,4 +1,4 @@
-"""The command that makes markers of films: film."""
+"""Commands that make markers of films and cameras: film and camera."""
 
 import argparse
 import tempfile
@@ -90,3 +90,30 @@ def _write_markers(options: argparse.Namespace, given: 'FilmOptions') -> None:
         print(f'{frames} written to {options.output}')
     if options.overlay is not None:
         print(f'drawn over the video in {options.overlay}')
+
+
+@command(
+    'camera',
+    option('source SOURCE', 'number or device of a camera, as 0 or /dev/video0; or a video'),
+    option('--topic T', 'topic of the markers (/markers)', default='/markers'),
+    *FILM_OPTIONS,
+)
+def camera(options: argparse.Namespace) -> int:
+    """
+    Publish the tags that a camera sees as markers for a node.
+
+    The camera stands still. In the first 45 pictures with tags it learns the plane of motion, as
+    film does, and prints what it assumed; from then on it publishes a MarkerArray per picture, and
+    the pictures on /kinpole_camera/image while somebody looks. The stamps are those of receipt, or
+    of the video. It needs ROS.
+
+    Examples:
+      kinpole camera 0 --size 40mm
+      kinpole camera crank.mp4 --topic /film/markers
+    """
+    from kinpole_ros.tools.camera import publish
+    from kinpole_ros.tools.filmed import film_options
+
+    count = publish(options.source, film_options(options), options.topic)
+    print(f'{count} messages published')
+    return 0

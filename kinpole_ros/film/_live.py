@@ -1,0 +1,118 @@
+"""The pictures of a camera as they come, and their tags in the plane of motion."""
+
+import time
+from collections.abc import Iterator
+from contextlib import closing
+
+import cv2
+import numpy as np
+
+from kinpole_ros.film._film import Filmed, FilmOptions, gather, place_tags
+from kinpole_ros.film._ground import off_square
+from kinpole_ros.film._tags import TagFinder
+from kinpole_ros.film._video import FilmError, Picture, Video
+
+_LEARNED = 45  # pictures from which the map to the plane is learned: a second and a half
+_QUALITY = 70  # of a JPEG
+_MOST_OFF = 0.05  # of the side: a tag whose corners are farther off their square is partly hidden
+
+
+class LiveTags:
+    """
+    Places the tags of a camera that stands still, picture by picture.
+
+    The map to the plane is learned from the first pictures with tags, and kept. `learned` is None
+    until then.
+    """
+
+    def __init__(self, options: FilmOptions) -> None:
+        options.check()
+        self.learned: Filmed | None = None
+        self._options, self._finder = options, TagFinder(options.family)
+        self._found: list[tuple[list[int], np.ndarray]] = []
+
+    def find(self, gray: np.ndarray) -> tuple[list[str], np.ndarray]:
+        """Return names of markers and their places (n,), complex, m; none until it is learned."""
+        tags, (places, _) = self._finder.find(gray)
+        if self.learned is None:
+            self._learn(tags, places, gray)
+        if self.learned is None or not tags:
+            return [], np.empty(0, complex)
+        pixels = places if self.learned.lens is None else self.learned.lens.straight(places)
+        corners = self.learned.maps[0].to_plane(pixels)
+        is_square = np.abs(off_square(corners, self._options.size)).max(axis=1)
+        good = is_square < _MOST_OFF * self._options.size
+        names = [
+            f'tag{tag}_{k}'
+            for tag, is_good in zip(tags, good, strict=True)
+            if is_good
+            for k in range(1, 5)
+        ]
+        return names, corners[good].ravel()
+
+    def _learn(self, tags: list[int], places: np.ndarray, gray: np.ndarray) -> None:
+        if tags:
+            self._found.append((tags, places.astype(np.float32)))
+        if len(self._found) < _LEARNED:
+            return
+        height, width = gray.shape
+        stamps = list(range(len(self._found)))
+        seen = gather(stamps, self._found, (width, height), self._finder.family)
+        self._found.clear()
+        if seen is not None:
+            filmed = place_tags(seen, self._options)
+            self.learned = filmed if len(filmed.maps) == 1 else None
+
+
+def live_pictures(source: str) -> Iterator[Picture]:
+    """
+    Yield the pictures of a camera, or of a video at its pace, with stamps from the first one on.
+
+    Parameters
+    ----------
+    source : str
+        The number of a camera, as 0; its device, as /dev/video0; or a video.
+
+    Yields
+    ------
+    Picture
+        The next picture, as soon as it is there. The stamps of a camera are those of receipt.
+
+    Raises
+    ------
+    FilmError
+        If it cannot be opened.
+
+    """
+    if source.isdigit() or source.startswith('/dev/'):
+        yield from _camera_pictures(source)
+        return
+    start = time.monotonic()
+    with closing(Video(source).pictures()) as pictures:  # type: ignore[type-var]
+        for picture in pictures:
+            wait = start + picture.stamp * 1e-9 - time.monotonic()
+            time.sleep(max(0.0, wait))
+            yield picture
+
+
+def _camera_pictures(source: str) -> Iterator[Picture]:
+    camera = cv2.VideoCapture(int(source) if source.isdigit() else source)
+    try:
+        if not camera.isOpened():
+            raise FilmError(f'no camera at {source}; fix: see to its number and your rights to it')
+        start = None
+        while True:
+            is_read, picture = camera.read()
+            now = time.monotonic_ns()
+            start = now if start is None else start
+            if not is_read:
+                raise FilmError(f'camera {source} gives no more pictures; fix: see to its cable')
+            gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
+            yield Picture(now - start, gray)
+    finally:
+        camera.release()
+
+
+def jpeg(gray: np.ndarray) -> bytes:
+    """Return a picture as a JPEG."""
+    return bytes(cv2.imencode('.jpg', gray, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1])

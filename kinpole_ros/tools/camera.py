@@ -1,0 +1,54 @@
+"""`kinpole camera`: the tags that a camera sees, as markers for a node, and its pictures."""
+
+from contextlib import closing
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CompressedImage
+
+from kinpole_ros.film import FilmOptions, LiveTags, jpeg, live_pictures
+from kinpole_ros.messages import INPUT_TYPES, marker_arrays, ns_to_stamp
+from kinpole_ros.ros.player import own_context
+
+_FRAME = 'world'
+
+
+def publish(source: str, options: FilmOptions, topic: str) -> int:
+    """
+    Publish markers until the video ends or Ctrl-C; return the number of messages.
+
+    `source` is that of `live_pictures`. The stamps are those of the pictures,
+    from the time of the first one on.
+    """
+    tags = LiveTags(options)
+    context = own_context()
+    node = Node('kinpole_camera', context=context)
+    count = 0
+    try:
+        markers = node.create_publisher(INPUT_TYPES['marker_array'], topic, 10)
+        image = node.create_publisher(CompressedImage, '~/image', qos_profile_sensor_data)
+        was_learned, begin = False, 0
+        with closing(live_pictures(source)) as pictures:  # type: ignore[type-var]
+            for picture in pictures:
+                begin = begin or node.get_clock().now().nanoseconds - picture.stamp
+                stamp = begin + picture.stamp
+                names, places = tags.find(picture.gray)
+                if tags.learned is not None and not was_learned:
+                    was_learned = True
+                    for line in tags.learned.assumed:
+                        node.get_logger().info(line)
+                if was_learned:
+                    points = np.stack((places.real, places.imag, np.zeros(len(places))), axis=-1)
+                    stamps = np.array([stamp], np.int64)
+                    (data,) = marker_arrays(stamps, _FRAME, names, points[None])
+                    markers.publish(data)
+                    count += 1
+                if image.get_subscription_count():
+                    message = CompressedImage(format='jpeg', data=jpeg(picture.gray))
+                    message.header.stamp, message.header.frame_id = ns_to_stamp(stamp), _FRAME
+                    image.publish(message)
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+    return count
