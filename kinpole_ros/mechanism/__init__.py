@@ -1,5 +1,6 @@
 """Mechanisms as scenes: exact motion, instant centers, centrodes, statics and tolerances."""
 
+from kinpole_ros.mechanism._belt import Belt
 from kinpole_ros.mechanism._centers import Centers, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, Poles, centrodes, poles
 from kinpole_ros.mechanism._equations import (
@@ -10,7 +11,6 @@ from kinpole_ros.mechanism._equations import (
 from kinpole_ros.mechanism._equilibrium import Release, Statics, undetermined
 from kinpole_ros.mechanism._joint_kinds import (
     GROUND,
-    Belt,
     Pose,
     Revolute,
     Rolling,

@@ -7,8 +7,9 @@ from math import pi
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly
+from kinpole_ros.mechanism._belt import Belt
 from kinpole_ros.mechanism._equilibrium import loose_teeth
-from kinpole_ros.mechanism._joint_kinds import GROUND, Belt
+from kinpole_ros.mechanism._joint_kinds import GROUND
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._scene_inputs import Driven

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly, poses_of
-from kinpole_ros.mechanism._joint_kinds import GROUND, Belt
+from kinpole_ros.mechanism._belt import Belt
+from kinpole_ros.mechanism._joint_kinds import GROUND
 from kinpole_ros.mechanism._mechanism import Motion
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.mechanism._scene import Scene

@@ -11,16 +11,15 @@ import numpy as np
 
 from kinpole_ros.mechanism._arc_slot import ArcSlot
 from kinpole_ros.mechanism._assembly import Assembly, assemble
+from kinpole_ros.mechanism._belt import Belt, strand
 from kinpole_ros.mechanism._equations import Equations, equations_of_joints
 from kinpole_ros.mechanism._joint_kinds import (
     GROUND,
-    Belt,
     Joint,
     Revolute,
     Rolling,
     Slot,
     Strut,
-    strand,
 )
 from kinpole_ros.mechanism._scene_followers import CAM, GENEVA, carrier_of
 from kinpole_ros.mechanism._scene_values import (

@@ -14,12 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import Assembly, assemble, body_motion, poses_of
+from kinpole_ros.mechanism._belt import Belt
 from kinpole_ros.mechanism._equilibrium import (
     Statics,
     separating_loads,
     why_no_reactions,
 )
-from kinpole_ros.mechanism._joint_kinds import GROUND, Belt, Pose, Revolute, Rolling, Slot, Strut
+from kinpole_ros.mechanism._joint_kinds import GROUND, Pose, Revolute, Rolling, Slot, Strut
 from kinpole_ros.mechanism._loads import Force, Load
 from kinpole_ros.mechanism._loops import (
     LinkageError,

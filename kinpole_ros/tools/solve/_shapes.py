@@ -13,7 +13,8 @@ import numpy as np
 from kinpole_ros.mechanism import GROUND, Belt, Scene, Slot, Spring, Strut, polygon
 from kinpole_ros.mechanism._arc_slot import ArcSlot
 from kinpole_ros.mechanism._assembly import poses_of
-from kinpole_ros.mechanism._joint_kinds import Rim, strand
+from kinpole_ros.mechanism._belt import strand
+from kinpole_ros.mechanism._joint_kinds import Rim
 from kinpole_ros.mechanism._vector_joints import joints_of
 from kinpole_ros.tools.solve._solution import SolvedScene
 
