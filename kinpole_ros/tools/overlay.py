@@ -32,8 +32,7 @@ def draw_over(
     `filmed` is what was found in the video. Raises BagError if no body is found.
     """
     from kinpole_ros.film import write_overlay
-    from kinpole_ros.tools.report import replayed
-    from kinpole_ros.tools.report._prepare import found_rig
+    from kinpole_ros.tools.report import found_rig, replayed
 
     with tempfile.TemporaryDirectory(prefix='kinpole_') as folder:
         rig, lines, _ = found_rig(video, bag, None, Path(folder) / 'rig.yaml', None)

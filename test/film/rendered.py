@@ -126,6 +126,7 @@ class Film:
     crf: int = 20
     hidden: dict[int, range] = field(default_factory=dict)
     shake: np.ndarray | None = None
+    family: int = FAMILY
 
     def poses(self, times: np.ndarray) -> dict[int, tuple[np.ndarray, np.ndarray]]:
         """Return the center and angle (3, ...) of each tag, with two derivatives."""
@@ -223,7 +224,7 @@ class Film:
         self, picture: np.ndarray, plane: np.ndarray, tag: Tag, place: np.ndarray, turn: np.ndarray
     ) -> None:
         """Draw a tag over the picture, averaged over the exposure."""
-        code = bits(tag.number)
+        code = bits(tag.number, self.family)
         modules = len(code) - 2 * QUIET
         reach = tag.size * len(code) / modules * 0.75 + abs(place[1]) * self.exposure
         around = place[0] + reach * np.array([1 + 1j, 1 - 1j, -1 - 1j, -1 + 1j])
@@ -265,9 +266,9 @@ class Film:
         part[:] = np.rint(drawn)
 
 
-def bits(number: int) -> np.ndarray:
+def bits(number: int, family: int) -> np.ndarray:
     """Return the gray levels of the modules of a tag, with its white margin."""
-    dictionary = cv2.aruco.getPredefinedDictionary(FAMILY)
+    dictionary = cv2.aruco.getPredefinedDictionary(family)
     modules = dictionary.markerSize + 2
     code = cv2.aruco.generateImageMarker(dictionary, number, modules)
     code = np.pad(code, QUIET, constant_values=255)

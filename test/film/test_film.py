@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from rendered import FOUR_BAR, Camera, Film, Tag
@@ -113,6 +114,19 @@ def test_a_tag_behind_a_finger_is_left_out_and_found_again(tmp_path: Path) -> No
     assert is_seen[12:, 4].all()
     assert is_seen[:, [0, 1, 2, 3, 5, 6]].mean() > 0.98
     assert rms(filmed.corners - exact(film)) < 0.3e-3
+
+
+@pytest.mark.parametrize(
+    ('name', 'family'),
+    [('6x6_250', cv2.aruco.DICT_6X6_250), ('4x4_50', cv2.aruco.DICT_4X4_50)],
+)
+def test_the_family_is_recognized(name: str, family: int, tmp_path: Path) -> None:
+    film = Film(times(8), camera=SMALL, family=family)
+    filmed = read_film(film.write(tmp_path / 'aruco.mp4'), OPTIONS)
+    assert f'of family {name},' in filmed.assumed[1]
+    assert filmed.tags == tuple(range(7))
+    assert np.isfinite(filmed.corners).mean() > 0.98
+    assert rms(filmed.corners - exact(film)) < 1e-3
 
 
 def test_a_hand_that_holds_the_camera_is_corrected_by_the_ground(tmp_path: Path) -> None:

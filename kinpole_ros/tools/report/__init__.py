@@ -17,11 +17,11 @@ from kinpole_ros.settings import Settings
 from kinpole_ros.tools.record.record import MotionRecord, with_lost_frames
 from kinpole_ros.tools.record.result_bag import has_results, read_record
 from kinpole_ros.tools.report._collector import Collector
-from kinpole_ros.tools.report._prepare import prepared
+from kinpole_ros.tools.report._prepare import found_rig, prepared
 from kinpole_ros.tools.report._record_page import intervals, pack, page
 from kinpole_ros.tracking.plane import XY, plane_of
 
-__all__ = ['pack', 'page', 'prepared', 'replayed', 'report', 'settings_for']
+__all__ = ['found_rig', 'pack', 'page', 'prepared', 'replayed', 'report', 'settings_for']
 
 if TYPE_CHECKING:
     from kinpole_ros.film import Filmed
