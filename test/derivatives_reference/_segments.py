@@ -6,6 +6,7 @@ result is the mean over these segments, and is mixed with that of the models by 
 """
 
 from math import factorial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,23 +23,65 @@ _COEFFICIENT, _EVENT = 5.0, 12.0
 _SHORTEST = 3
 # How many segments count, and how far they are behind the best.
 _KEPT, _BEHIND = 8, 10.0
+# Evidence over that of models without events, with which events between segments are taken.
+_CLEAR = 10.0
 _SIGNALS = (slice(0, 1), slice(1, 3))
 
 
-def add_segments(window: Window, samples: Real, weight: Real, found: Found) -> None:
-    """Mix segments of `samples` (n, 3) with a `weight` (n,) into what is `found`."""
-    count, orders = len(samples), window.orders
+class Division(NamedTuple):
+    """
+    The best divisions by angle and position, each with a segment around the instant.
+
+    `values` (2, n + 1, n + 1) is their evidence by the first and last + 1 of this segment, less
+    that of the best. `evidence` (2,) is that of the best, over that of noise alone.
+    """
+
+    values: Real
+    evidence: Real
+
+
+def divide(window: Window, samples: Real, weight: Real) -> Division:
+    """Divide `samples` (n, 3) with a `weight` (n,) into segments."""
+    count = len(samples)
     at = window.at + (count - 1) / 2
-    present = np.concatenate(([0], np.cumsum(weight > 0)))
-    values = _values(samples, weight)
-    for c, part in enumerate(_SIGNALS):
+    values, evidence = _values(samples, weight), np.empty(2)
+    first, end = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing='ij')
+    around = (first - 0.5 <= at) & (end - 0.5 > at)
+    for c in range(2):
         before, after = _divide(values[c], c + 1)
-        whole = before[:, None] + values[c] + after
-        first, end = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing='ij')
-        around = (first - 0.5 <= at) & (end - 0.5 > at)
-        whole = np.where(around, whole, -np.inf)
+        evidence[c] = before[count] + np.count_nonzero(weight) * (c + 1) / 2
+        values[c] = np.where(around, before[:, None] + values[c] + after - before[count], -np.inf)
+    return Division(values, evidence)
+
+
+def nearest_event(window: Window, division: Division, none: Real) -> int:
+    """
+    The sample after the event nearest to the instant, or -1.
+
+    In the best division, that of the angle or of the position, if its evidence is clearly more than
+    that of models without events, `none` (2,).
+    """
+    count, gain = window.size, division.evidence - none
+    values = division.values[int(gain[1] > gain[0])]
+    if not (gain.max() > _CLEAR and values.max() > -_BEHIND):
+        return -1
+    first, end = np.unravel_index(values.argmax(), values.shape)
+    at = window.at + (count - 1) / 2
+    before = end == count or at - first < end - at
+    place = int(first if first > 0 and before else end)
+    return place if place < count else -1
+
+
+def add_segments(
+    window: Window, samples: Real, weight: Real, division: Division, found: Found
+) -> None:
+    """Mix segments of `samples` (n, 3) with a `weight` (n,) into what is `found`."""
+    orders = window.orders
+    present = np.concatenate(([0], np.cumsum(weight > 0)))
+    for c, part in enumerate(_SIGNALS):
+        whole = division.values[c]
         order = np.argsort(-whole, axis=None, kind='stable')[:_KEPT]
-        kept = [one for one in order if whole.flat[one] > before[count] - _BEHIND]
+        kept = [one for one in order if whole.flat[one] > -_BEHIND]
         if not kept:
             continue
         value = whole.flat[kept]
@@ -58,7 +101,7 @@ def add_segments(window: Window, samples: Real, weight: Real, found: Found) -> N
         off = np.array(means) - mean
         covariance = np.tensordot(share, spreads, 1)
         covariance += np.einsum('n,nkc,njc->kj', share, off, off) / (c + 1)
-        ahead = value[0] - found.evidence[c] + present[-1] * (c + 1) / 2
+        ahead = division.evidence[c] - found.evidence[c]
         probability, by = 1 / (1 + np.exp(-ahead)), 1 / (1 + np.exp(-ahead / 2))
         both = (1 - probability) * found.mean[:, part] + probability * mean
         total = np.zeros((orders, orders))

@@ -16,7 +16,13 @@ import numpy as np
 from derivatives_reference._evidence import KNOWN, Found, derive, weights_of
 from derivatives_reference._models import FLAT, _layout, modes_of, stencils_of
 from derivatives_reference._samples import Window, seen_of
-from derivatives_reference._segments import FEW_SAMPLES, add_segments
+from derivatives_reference._segments import (
+    FEW_SAMPLES,
+    Division,
+    add_segments,
+    divide,
+    nearest_event,
+)
 from kinpole_ros.planar._plane import Real
 
 # Steps of the motion itself, of its first and of its second derivative are looked for.
@@ -153,7 +159,8 @@ def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
         np.sqrt(1 - weight[cells].T), 0.0, 0, np.zeros((2, window.orders, window.orders)),
         len(cells),
     )  # fmt: skip
-    sets = _sets(window, samples, seen, weight[cells].T, empty)
+    division = divide(window, samples, weight.min(axis=1))
+    sets = _sets(window, samples, seen, weight[cells].T, empty, division)
     mean, freedom, evidence = np.zeros((window.orders, 3)), np.zeros(2), np.zeros(2)
     covariance = np.zeros((window.orders, window.orders, 2))
     for c in range(2):
@@ -185,7 +192,7 @@ def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
         freedom[c] = np.sum(likely[..., 0] * (modes.freedom + events[:, None]))
     found = Found(mean, covariance, freedom, evidence)
     if len(sets) > 1 or window.size <= FEW_SAMPLES:
-        add_segments(window, samples, weight.min(axis=1), found)
+        add_segments(window, samples, weight.min(axis=1), division, found)
     return found
 
 
@@ -267,7 +274,9 @@ def _derivatives(order: int, since: float, orders: int) -> Real:
     return np.array(each, float)
 
 
-def _sets(window: Window, samples: Real, seen: Real, lacking: Real, empty: _Set) -> list[_Set]:
+def _sets(
+    window: Window, samples: Real, seen: Real, lacking: Real, empty: _Set, division: Division
+) -> list[_Set]:
     """All sets of steps that count: the empty one, and those that explain samples better."""
     found: dict[int, _Candidate] = {}
     before = None
@@ -293,6 +302,14 @@ def _sets(window: Window, samples: Real, seen: Real, lacking: Real, empty: _Set)
     models = [screen.model for screen in found[first].screens]
     all_ = [empty, *(one for order, one in sets.items() if order != first)]
     best = sets[first]
+    # The event that segments show is one more; the first one at other orders is not needed then.
+    place = nearest_event(window, division, empty.evidence.max(axis=0))
+    if _EDGE <= place <= window.size - _EDGE and place != found[first].at:
+        same = _candidates(window, samples, seen, found[first].screens, 0.0)
+        order = max(same, key=lambda order: same[order].rank[place])
+        one = same[order]._replace(at=place)
+        all_ = [empty, best]
+        best = _extended(window, samples, seen, lacking, empty, order, one)
     for _ in range(_MOST_EVENTS - 1):
         screens = [_screen(window, best, lacking, c, models[c]) for c in range(2)]
         others = _candidates(window, samples, seen, screens, 0.0)

@@ -1,12 +1,12 @@
 /*
  * Polynomials with steps of their derivatives, by evidence: which events are reported.
  *
- * Within a window a signal is a polynomial and white noise. An event adds multiples of (t - p)^k / k!
- * after its place p, of one or two orders k. The evidence of polynomials with these steps is held
- * against that of polynomials without, of higher degrees too: each coefficient costs about the
- * logarithm of how far it exceeds its noise (the evidence of a Gaussian prior as wide as the estimate).
- * Angle and position have evidence of their own. Windows of several lengths are searched, because a
- * short one sees little but is simple.
+ * Within a window a signal is a polynomial and white noise. An event adds multiples of (t - p)^k /
+ * k! after its place p, of one or two orders k. The evidence of polynomials with these steps is
+ * held against that of polynomials without, of higher degrees too: each coefficient costs about the
+ * logarithm of how far it exceeds its noise (the evidence of a Gaussian prior as wide as the
+ * estimate). Angle and position have evidence of their own. Windows of several lengths are
+ * searched, because a short one sees little but is simple.
  *
  * Polynomials are orthonormal on the samples, so steps need no columns: their products with
  * polynomials, with samples and with each other are sums over the samples after the place, which a
@@ -25,32 +25,36 @@
 #define MAX_WINDOWS 16
 /* A window has so many times as many samples before the middle as after it. */
 #define BEFORE 2
-/* Degrees of polynomials with steps. Those without are at least FEWER higher, and one for so many samples:
-   what these do not explain shall not be explained by a step. */
+/* Degrees of polynomials with steps. Those without are at least FEWER higher, and one for so
+   many samples: what these do not explain shall not be explained by a step. */
 #define STEP_DEGREE 8
 #define FEWER 4
 #define SAMPLES_PER_DEGREE 7
 #define MAX_DEGREE 27
 /* Samples that the noise is known from beforehand. */
 #define PRIOR_SAMPLES 30.0
-/* What a size costs besides the logarithm of how far it exceeds its noise: of a step, of a degree. */
+/* What a size costs besides the logarithm of how far it exceeds its noise: of a step, of a
+   degree. */
 #define STEP_COST 2.4
 #define DEGREE_COST 1.0
 /* The log evidence that an event must have, by its order, and have more than its rivals. */
 static const double enough[] = {0.0, 18.0, 20.0, 24.0};
 #define AHEAD 3.0
-/* An event of order 2 or 3 is less distinct from smooth motion: its rivals must have less than this share of
-   its evidence, and signals of at most this degree must show it, */
+/* An event of order 2 or 3 is less distinct from smooth motion: its rivals must have less than
+   this share of its evidence, and signals of at most this degree must show it, */
 #define RIVAL_SHARE 0.65
 #define SIMPLE_DEGREE 4
 /* with so much evidence. */
 #define ENOUGH_SIMPLE 11.0
-/* A step of the lowest of two orders must exceed its noise by this, as a sum of squares of all signals. */
+/* A step of the lowest of two orders must exceed its noise by this, as a sum of squares of all
+   signals. */
 #define STANDS_OUT 25.0
-/* In a window half as long there must be this share of the evidence expected there, less an offset. */
+/* In a window half as long there must be this share of the evidence expected there, less an
+   offset. */
 #define CONFIRMED 0.6
 #define CONFIRMED_LESS 3.0
-/* Samples at either end of a window where no event is found, and places that are tried there at most, about. */
+/* Samples at either end of a window where no event is found, and places that are tried there at
+   most, about. */
 #define EDGE 2
 #define MAX_PLACES 192
 /* Degrees added where sizes are estimated, for the bias of the likeliest one. */
@@ -77,8 +81,8 @@ static const Orders events[SETS] = {{1, {1}}, {2, {1, 2}}, {1, {2}}, {2, {2, 3}}
 /* What may look like an event and is none: poses that jump, and motion that sets in gradually. */
 static const Orders rivals[SETS] = {{1, {0}}, {1, {4}}, {2, {4, 5}}, {1, {5}}, {2, {5, 6}}};
 
-/* Polynomials on the samples of a window, and how well they explain these. Index c is the angle or the
-   position. */
+/* Polynomials on the samples of a window, and how well they explain these. Index c is the angle
+   or the position. */
 typedef struct {
     long long count;
     int highest, simplest;
@@ -92,21 +96,22 @@ typedef struct {
 
 enum { SUMS = STEP_DEGREE + 1 + 3 };
 
-/* Sums over the samples after a place, with (t - place)^k / k! for each order k: of the polynomials, then of
-   the signals; and of the powers alone. */
+/* Sums over the samples after a place, with (t - place)^k / k! for each order k: of the
+   polynomials, then of the signals; and of the powers alone. */
 typedef struct {
     double sums[MOST_ORDER + 1][SUMS], powers[2 * MOST_ORDER + 1];
 } After;
 
-/* Columns that are added to polynomials: their products with each other, with the polynomials, and with the
-   signals. */
+/* Columns that are added to polynomials: their products with each other, with the polynomials,
+   and with the signals. */
 typedef struct {
     int count;
     double own[PAIR][PAIR], along[STEP_DEGREE + 1][PAIR], product[3][PAIR];
 } Added;
 
-/* Make the polynomials orthonormal on the samples by their recurrence. Its rounding grows from a degree of about
-   twice the root of the number of samples on; these are made orthogonal once more. */
+/* Make the polynomials orthonormal on the samples by their recurrence. Its rounding grows from a
+   degree of about twice the root of the number of samples on; these are made orthogonal once
+   more. */
 static void
 find_basis(Fit *f)
 {
@@ -171,8 +176,8 @@ fit_signals(Fit *f, int white)
     }
 }
 
-/* Fit the window with so many samples after its middle, of all `count`; returns 0 if there are too few. The
-   basis, of MAX_DEGREE + 1 times as many numbers as samples, is at `memory`. */
+/* Fit the window with so many samples after its middle, of all `count`; returns 0 if there are
+   too few. The basis, of MAX_DEGREE + 1 times as many numbers as samples, is at `memory`. */
 static int
 fit_window(const double *time, const double *values, long long count, long long after,
            double *memory, Fit *f)
@@ -199,8 +204,8 @@ fit_window(const double *time, const double *values, long long count, long long 
     return 1;
 }
 
-/* Find the sums after places, which rise, with the orders up to `highest`. Sums move to a place by h earlier
-   with (t - p + h)^k / k! = sum of (t - p)^(k - j) / (k - j)! h^j / j!. */
+/* Find the sums after places, which rise, with the orders up to `highest`. Sums move to a place
+   by h earlier with (t - p + h)^k / k! = sum of (t - p)^(k - j) / (k - j)! h^j / j!. */
 static void
 sum_after(const Fit *f, const double *places, int number, int highest, After *out)
 {
@@ -256,7 +261,8 @@ steps_of(const Orders *set, const After *after)
     return steps;
 }
 
-/* What polynomials leave of columns, each without those before it (Cholesky); sizes that are rounding are 0. */
+/* What polynomials leave of columns, each without those before it (Cholesky); sizes that are
+   rounding are 0. */
 typedef struct {
     double inverse[PAIR], shared, value[PAIR][3];
 } Reduced;
@@ -291,8 +297,9 @@ subtract_degree(const Fit *f, int degree, Added *left)
     }
 }
 
-/* Return the log evidence that columns add to the angle and to the position, each of which may be without; and
-   by part how much of it, and the likeliest degree. Degrees that cannot matter are skipped. */
+/* Return the log evidence that columns add to the angle and to the position, each of which may
+   be without; and by part how much of it, and the likeliest degree. Degrees that cannot matter
+   are skipped. */
 static double
 gain_of(const Fit *f, const Added *added, double *gain, int *degree)
 {
@@ -367,7 +374,8 @@ refine(const Fit *f, const Orders *set, double step, double *place, double *sigm
     return most;
 }
 
-/* Estimate the sizes of steps, with polynomials of these degrees (2), and the deviations of the first. */
+/* Estimate the sizes of steps, with polynomials of these degrees (2), and the deviations of the
+   first. */
 static void
 estimate_sizes(const Fit *f, const Added *added, const int *degree, double size[PAIR][3],
                double *sigma)
@@ -393,7 +401,8 @@ typedef struct {
     After after[2 * MAX_PLACES];
 } Places;
 
-/* List places at whole intervals from `first` to `last`, but the edges of the window, and sum after them. */
+/* List places at whole intervals from `first` to `last`, but the edges of the window, and sum
+   after them. */
 static void
 list_places(const Fit *f, double first, double last, int highest, Places *p)
 {
@@ -422,7 +431,8 @@ best_place(const Fit *f, const Orders *sets, const Places *p, int *at)
     return best;
 }
 
-/* An event at a place: the set of its steps, the gains (2) of angle and position, and their likeliest degrees. */
+/* An event at a place: the set of its steps, the gains (2) of angle and position, and their
+   likeliest degrees. */
 typedef struct {
     const Orders *set;
     Added steps;
@@ -430,7 +440,8 @@ typedef struct {
     int degree[2];
 } Hypothesis;
 
-/* Find the best set of steps near a place, of which the lowest order stands out, and describe it in `found`. */
+/* Find the best set of steps near a place, of which the lowest order stands out, and describe it
+   in `found`. */
 static void
 find_order(const Fit *f, double near, double step, Hypothesis *best, ChangePoint *found)
 {
@@ -458,8 +469,8 @@ find_order(const Fit *f, double near, double step, Hypothesis *best, ChangePoint
     }
 }
 
-/* Whether a shorter window shows what the curve with the steps lets expect of it. `curve` has room for the
-   samples of the shorter window, three times. */
+/* Whether a shorter window shows what the curve with the steps lets expect of it. `curve` has
+   room for the samples of the shorter window, three times. */
 static int
 is_confirmed(const Fit *f, const Fit *shorter, const Hypothesis *event, double place, double *curve)
 {
@@ -484,7 +495,8 @@ is_confirmed(const Fit *f, const Fit *shorter, const Hypothesis *event, double p
                 own[t] += along * f->basis[d * f->count + row];
             }
             for (int k = 0; k < added->count && since > 0; k++)
-                own[t] += size[k][c] * pow(since, event->set->order[k]) / tgamma(event->set->order[k] + 1);
+                own[t] += size[k][c] * pow(since, event->set->order[k]) /
+                    tgamma(event->set->order[k] + 1);
         }
         second.values[c] = own;
     }
@@ -500,7 +512,8 @@ is_confirmed(const Fit *f, const Fit *shorter, const Hypothesis *event, double p
     return found >= CONFIRMED * expected - CONFIRMED_LESS;
 }
 
-/* Find an event in one window, of which `shorter` (0 or more) are parts; returns whether there is one. */
+/* Find an event in one window, of which `shorter` (0 or more) are parts; returns whether there
+   is one. */
 static int
 search_window(const Fit *f, int shorter, double offset, double radius, Places *p, double *scratch,
               ChangePoint *found)
@@ -538,7 +551,8 @@ kinpole_find_event(const double *time, const double *values, long long count, lo
     double *memory = malloc((MAX_WINDOWS * of_basis + 3 * count) * sizeof(double));
     Places *places = malloc(sizeof *places);
     found->gain = -INFINITY;
-    for (int is_last = !memory || !places; !is_last && number < MAX_WINDOWS; after = (after + 1) / 2) {
+    int is_last = !memory || !places;
+    for (; !is_last && number < MAX_WINDOWS; after = (after + 1) / 2) {
         is_last = after <= SHORTEST;
         after = is_last ? SHORTEST : after;
         Fit *f = fits + number;

@@ -7,8 +7,8 @@
  *
  *   derive_signal    finds the grid, fills cells and blocks (window.c, samples.c)
  *   derive_uneven    fills missing samples, moves others to the even grid (samples.c, mean.c)
- *   derive_even      evaluates models (evidence.c), searches events (events.c), averages (mean.c), mixes
- *                    segments into the result (segments.c)
+ *   derive_even      evaluates models (evidence.c), searches events (events.c), averages (mean.c),
+ *                    mixes segments into the result (segments.c)
  *   write_results    converts samples to seconds, and deviations of the noise to rad and m
  */
 
@@ -42,8 +42,8 @@
 /* Windows are searched if their best evidence is below that of a line by this many log widths of
    the flat prior. With 1 the errors are the same, and the search takes a sixth longer. */
 #define SEARCH_BELOW 3
-/* Windows of more samples are divided into segments only if an event was found. In fewer a process explains what is an
-   event. */
+/* Windows of more samples are divided into segments only if an event was found. In fewer a
+   process explains what is an event. */
 #define FEW_SAMPLES 48
 
 /* Cells of a window at most: more than any has, and an integer. */
@@ -140,6 +140,7 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
     Models m;
     Work w;
     Set sets[MAX_SETS];
+    Division d = {.count = 0};
     int number = 1, code = DONE;
     const Table *table = find_table(call, window, s->count, 0, 0.0);
     const Table *stencils =
@@ -158,11 +159,13 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
         (sets[0].best_evidence[0] < -SEARCH_BELOW * call->flat ||
          sets[0].best_evidence[1] < -SEARCH_BELOW * call->flat * 2);
     if (is_searched)
-        code = search_events(call, &m, &by, s, &w, window->block, sets, &number);
+        code = search_events(call, &m, &by, s, &w, window->block, sets, &number, &d);
+    if (!code && is_searched && !d.count && s->count <= FEW_SAMPLES)
+        code = divide_window(call, s, &d);
     if (!code)
         differentiate(&m, &by, &w, sets, number, out);
-    if (!code && is_searched && (number > 1 || s->count <= FEW_SAMPLES))
-        code = add_segments(call, &by, s, out);
+    if (!code && d.count)
+        add_segments(&by, s, &d, out);
     return code;
 }
 

@@ -13,6 +13,6 @@
 #include "evidence.c"
 #include "mean.c"
 #include "screens.c"
-#include "events.c"
 #include "segments.c"
+#include "events.c"
 #include "derive.c"

@@ -239,7 +239,7 @@ add_place_covariance(const Models *m, const Stencils *by, const Set *from, const
 
 PRIVATE int
 search_events(Call *call, const Models *m, const Stencils *by, const Samples *s, const Work *w,
-              long long block, Set *sets, int *number)
+              long long block, Set *sets, int *number, Division *d)
 {
     long long most = sets->cells + MAX_STEPS, n = m->count, orders = by->orders;
     size_t of_set = size_of_set(m, orders, most, MAX_STEPS, 2);
@@ -254,15 +254,30 @@ search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
     double *scratch;
     TAKE(scratch, (1 + STEP_ORDERS * MAX_ORDERS) * n);
     data = lay_out_screens(n, orders, most, data, screens);
-    Candidate events[STEP_ORDERS];
-    for (int k = 0; k < STEP_ORDERS; k++)
-        events[k].value = -INFINITY;
+    Candidate events[STEP_ORDERS + 1];
+    for (int k = 0; k <= STEP_ORDERS; k++)
+        events[k].value = -INFINITY, events[k].gain = 0;
     screen_window(m, s, w, sets, scratch, screens, events);
     const Candidate *first = best_candidate(events);
     if (!(first->gain >= MIN_GAIN))
         return DONE;
+    if (divide_window(call, s, d))
+        return NO_MEMORY;
+    long long place = nearest_event(d, sets, by->at);
+    if (place >= EDGE_SAMPLES && place <= n - EDGE_SAMPLES && place != first->sample) {
+        const double *gain = first->screens->gain + place;
+        int order = 0;
+        for (int k = 0; k < STEP_ORDERS; k++) {
+            order = gain[k * n] > gain[order * n] ? k : order;
+            if (events + k != first)
+                events[k].gain = 0.0;
+        }
+        events[STEP_ORDERS] = *first, events[STEP_ORDERS].sample = place;
+        events[STEP_ORDERS].order = order;
+        first = events + STEP_ORDERS;
+    }
     Set *one = NULL;
-    for (int k = 0; k < STEP_ORDERS; k++) {
+    for (int k = 0; k <= STEP_ORDERS; k++) {
         if (!(events[k].gain >= MIN_GAIN) || events[k].value < first->value - MAX_EVIDENCE_BEHIND)
             continue;
         Set *set = sets + ++*number - 1;

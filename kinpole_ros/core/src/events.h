@@ -10,14 +10,15 @@
  * 2. Evaluation. The best candidate of each order becomes columns of the regression: the step, its
  *    shift in time, and a step of the next derivative. All models are evaluated with them
  *    (`add_event`, `evaluate_models`).
+ *    If segments (segments.c) show an event near the instant, it is one more candidate.
  * 3. Another event is screened with those before in place, and then evaluated, up to MAX_EVENTS.
  * 4. Other places of an event, by their evidence, add to the covariance (`add_place_covariance`).
  *
  * `search_events` returns the sets, and `differentiate` averages all models with all of them. The
  * evidence of a set less that of the first set, without events, says how sure its events are.
  *
- * change_points.c finds the events that are reported. It has polynomials instead of these models, and
- * excludes what only looks like an event. Both have the same columns of steps and nothing more.
+ * change_points.c finds the events that are reported. It has polynomials instead of these models,
+ * and excludes what only looks like an event. Both have the same columns of steps and nothing more.
  */
 
 #ifndef KINPOLE_EVENTS_H
@@ -27,10 +28,12 @@
 #include "models.h"
 #include "private.h"
 #include "samples.h"
+#include "segments.h"
 
-/* Search a window for up to MAX_EVENTS events, and evaluate the models with them. The first of `sets` has
-   no events, and is evaluated already. `number` is the number of sets. */
+/* Search a window for up to MAX_EVENTS events, and evaluate the models with them. The first of
+   `sets` has no events, and is evaluated already. `number` is the number of sets. */
 PRIVATE int search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
-                          const Work *w, long long block, Set *sets, int *number);
+                          const Work *w, long long block, Set *sets, int *number,
+                          Division *d);
 
 #endif

@@ -46,7 +46,8 @@ PRIVATE void project_samples(const Models *m, const Samples *s, Work *w);
    of a longer one are left out: theirs is lower still. */
 PRIVATE void evaluate_models(const Models *m, const Samples *s, const Work *w, Set *set);
 
-/* Compute the probabilities of all models with all sets, from their evidence; returns the log evidence of all. */
+/* Compute the probabilities of all models with all sets, from their evidence; returns the log
+   evidence of all. */
 PRIVATE double find_probabilities(const Models *m, int c, Set *sets, int number);
 
 /* Compute the weights of all models with all sets in the covariance: square roots of the evidence,

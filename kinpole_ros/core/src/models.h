@@ -16,10 +16,11 @@
 
 /* Derivatives from order 0 on. */
 #define MAX_ORDERS (HIGHEST + 1)
-/* Events of processes in a window at most; segments have any number. With 4 the error at events is that of 2. */
+/* Events of processes in a window at most; segments have any number. With 4 the error at events
+   is that of 2. */
 #define MAX_EVENTS 2
 /* Sets of events: none, one of each order, and more. Columns of an event. */
-#define MAX_SETS (STEP_ORDERS + MAX_EVENTS)
+#define MAX_SETS (STEP_ORDERS + 1 + MAX_EVENTS)
 #define EVENT_COLUMNS 3
 #define MAX_STEPS (EVENT_COLUMNS * MAX_EVENTS)
 

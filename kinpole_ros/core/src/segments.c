@@ -5,32 +5,26 @@
 #include "memory.h"
 #include "numbers.h"
 
-/* Highest degree in a segment: that of free flight. The covariance is that of a polynomial MORE_DEGREES higher,
-   because the samples do not show what is below their noise. */
+/* Highest degree in a segment: that of free flight. The covariance is that of a polynomial
+   MORE_DEGREES higher, because the samples do not show what is below their noise. */
 #define DEGREE 2
 #define MORE_DEGREES 2
 #define COLUMNS MAX_ORDERS
-/* Log evidence that a coefficient costs, about the logarithm of how far it exceeds its noise; and an event, of the
-   number of its places. */
+/* Log evidence that a coefficient costs, about the logarithm of how far it exceeds its noise;
+   and an event, of the number of its places. */
 #define COEFFICIENT_COST 5.0
 #define EVENT_COST 12.0
 /* Samples of the shortest segment. */
 #define MIN_LENGTH 3
-/* Segments around the instant that count, and the log evidence by which others may be behind the best. */
+/* Segments around the instant that count, and the log evidence by which others may be behind the
+   best. */
 #define MAX_KEPT 8
 #define MAX_BEHIND 10.0
 /* Log evidence behind the models with which segments have no weight, whatever their covariance. */
 #define NEGLIGIBLE 60.0
-
-/* All segments of a window, by part: the log evidence of those of length k + 1, by their first sample (count, count);
-   the best evidence of the samples before and from each one on (count + 1). */
-typedef struct {
-    long long count;
-    double *root;    /* (count): of the weights */
-    double *present; /* (count + 1): how many samples before each one are not missing */
-    double *value[2], *before[2], *after[2];
-    double *scratch; /* at least (COLUMNS + 3, count) */
-} Division;
+/* Log evidence more than that of models without events, with which the events between segments
+   are taken. */
+#define CLEAR_GAIN 10.0
 
 /* The polynomials of all segments of one length, by their first sample (count). */
 typedef struct {
@@ -46,8 +40,8 @@ rotate(double cosine, double sine, double *own, double *other)
     *other = cosine * *other - sine * old;
 }
 
-/* Rotate one more sample, the one `last` after the first, into the triangular factors of all segments that it extends.
-   If all samples count alike, the `distinct` factors are one. */
+/* Rotate one more sample, the one `last` after the first, into the triangular factors of all
+   segments that it extends. If all samples count alike, the `distinct` factors are one. */
 static void
 extend_factors(const Division *d, long long distinct, long long last, Fits *f)
 {
@@ -94,8 +88,8 @@ extend_signal(const double *restrict sample, const double *restrict root, long l
     }
 }
 
-/* Find the log evidence of a segment by its degree, from the `squares` that the highest degree leaves and those of each
-   coefficient, both summed over the signals of a part. */
+/* Find the log evidence of a segment by its degree, from the `squares` that the highest degree
+   leaves and those of each coefficient, both summed over the signals of a part. */
 static inline void
 evidence_of_degrees(int part, double squares, const double *of_degree, double *evidence)
 {
@@ -144,7 +138,8 @@ evaluate_segments(Call *call, const Samples *s, Division *d)
     long long n = s->count;
     int is_even = 1;
     size_t of_fits = (DEGREE + 1) * (DEGREE + 1 + 3 + 3) + 3;
-    char *data = kinpole_buffer(call, OF_SEGMENTS, ((of_fits + 6 + 2 * n) * n + 5) * sizeof(double));
+    size_t size = ((of_fits + 6 + 2 * n) * n + 5) * sizeof(double);
+    char *data = kinpole_buffer(call, OF_SEGMENTS, size);
     Fits f;
     if (!data)
         return NO_MEMORY;
@@ -179,9 +174,9 @@ evaluate_segments(Call *call, const Samples *s, Division *d)
     return DONE;
 }
 
-/* Find the best evidence of the samples before each one. The first segment is not after an event, and its mean and
-   slope cost nothing, as those of the models. Returns the evidence of all, over that of noise alone, which leaves a
-   square of 1 a sample. */
+/* Find the best evidence of the samples before each one. The first segment is not after an
+   event, and its mean and slope cost nothing, as those of the models. Returns the evidence of
+   all, over that of noise alone, which leaves a square of 1 a sample. */
 static double
 divide_before(const Division *d, int part)
 {
@@ -212,7 +207,8 @@ divide_after(const Division *d, int part)
                 after[first], after[end] + d->value[part][(end - 1 - first) * n + first]);
 }
 
-/* Samples from `first` to before `end`, and the evidence of the best division that has them as a segment. */
+/* Samples from `first` to before `end`, and the evidence of the best division that has them as a
+   segment. */
 typedef struct {
     long long first, end;
     double value;
@@ -241,15 +237,16 @@ keep_segments(const Division *d, int part, double at, Segment *kept)
     return number;
 }
 
-/* The derivatives of a segment at the instant: means (3, orders), and deviations as vectors over the coefficients of
-   the polynomial. */
+/* The derivatives of a segment at the instant: means (3, orders), and deviations as vectors over
+   the coefficients of the polynomial. */
 typedef struct {
     int degree, highest[MAX_ORDERS];
     double mean[3][MAX_ORDERS], spread[MAX_ORDERS][COLUMNS];
 } Piece;
 
-/* Fit a segment by a polynomial of COLUMNS coefficients, and differentiate that of its best degree. The powers of
-   time, of which each is made orthonormal to those before it, and the signals are at `scratch` (COLUMNS + 3, n). */
+/* Fit a segment by a polynomial of COLUMNS coefficients, and differentiate that of its best
+   degree. The powers of time, of which each is made orthonormal to those before it, and the
+   signals are at `scratch` (COLUMNS + 3, n). */
 static void
 differentiate_segment(const Stencils *by, const Samples *s, const Division *d, int part,
                       const Segment *segment, double *scratch, Piece *out)
@@ -306,13 +303,15 @@ differentiate_segment(const Stencils *by, const Samples *s, const Division *d, i
     }
 }
 
-/* The result of several segments: means (3, orders), covariance, and effective number of parameters. */
+/* The result of several segments: means (3, orders), covariance, and effective number of
+   parameters. */
 typedef struct {
     double mean[3][MAX_ORDERS], covariance[MAX_ORDERS][MAX_ORDERS], freedom;
 } Average;
 
-/* Average the best segments of one part by their evidence, and its square root in the covariance. A segment that is
-   too short to show a derivative has the `unknown` variance of it. Returns how many segments there are. */
+/* Average the best segments of one part by their evidence, and its square root in the
+   covariance. A segment that is too short to show a derivative has the `unknown` variance of it.
+   Returns how many segments there are. */
 static int
 average_segments(const Stencils *by, const Samples *s, const Division *d, int part,
                  const double (*unknown)[MAX_ORDERS], Average *out)
@@ -323,7 +322,8 @@ average_segments(const Stencils *by, const Samples *s, const Division *d, int pa
     double total = 0.0, root_total = 0.0;
     memset(out, 0, sizeof *out);
     for (int k = 0; k < number; k++)
-        total += exp(kept[k].value - kept->value), root_total += exp((kept[k].value - kept->value) / 2);
+        total += exp(kept[k].value - kept->value),
+            root_total += exp((kept[k].value - kept->value) / 2);
     for (int k = 0; k < number; k++) {
         double probability = exp(kept[k].value - kept->value) / total;
         differentiate_segment(by, s, d, part, kept + k, d->scratch, piece + k);
@@ -350,7 +350,8 @@ average_segments(const Stencils *by, const Samples *s, const Division *d, int pa
     return number;
 }
 
-/* Mix a result of segments into that of the models, by a probability in the mean and a weight in the covariance. */
+/* Mix a result of segments into that of the models, by a probability in the mean and a weight in
+   the covariance. */
 static void
 mix(const Average *segments, int part, long long orders, double probability, double weight,
     Estimate *estimate)
@@ -375,19 +376,39 @@ mix(const Average *segments, int part, long long orders, double probability, dou
 }
 
 PRIVATE int
-add_segments(Call *call, const Stencils *by, const Samples *s, Estimate *estimate)
+divide_window(Call *call, const Samples *s, Division *d)
 {
-    Division d;
-    if (evaluate_segments(call, s, &d))
+    if (evaluate_segments(call, s, d))
         return NO_MEMORY;
+    for (int part = 0; part < 2; part++)
+        d->evidence[part] = divide_before(d, part), divide_after(d, part);
+    return DONE;
+}
+
+PRIVATE long long
+nearest_event(const Division *d, const Set *none, double at)
+{
+    Segment kept[MAX_KEPT];
+    double gain[2];
+    for (int part = 0; part < 2; part++)
+        gain[part] = d->evidence[part] - none->best_evidence[part];
+    int part = gain[1] > gain[0];
+    if (!(gain[part] > CLEAR_GAIN) || !keep_segments(d, part, at, kept))
+        return -1;
+    int is_before = kept->end == d->count || at - kept->first < kept->end - at;
+    long long place = kept->first > 0 && is_before ? kept->first : kept->end;
+    return place < d->count ? place : -1;
+}
+
+PRIVATE void
+add_segments(const Stencils *by, const Samples *s, const Division *d, Estimate *estimate)
+{
     for (int part = 0; part < 2; part++) {
         Average segments;
-        double ahead = divide_before(&d, part) - estimate->evidence[part];
-        if (ahead < -NEGLIGIBLE)
-            continue;
-        divide_after(&d, part);
-        if (average_segments(by, s, &d, part, estimate->covariance[part], &segments))
-            mix(&segments, part, by->orders, 1 / (1 + exp(-ahead)), 1 / (1 + exp(-ahead / 2)), estimate);
+        double ahead = d->evidence[part] - estimate->evidence[part];
+        if (ahead > -NEGLIGIBLE &&
+            average_segments(by, s, d, part, estimate->covariance[part], &segments))
+            mix(&segments, part, by->orders, 1 / (1 + exp(-ahead)), 1 / (1 + exp(-ahead / 2)),
+                estimate);
     }
-    return DONE;
 }

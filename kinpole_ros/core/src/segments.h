@@ -1,15 +1,17 @@
 /*
- * Low polynomials between events: the simplest motions, as free flight between impacts or turning between stops.
+ * Low polynomials between events: the simplest motions, as free flight between impacts or turning
+ * between stops.
  *
- * The window is divided into segments, and in each of these a signal is a polynomial of its own. The log evidence of a
- * division is the sum over its segments of
+ * The window is divided into segments, and in each of these a signal is a polynomial of its own.
+ * The log evidence of a division is the sum over its segments of
  *
  *   -(residual sum of squares) / 2 - COEFFICIENT_COST (coefficients) - EVENT_COST
  *
- * and dynamic programming finds the best sums before and after each sample, so the best division with any segment
- * around the instant is known (Jackson and others, An algorithm for optimal partitioning of data on an interval, 2005).
- * The result is the mean over these segments. The polynomials of all segments of a length are fitted side by side, by
- * Givens rotations: each sample is rotated into the triangular factors of the segments that it extends.
+ * and dynamic programming finds the best sums before and after each sample, so the best division
+ * with any segment around the instant is known (Jackson and others, An algorithm for optimal
+ * partitioning of data on an interval, 2005). The result is the mean over these segments. The
+ * polynomials of all segments of a length are fitted side by side, by Givens rotations: each sample
+ * is rotated into the triangular factors of the segments that it extends.
  */
 
 #ifndef KINPOLE_SEGMENTS_H
@@ -21,7 +23,29 @@
 #include "private.h"
 #include "samples.h"
 
-/* Estimate the derivatives by segments, and mix them into those of the models, by the evidence of both. */
-PRIVATE int add_segments(Call *call, const Stencils *by, const Samples *s, Estimate *estimate);
+/* All segments of a window, by part: the log evidence of those of length k + 1, by their first
+   sample (count, count); the best evidence of the samples before and from each one on (count +
+   1). */
+typedef struct {
+    long long count;
+    double *root;    /* (count): of the weights */
+    double *present; /* (count + 1): how many samples before each one are not missing */
+    double *value[2], *before[2], *after[2];
+    double evidence[2]; /* of the best division, over that of noise alone */
+    double *scratch; /* at least (COLUMNS + 3, count) */
+} Division;
+
+/* Divide a window into segments. */
+PRIVATE int divide_window(Call *call, const Samples *s, Division *d);
+
+/* Return the sample after the event that is nearest to the instant in the best division, that of
+   the angle or of the position, if its evidence is clearly more than that of models without
+   events (`none`); -1 otherwise. */
+PRIVATE long long nearest_event(const Division *d, const Set *none, double at);
+
+/* Estimate the derivatives by segments, and mix them into those of the models, by the evidence
+   of both. */
+PRIVATE void add_segments(const Stencils *by, const Samples *s, const Division *d,
+                          Estimate *estimate);
 
 #endif
