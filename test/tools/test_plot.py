@@ -499,7 +499,7 @@ def test_a_curve_of_few_instants_is_not_called_one_of_none(bags, tmp_path, monke
     curvature = record.columns['rod', 'centrode_curvature']
     curvature[np.flatnonzero(np.isfinite(curvature))[1:]] = np.nan
     monkeypatch.setattr(_result_picture, 'read_record', lambda *_: record)
-    text = b'determined at less than 1% of the instants'
+    text = b'known at less than 1% of instants'
     assert text in drawn(bags['cardan'], tmp_path / 'few.svg')
 
 

@@ -103,7 +103,7 @@ def draw_panel(
     share = len(panel.series.stamp) / len(record.stamp) if panel.series is not None else 0.0
     if share < 0.9:
         percent = f'{share:.0%}' if share >= 0.01 else 'less than 1%'
-        text = f'determined at {percent} of the instants' if share else 'undetermined'
+        text = f'known at {percent} of instants' if share else 'undetermined'
         if not share and _is_pinned(record, body):
             text = 'none: the ICR is a pin, and stands still'
         axis.text(0.02, 0.94, text, transform=axis.transAxes, va='top', fontsize='small', zorder=5)
