@@ -318,7 +318,7 @@ def test_a_body_that_is_hidden_in_frames_that_are_there_is_undetermined_and_not_
     assert 'lost' not in title_of(figure)
     share = len(stamp) / len(record.stamp)
     rate_axis = figure.axes[13 + 1]
-    assert [f'determined at {share:.0%} of the instants'] == [t.get_text() for t in rate_axis.texts]
+    assert [f'known at {share:.0%} of instants'] == [t.get_text() for t in rate_axis.texts]
 
 
 def pictured(bag: Path, folder: Path, monkeypatch, truth=None):
