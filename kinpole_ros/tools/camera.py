@@ -29,6 +29,7 @@ def publish(source: str, options: FilmOptions, topic: str) -> int:
         markers = node.create_publisher(INPUT_TYPES['marker_array'], topic, 10)
         image = node.create_publisher(CompressedImage, '~/image', qos_profile_sensor_data)
         was_learned, begin = False, 0
+        print(f'learning the plane; then markers on {markers.topic_name}', flush=True)
         with closing(live_pictures(source)) as pictures:  # type: ignore[type-var]
             for picture in pictures:
                 begin = begin or node.get_clock().now().nanoseconds - picture.stamp

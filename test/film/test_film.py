@@ -223,6 +223,9 @@ def test_a_camera_publishes_markers(four_bar: tuple[Film, Path]) -> None:
     command = [sys.executable, *words, '--topic', '/film/markers']
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
         try:
+            assert process.stdout is not None
+            while b'markers on /film/markers' not in process.stdout.readline():
+                assert process.poll() is None
             frames, _ = listen('/film/markers', 0.2)
             out, _ = process.communicate(timeout=50)
         finally:
