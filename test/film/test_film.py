@@ -106,6 +106,19 @@ def test_a_lens_and_uneven_stamps_and_a_rolling_shutter_are_corrected(tmp_path: 
     assert rms(read_film(path, others[0]).corners - exact(film)) > 0.5e-3
 
 
+def test_a_film_of_few_places_is_taken_for_one_from_the_front(tmp_path: Path) -> None:
+    tags = (Tag(3, 'ground', -0.05 + 0.1j), Tag(4, 'ground', 0.3 + 0.1j))
+    front = replace(SMALL, tilt=0.0)
+    film = Film(times(10), tags, front)
+    filmed = read_film(film.write(tmp_path / 'two.mp4'), OPTIONS)
+    assert 'tag 0 is not seen, so the origin is the middle of the picture' in filmed.assumed[1 + 1]
+    place = filmed.corners.mean(axis=(0, 2))
+    assert abs(place[1] - place[0]) == pytest.approx(0.35, rel=0.01)
+    # Far from the tags, too.
+    corner = filmed.maps[0].to_plane(np.array([0.0, 0.0]))
+    assert abs(corner - (-0.475 + 0.267j)) < 0.05
+
+
 def test_a_tag_behind_a_finger_is_left_out_and_found_again(tmp_path: Path) -> None:
     film = Film(times(18), camera=SMALL, hidden={4: range(6, 11)})
     filmed = read_film(film.write(tmp_path / 'finger.mp4'), OPTIONS)
@@ -261,6 +274,19 @@ def test_damaged_videos_end_in_one_line(ending: str, tmp_path: Path) -> None:
         except FilmError as error:
             assert '\n' not in str(error)
     assert read
+
+
+def test_pictures_are_turned_as_players_show_them(tmp_path: Path) -> None:
+    path = Film(times(2), camera=Camera((320, 180))).write(tmp_path / 'flat.mp4')
+    flat = [picture.gray for picture in Video(path).pictures()]
+    # The matrix of the track, as phones write it that were held upright.
+    one, zero, less = b'\0\1\0\0', b'\0' * 4, b'\xff\xff\0\0'
+    before, matrix = path.read_bytes().rsplit(one + 3 * zero + one, 1)
+    upright = tmp_path / 'upright.mp4'
+    upright.write_bytes(before + zero + one + zero + less + zero + matrix)
+    turned = [picture.gray for picture in Video(upright).pictures()]
+    assert len(turned) == 2 and turned[0].shape == (320, 180)
+    assert (turned[0] == np.rot90(flat[0], -1)).all()
 
 
 def test_an_unknown_compression_is_refused(tmp_path: Path) -> None:
