@@ -1,5 +1,6 @@
 """A film of printed tags becomes markers in the plane, by the exact motion that it shows."""
 
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -247,6 +248,21 @@ def test_a_camera_publishes_markers(four_bar: tuple[Film, Path]) -> None:
     steps = np.diff(np.concatenate([one.stamps for one in frames]))
     assert len(steps) and np.abs(steps % (10**9 / 30)).min() < 1e6
     assert frames[0].points.shape[1] == 28
+
+
+def test_ctrl_c_ends_a_camera_with_its_count(four_bar: tuple[Film, Path]) -> None:
+    pytest.importorskip('rclpy')
+    words = ['-m', 'kinpole_ros.tools.cli', 'camera', str(four_bar[1]), '--size', '24mm']
+    command = [sys.executable, *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
+        try:
+            assert process.stdout is not None
+            assert b'learning the plane' in process.stdout.readline()
+            process.send_signal(signal.SIGINT)
+            out, _ = process.communicate(timeout=50)
+        finally:
+            process.kill()
+    assert (process.returncode, out) == (0, b'0 messages published\n')
 
 
 def test_a_film_without_tags_is_refused(tmp_path: Path) -> None:
