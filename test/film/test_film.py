@@ -229,6 +229,19 @@ def test_tags_of_a_camera_are_placed_after_a_second_and_a_half(
     assert seen > 0.98 * 28 * 16
 
 
+def test_a_live_camera_has_to_stand_still(tmp_path: Path) -> None:
+    t = times(46)
+    shake = np.stack((8 * np.sin(5 * t), 6 * np.cos(4 * t), 0 * t), axis=-1)
+    small = Camera((640, 360), width=0.6, target=0j)
+    film = Film(t, (Tag(0, 'ground', -0.1 + 0j, size=0.04),), small, shake=shake)
+    live = LiveTags(FilmOptions())
+    with pytest.raises(FilmError, match=r'the camera moves by .* live it has to stand still'):
+        for picture in film.pictures():
+            live.find(picture)
+    with pytest.raises(FilmError, match='--line-time is for videos'):
+        LiveTags(FilmOptions(line_time=1e-5))
+
+
 def test_a_camera_publishes_markers(four_bar: tuple[Film, Path]) -> None:
     pytest.importorskip('rclpy')
     from kinpole_ros.ros.listener import listen
