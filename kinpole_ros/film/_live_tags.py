@@ -66,8 +66,8 @@ class LiveTags:
             if len(filmed.maps) > 1:
                 ground, _, _ = filmed.assumed[-1].partition('; perspective')
                 raise FilmError(
-                    f'{ground}; live it has to stand still; fix: hold it by a tripod, or name a tag '
-                    'of the ground by --ground'
+                    f'{ground}; live it has to stand still; fix: hold it by a tripod, or name a '
+                    'tag of the ground by --ground'
                 )
             self.learned = filmed
 
