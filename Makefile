@@ -32,7 +32,10 @@ ifneq ($(AMENT_PREFIX_PATH),)
 KIND := $(shell "$(BASE)" -c 'import rclpy' 2>/dev/null && echo ros)
 endif
 demo_EXTRAS := plot
-test_EXTRAS := batch,cluster,film,formats,pandas,parquet,plot,test
+# OpenCV 5 needs numpy 2, so the oldest versions go without films.
+oldest_EXTRAS := batch,cluster,formats,pandas,parquet,plot,test
+newest_EXTRAS := film,$(oldest_EXTRAS)
+test_EXTRAS := $(newest_EXTRAS)
 docs_EXTRAS := docs,plot
 ifeq ($(KIND),ros)
 # numpy and the other packages of that ROS are used, so there is no lock.
@@ -71,7 +74,7 @@ oldest newest:
 	@$(if $(filter oldest,$@),grep -oE "'[A-Za-z][A-Za-z0-9_-]*>=[0-9.]+'" setup.py,:) \
 	  | tr -d "'" | sed 's/>=/==/' > .venv-$@/bounds.txt
 	@.venv-$@/bin/python -m pip install --quiet --constraint .venv-$@/bounds.txt \
-	  --editable '.[$(test_EXTRAS),docs$(ROS)]'
+	  --editable '.[$($@_EXTRAS),docs$(ROS)]'
 	@PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 OPENBLAS_NUM_THREADS=1 \
 	  .venv-$@/bin/python $(PYTEST) $(PYTEST_ARGS)
 

@@ -6,7 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from kinpole_ros.bags import write_points
-from kinpole_ros.film._ground import PlaneMap, fit_plane, off_square, square_poses
+from kinpole_ros.film._ground import (
+    PlaneMap,
+    different_views,
+    fit_plane,
+    off_square,
+    square_poses,
+)
 from kinpole_ros.film._lens import Lens, read_lens
 from kinpole_ros.film._tags import TagFinder
 from kinpole_ros.film._video import FilmError, Progress, Video
@@ -152,10 +158,10 @@ def place_tags(seen: Seen, options: FilmOptions) -> Filmed:
         pixels = _at_one_instant(seen, options.line_time)
     if lens is not None:
         pixels = lens.straight(pixels)
-    is_seen = np.isfinite(pixels).all(axis=(2, 3))
-    plane = fit_plane(pixels[is_seen], options.size, seen.picture, lens is not None)
+    views = different_views(pixels)
+    plane = fit_plane(views, options.size, seen.picture, lens is not None)
     corners = plane.to_plane(pixels)
-    pixel = options.size / np.median(np.linalg.norm(np.diff(pixels[is_seen], axis=1), axis=-1))
+    pixel = options.size / np.median(np.linalg.norm(np.diff(views, axis=1), axis=-1))
     _leave_out_hidden(corners, options.size, plane.residual, pixel)
     maps, ground_text = _on_ground(corners, seen.tags, plane, options, pixel)
     for tag in options.ground:

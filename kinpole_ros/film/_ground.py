@@ -11,10 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 _MOST_SEEN = 2000  # squares that are fitted
+_OF_A_PLACE = 5  # of one tag at one place
 _ROUNDS = 30
 _HUBER = 2.0  # robust scales of a residual beyond which it counts less
 # A lens without a file may bend straight lines so far (standard deviation): 2% at the corners.
 _BENDING = 0.02
+_LEANING = 0.3  # the same for perspective: a camera that looks at the plane from its side
 _SQUARE = np.array([-1 + 1j, 1 + 1j, 1 - 1j, -1 - 1j]) / 2
 
 
@@ -64,6 +66,23 @@ def _homogeneous(points: np.ndarray) -> np.ndarray:
     return np.concatenate((points, np.ones((*points.shape[:-1], 1))), axis=-1)
 
 
+def different_views(pixels: np.ndarray) -> np.ndarray:
+    """
+    Return corners (N, 4, 2) of the tags (T, n, 4, 2) that are seen, a few of each place.
+
+    A tag that stands still tells no more in many pictures, which repeat its error.
+    """
+    is_seen = np.isfinite(pixels).all(axis=(2, 3))
+    corners, (_, tag) = pixels[is_seen], np.nonzero(is_seen)
+    side = np.median(np.linalg.norm(np.diff(corners, axis=1), axis=-1))
+    cells = np.floor(corners.mean(axis=1) / (side / 2)).astype(int)
+    _, cell = np.unique(np.column_stack((tag, cells)), axis=0, return_inverse=True)
+    order = np.argsort(cell.reshape(-1), kind='stable')
+    ordered = cell.reshape(-1)[order]
+    rank = np.arange(len(order)) - ordered.searchsorted(ordered)
+    return corners[order[rank < _OF_A_PLACE]]
+
+
 def fit_plane(
     corners: np.ndarray, size: float, picture: tuple[int, int], has_lens: bool
 ) -> PlaneMap:
@@ -92,6 +111,7 @@ def fit_plane(
 
     values = np.array([1.0, 0, 1, 0, 0, 0])
     free = 5 if has_lens else 6
+    known = np.array([np.inf, np.inf, np.inf, _LEANING, _LEANING, _BENDING])
     now = residuals(values)
     damping = 1e-3
     for _ in range(_ROUNDS):
@@ -103,18 +123,19 @@ def fit_plane(
         jacobian = np.stack(columns, axis=-1)
         spread = 1.4826 * np.median(np.abs(now)) + 1e-9
         weight = np.minimum(1, _HUBER * spread / np.maximum(np.abs(now), 1e-12)).ravel()
-        prior = np.zeros(free)
-        if not has_lens:
-            prior[5] = (spread / _BENDING) ** 2
+        prior = (spread / known[:free]) ** 2
         normal = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
         right = jacobian.T @ (weight * now.ravel()) + prior * values[:free]
         step_values = np.zeros(6)
         step_values[:free] = -np.linalg.lstsq(
             normal + damping * np.diag(np.diagonal(normal)), right, rcond=None
         )[0]
-        trial = residuals(values + step_values)
-        if _cost(trial, spread) < _cost(now, spread):
-            values, now, damping = values + step_values, trial, damping / 10
+        other = values + step_values
+        trial = residuals(other)
+        gain = _cost(now, spread) - _cost(trial, spread)
+        gain += float(prior @ (values[:free] ** 2 - other[:free] ** 2)) / 2
+        if gain > 0:
+            values, now, damping = other, trial, damping / 10
             if np.abs(step_values).max() < 1e-9:
                 break
         else:

@@ -22,11 +22,13 @@ class LiveTags:
     Places the tags of a camera that stands still, picture by picture.
 
     The map to the plane is learned from the first pictures with tags, and kept. `learned` is None
-    until then.
+    until then. Raises FilmError for a camera that moves, and for options of videos.
     """
 
     def __init__(self, options: FilmOptions) -> None:
         options.check()
+        if options.line_time:
+            raise FilmError('--line-time is for videos, whose stamps are exact; fix: leave it out')
         self.learned: Filmed | None = None
         self._options, self._finder = options, TagFinder(options.family)
         self._found: list[tuple[list[int], np.ndarray]] = []
@@ -61,7 +63,13 @@ class LiveTags:
         self._found.clear()
         if seen is not None:
             filmed = place_tags(seen, self._options)
-            self.learned = filmed if len(filmed.maps) == 1 else None
+            if len(filmed.maps) > 1:
+                ground, _, _ = filmed.assumed[-1].partition('; perspective')
+                raise FilmError(
+                    f'{ground}; live it has to stand still; fix: hold it by a tripod, or name a '
+                    'tag of the ground by --ground'
+                )
+            self.learned = filmed
 
 
 def live_pictures(source: str) -> Iterator[Picture]:

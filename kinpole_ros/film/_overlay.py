@@ -22,9 +22,9 @@ from kinpole_ros.film._video import FilmError, Progress, Video, upright
 _TICKS = 90_000  # of a second, in which stamps are written
 _BITS = 4  # of the parts of a pixel in which OpenCV draws
 _FARTHEST = 20_000.0  # pixels; lines that go farther are cut
-_PAGE_WIDTH = 900  # pixels of a straightened picture
-_MOST_PICTURES = 600  # in a page: some 30 kB each
-_QUALITY = 75  # of a JPEG
+_PAGE_WIDTH = 800  # pixels of a straightened picture
+_MOST_PICTURES = 400  # in a page: some 50 kB each
+_QUALITY = 65  # of a JPEG
 _AROUND = 0.3  # of the extent of the tags, which a page shows around them
 _STEP = 16  # pixels between exact places of a straightened picture; it is smooth between them
 

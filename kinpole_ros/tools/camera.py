@@ -3,13 +3,15 @@
 from contextlib import closing
 
 import numpy as np
+import rclpy
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CompressedImage
 
 from kinpole_ros.film import FilmOptions, LiveTags, jpeg, live_pictures
 from kinpole_ros.messages import INPUT_TYPES, marker_arrays, ns_to_stamp
-from kinpole_ros.ros.player import own_context
+from kinpole_ros.ros.executor import start_ros
+from kinpole_ros.ros.player import bag_errors
 
 _FRAME = 'world'
 
@@ -22,15 +24,19 @@ def publish(source: str, options: FilmOptions, topic: str) -> int:
     from the time of the first one on.
     """
     tags = LiveTags(options)
-    context = own_context()
-    node = Node('kinpole_camera', context=context)
+    with bag_errors():
+        stop_requested = start_ros([])
+    node = Node('kinpole_camera')
     count = 0
     try:
         markers = node.create_publisher(INPUT_TYPES['marker_array'], topic, 10)
         image = node.create_publisher(CompressedImage, '~/image', qos_profile_sensor_data)
         was_learned, begin = False, 0
+        print(f'learning the plane; then markers on {markers.topic_name}', flush=True)
         with closing(live_pictures(source)) as pictures:  # type: ignore[type-var]
             for picture in pictures:
+                if stop_requested():
+                    break
                 begin = begin or node.get_clock().now().nanoseconds - picture.stamp
                 stamp = begin + picture.stamp
                 names, places = tags.find(picture.gray)
@@ -50,5 +56,5 @@ def publish(source: str, options: FilmOptions, topic: str) -> int:
                     image.publish(message)
     finally:
         node.destroy_node()
-        context.try_shutdown()
+        rclpy.try_shutdown()
     return count

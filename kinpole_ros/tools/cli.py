@@ -24,7 +24,7 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 # Commands that start ROS, which installs its own signal handlers. SIGTERM, and SIGHUP of a closed
 # terminal, end all others like Ctrl-C, so that they remove incomplete results, and a player says
 # goodbye to its subscribers.
-_START_ROS = ('node', 'view', 'record')
+_START_ROS = ('node', 'view', 'record', 'camera')
 _INTERRUPTED = 130
 
 

@@ -1,5 +1,6 @@
 """A film of printed tags becomes markers in the plane, by the exact motion that it shows."""
 
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -104,6 +105,19 @@ def test_a_lens_and_uneven_stamps_and_a_rolling_shutter_are_corrected(tmp_path: 
     # Without each of them it is worse.
     others = [FilmOptions(size=SIZE, camera=given.camera), FilmOptions(SIZE, line_time=line_time)]
     assert rms(read_film(path, others[0]).corners - exact(film)) > 0.5e-3
+
+
+def test_a_film_of_few_places_is_taken_for_one_from_the_front(tmp_path: Path) -> None:
+    tags = (Tag(3, 'ground', -0.05 + 0.1j), Tag(4, 'ground', 0.3 + 0.1j))
+    front = replace(SMALL, tilt=0.0)
+    film = Film(times(10), tags, front)
+    filmed = read_film(film.write(tmp_path / 'two.mp4'), OPTIONS)
+    assert 'tag 0 is not seen, so the origin is the middle of the picture' in filmed.assumed[1 + 1]
+    place = filmed.corners.mean(axis=(0, 2))
+    assert abs(place[1] - place[0]) == pytest.approx(0.35, rel=0.01)
+    # Far from the tags, too.
+    corner = filmed.maps[0].to_plane(np.array([0.0, 0.0]))
+    assert abs(corner - (-0.475 + 0.267j)) < 0.05
 
 
 def test_a_tag_behind_a_finger_is_left_out_and_found_again(tmp_path: Path) -> None:
@@ -215,6 +229,19 @@ def test_tags_of_a_camera_are_placed_after_a_second_and_a_half(
     assert seen > 0.98 * 28 * 16
 
 
+def test_a_live_camera_has_to_stand_still(tmp_path: Path) -> None:
+    t = times(46)
+    shake = np.stack((8 * np.sin(5 * t), 6 * np.cos(4 * t), 0 * t), axis=-1)
+    small = Camera((640, 360), width=0.6, target=0j)
+    film = Film(t, (Tag(0, 'ground', -0.1 + 0j, size=0.04),), small, shake=shake)
+    live = LiveTags(FilmOptions())
+    with pytest.raises(FilmError, match=r'the camera moves by .* live it has to stand still'):
+        for picture in film.pictures():
+            live.find(picture)
+    with pytest.raises(FilmError, match='--line-time is for videos'):
+        LiveTags(FilmOptions(line_time=1e-5))
+
+
 def test_a_camera_publishes_markers(four_bar: tuple[Film, Path]) -> None:
     pytest.importorskip('rclpy')
     from kinpole_ros.ros.listener import listen
@@ -223,6 +250,9 @@ def test_a_camera_publishes_markers(four_bar: tuple[Film, Path]) -> None:
     command = [sys.executable, *words, '--topic', '/film/markers']
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
         try:
+            assert process.stdout is not None
+            while b'markers on /film/markers' not in process.stdout.readline():
+                assert process.poll() is None
             frames, _ = listen('/film/markers', 0.2)
             out, _ = process.communicate(timeout=50)
         finally:
@@ -231,6 +261,21 @@ def test_a_camera_publishes_markers(four_bar: tuple[Film, Path]) -> None:
     steps = np.diff(np.concatenate([one.stamps for one in frames]))
     assert len(steps) and np.abs(steps % (10**9 / 30)).min() < 1e6
     assert frames[0].points.shape[1] == 28
+
+
+def test_ctrl_c_ends_a_camera_with_its_count(four_bar: tuple[Film, Path]) -> None:
+    pytest.importorskip('rclpy')
+    words = ['-m', 'kinpole_ros.tools.cli', 'camera', str(four_bar[1]), '--size', '24mm']
+    command = [sys.executable, *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
+        try:
+            assert process.stdout is not None
+            assert b'learning the plane' in process.stdout.readline()
+            process.send_signal(signal.SIGINT)
+            out, _ = process.communicate(timeout=50)
+        finally:
+            process.kill()
+    assert (process.returncode, out) == (0, b'0 messages published\n')
 
 
 def test_a_film_without_tags_is_refused(tmp_path: Path) -> None:
@@ -258,6 +303,19 @@ def test_damaged_videos_end_in_one_line(ending: str, tmp_path: Path) -> None:
         except FilmError as error:
             assert '\n' not in str(error)
     assert read
+
+
+def test_pictures_are_turned_as_players_show_them(tmp_path: Path) -> None:
+    path = Film(times(2), camera=Camera((320, 180))).write(tmp_path / 'flat.mp4')
+    flat = [picture.gray for picture in Video(path).pictures()]
+    # The matrix of the track, as phones write it that were held upright.
+    one, zero, less = b'\0\1\0\0', b'\0' * 4, b'\xff\xff\0\0'
+    before, matrix = path.read_bytes().rsplit(one + 3 * zero + one, 1)
+    upright = tmp_path / 'upright.mp4'
+    upright.write_bytes(before + zero + one + zero + less + zero + matrix)
+    turned = [picture.gray for picture in Video(upright).pictures()]
+    assert len(turned) == 2 and turned[0].shape == (320, 180)
+    assert (turned[0] == np.rot90(flat[0], -1)).all()
 
 
 def test_an_unknown_compression_is_refused(tmp_path: Path) -> None:
