@@ -17,20 +17,20 @@ instant, the poses of a body in a window around it become one result, which depe
 6. Segments. Free flight between impacts, or turning between stops, is a low polynomial between
    events. Such segments are mixed into the result by their evidence.
 
-================= ===============================================================================
-_models.py        2: processes, spectra, modes, and their derivatives, as tables for the library
-window            1: the usual interval, the cell of each frame, the size of the window, blocks
-samples           1: first guesses of even samples
-models            tables as the library sees them; columns of samples of low weight and of steps
-evidence          3: corrections for columns, evidence and probabilities; the formulas
-screens, events   4: the search of steps
-mean              5: derivatives and covariances; uneven samples move along the estimated motion
-segments          6: polynomials between events
-derive            the order of these for one signal
-_poses.py         `derive_poses`: arrays to the library and back; keeps the tables
-_event_search.py  `find_event`: reports events some time after them
-change_points     the search of these, by polynomials with steps
-================= ===============================================================================
+==================== =============================================================================
+_models.py           2: processes, spectra, modes, and their derivatives, as tables for the library
+window               1: the usual interval, the cell of each frame, the size of the window, blocks
+samples              1: first guesses of even samples
+models               tables as the library sees them; columns of samples of low weight and of steps
+evidence             3: corrections for columns, evidence and probabilities; the formulas
+screens, events      4: the search of steps
+mean                 5: derivatives and covariances; uneven samples move along the estimated motion
+segments             6: polynomials between events
+derive               the order of these for one signal
+_pose_derivatives.py `derive_poses`: arrays to the library and back; keeps the tables
+_event_search.py     `find_event`: reports events some time after them
+change_points        the search of these, by polynomials with steps
+==================== =============================================================================
 
 Names without an ending are files of core/src. To understand the estimator, read _models.py,
 evidence.h and events.h, in this order. A slower version with numpy is in

@@ -23,7 +23,7 @@
 
 typedef STRUCT(TABLE_FIELDS) Table;
 
-/* The arguments of `derive_poses` in _poses.py, which describes the arrays (N, B) of B bodies in N
+/* The arguments of `derive_poses` in _pose_derivatives.py, which describes the arrays (N, B) of B bodies in N
    frames, and (T, B) of T instants. Signals (T B) before `next` are done. The length `window` is in
    s; `flat` is the log standard deviation of the prior of mean and slope, over that of the noise.
    `time` (N) is in ns, and `windows` (3, T) are the frame of an instant, the oldest, and the newest
