@@ -25,6 +25,7 @@ sys.meta_path.insert(0, Hidden())
 PROGRAM = """
 import pkgutil, sys
 from importlib import import_module
+from importlib.util import find_spec
 
 import kinpole_ros
 from kinpole_ros.tools import cli
@@ -35,9 +36,11 @@ for words in {words!r}:
 # What plot draws is read from messages.
 assert read_record({result!r}).bodies == ('crank', 'coupler', 'rocker')
 # The compiled library is for ctypes, and no module.
+# Films need an extra.
+unneeded = ('kinpole_ros.ros', *(() if find_spec('cv2') else ('kinpole_ros.film',)))
 others = 'kinpole_ros.tools.demo', 'kinpole_ros._compiled'
 for module in pkgutil.walk_packages(kinpole_ros.__path__, 'kinpole_ros.'):
-    if not module.name.startswith('kinpole_ros.ros') and module.name not in others:
+    if not module.name.startswith(unneeded) and module.name not in others:
         import_module(module.name)
 assert 'rclpy' not in sys.modules
 """

@@ -1,28 +1,34 @@
 """`kinpole camera`: the tags that a camera sees, as markers for a node, and its pictures."""
 
 from contextlib import closing
+from typing import TYPE_CHECKING
 
 import numpy as np
-import rclpy
-from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import CompressedImage
 
-from kinpole_ros.film import FilmOptions, LiveTags, jpeg, live_pictures
 from kinpole_ros.messages import INPUT_TYPES, marker_arrays, ns_to_stamp
-from kinpole_ros.ros.executor import start_ros
-from kinpole_ros.ros.player import bag_errors
+
+if TYPE_CHECKING:
+    from kinpole_ros.film import FilmOptions
 
 _FRAME = 'world'
 
 
-def publish(source: str, options: FilmOptions, topic: str) -> int:
+def publish(source: str, options: 'FilmOptions', topic: str) -> int:
     """
     Publish markers until the video ends or Ctrl-C; return the number of messages.
 
-    `source` is that of `live_pictures`. The stamps are those of the pictures,
-    from the time of the first one on.
+    `source` is that of `film.live_pictures`. The stamps are those of the pictures, from the time of
+    the first one on.
     """
+    import rclpy
+    from rclpy.node import Node
+    from rclpy.qos import qos_profile_sensor_data
+    from sensor_msgs.msg import CompressedImage
+
+    from kinpole_ros.film import LiveTags, jpeg, live_pictures
+    from kinpole_ros.ros.executor import start_ros
+    from kinpole_ros.ros.player import bag_errors
+
     tags = LiveTags(options)
     with bag_errors():
         stop_requested = start_ros([])
@@ -45,10 +51,9 @@ def publish(source: str, options: FilmOptions, topic: str) -> int:
                     for line in tags.learned.assumed:
                         node.get_logger().info(line)
                 if was_learned:
-                    points = np.stack((places.real, places.imag, np.zeros(len(places))), axis=-1)
+                    points = np.stack((places.real, places.imag, 0 * places.real), axis=-1)
                     stamps = np.array([stamp], np.int64)
-                    (data,) = marker_arrays(stamps, _FRAME, names, points[None])
-                    markers.publish(data)
+                    markers.publish(marker_arrays(stamps, _FRAME, names, points[None])[0])
                     count += 1
                 if image.get_subscription_count():
                     message = CompressedImage(format='jpeg', data=jpeg(picture.gray))
