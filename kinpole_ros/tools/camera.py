@@ -5,12 +5,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinpole_ros.messages import INPUT_TYPES, marker_arrays, ns_to_stamp
+from kinpole_ros.messages import (
+    installed_class,
+    marker_arrays,
+    message_class,
+    ns_to_stamp,
+    serialize_message,
+)
 
 if TYPE_CHECKING:
     from kinpole_ros.film import FilmOptions
 
 _FRAME = 'world'
+_MARKERS, _IMAGE = 'visualization_msgs/msg/MarkerArray', 'sensor_msgs/msg/CompressedImage'
 
 
 def publish(source: str, options: 'FilmOptions', topic: str) -> int:
@@ -23,7 +30,6 @@ def publish(source: str, options: 'FilmOptions', topic: str) -> int:
     import rclpy
     from rclpy.node import Node
     from rclpy.qos import qos_profile_sensor_data
-    from sensor_msgs.msg import CompressedImage
 
     from kinpole_ros.film import LiveTags, jpeg, live_pictures
     from kinpole_ros.ros.executor import start_ros
@@ -35,8 +41,9 @@ def publish(source: str, options: 'FilmOptions', topic: str) -> int:
     node = Node('kinpole_camera')
     count = 0
     try:
-        markers = node.create_publisher(INPUT_TYPES['marker_array'], topic, 10)
-        image = node.create_publisher(CompressedImage, '~/image', qos_profile_sensor_data)
+        markers = node.create_publisher(installed_class(_MARKERS), topic, 10)
+        image_class = installed_class(_IMAGE)
+        image = node.create_publisher(image_class, '~/image', qos_profile_sensor_data)
         was_learned, begin = False, 0
         print(f'learning the plane; then markers on {markers.topic_name}', flush=True)
         with closing(live_pictures(source)) as pictures:  # type: ignore[type-var]
@@ -56,9 +63,10 @@ def publish(source: str, options: 'FilmOptions', topic: str) -> int:
                     markers.publish(marker_arrays(stamps, _FRAME, names, points[None])[0])
                     count += 1
                 if image.get_subscription_count():
-                    message = CompressedImage(format='jpeg', data=jpeg(picture.gray))
+                    data = np.frombuffer(jpeg(picture.gray), np.uint8)
+                    message = message_class(_IMAGE)(format='jpeg', data=data)
                     message.header.stamp, message.header.frame_id = ns_to_stamp(stamp), _FRAME
-                    image.publish(message)
+                    image.publish(serialize_message(message))
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
