@@ -3,6 +3,7 @@
 import struct
 import sys
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,8 @@ from kinpole_ros.messages import (
 from kinpole_ros.messages import _installed as installed_module
 from kinpole_ros.ros.source import subscribed_class
 from kinpole_ros.settings import ParameterError, Settings, settings_from
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.tracker import Tracker
 
 FIRST, STEP = 1_000_000_000_000, 10_000_000  # ns
 HEAD = 'std_msgs/Header header\nuint32 frame_number\n'
@@ -248,6 +251,29 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     installed_module._has_messages.cache_clear()
     for name in [name for name in sys.modules if name.partition('.')[0] in PACKAGES]:
         del sys.modules[name]
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('seed', range(4))
+def test_poses_of_which_many_are_lost_from_the_start_are_tracked(seed: int) -> None:
+    """In blocks too: a pin was fitted to poses whose noise was not known yet, by weights of 1/0."""
+    settings, rng = settings_from(SETTINGS['rigid_bodies']), np.random.default_rng(seed)
+    came = [data for data in islice(rod('rigid_bodies'), 600) if rng.random() > 0.4]
+    reader, tracker = reader_of('rigid_bodies', settings), Tracker(settings)
+    estimates = []
+    while came:
+        block = int(rng.choice([1, 5, 20, 60]))
+        for frames in reader.read(came[:block]):
+            assert isinstance(frames, MarkerFrames)
+            estimates += tracker.add(frames, 2)
+        del came[:block]
+    rate, variance, _ = (
+        np.concatenate(parts)[:, 0]
+        for parts in zip(*(one.rate(1) for one in estimates), strict=True)
+    )
+    known = np.isfinite(rate)
+    assert known.sum() > 100
+    assert (np.abs(rate - TURN)[known] < 6 * np.sqrt(variance[known])).all()
 
 
 @pytest.mark.parametrize('kind', KINDS)

@@ -118,7 +118,8 @@ class Pins:
             self._markers[slots, b] = np.where(used, history['markers'][rows][at, b], np.nan)
             self._last_angle[b] = angle[at[-1], b]
             self._pose_count[b] += len(at)
-        self._fit(bodies, self._pose_count >= MIN_SAMPLES, posed)
+        # Poses are weighed by their noise, which is 0 until it is known.
+        self._fit(bodies, (self._pose_count >= MIN_SAMPLES) & (bodies.error > 0), posed)
 
     def _fit(self, bodies: Bodies, which: np.ndarray, posed: bool) -> None:
         """Fit pins to the poses kept of some bodies (B,)."""
