@@ -229,6 +229,26 @@ def test_instants_at_once_are_those_one_by_one() -> None:
     assert together == alone
 
 
+@pytest.mark.parametrize('order', [2, 3, 4])
+def test_states_of_before_the_inflection_circle_are_read(order: int) -> None:
+    """Bags of results keep their use: all else is as it was."""
+    _, (data,) = output(order=order).build(stacked([estimate(order=order)]))
+    stamp, now = read_state(data)
+    cloud = deserialize_message(data, PointCloud2)
+    # Center with covariance, diameter with deviation.
+    added = 5 + 2
+    cloud.fields = cloud.fields[:-added]
+    rows = np.frombuffer(bytes(cloud.data), np.uint8).reshape(cloud.width, -1)[:, : -8 * added]
+    cloud.point_step, cloud.row_step = rows.shape[1], rows.size
+    cloud.data = rows.ravel().copy()
+    before, found = read_state(serialize_message(cloud))
+    assert before == stamp
+    assert set(now) - set(found) == {'inflection_circle', 'inflection_diameter'}
+    for name, quantity in found.items():
+        for part, expected in zip(quantity, now[name], strict=True):
+            np.testing.assert_array_equal(part, expected)
+
+
 def test_another_cloud_is_refused() -> None:
     _, (data,) = output().build(stacked([estimate()]))
     read_state(data)

@@ -277,6 +277,7 @@ def path_radius(theory: Theory, point: PointOfInterest, estimate: Estimate) -> N
 def _center_of_path(
     theory: Theory, point: PointOfInterest, estimate: Estimate
 ) -> tuple[Vectors, Numbers]:
+    """By velocity and acceleration: Euler and Savary need a body that turns."""
     arm, motion = _motion_of(theory, point, estimate)
 
     def center_and_radius(position: Complex, angle: Real) -> Complex:

@@ -108,7 +108,7 @@ def propagate(
     angle_covariance: Real,
 ) -> tuple[Complex, Real]:
     """
-    Value and covariance of any function of a pose and its derivatives, to second order.
+    Value and covariance of any function of a pose and its derivatives.
 
     Parameters
     ----------
@@ -131,7 +131,8 @@ def propagate(
     -----
     Differences over one standard deviation along each axis of the covariance. With the slope g and
     the bend h along an axis, the variance is g^2 + h^2 / 2, to which the square of the mean shift,
-    h / 2, is added.
+    h / 2, is added. So it is exact to first order, and to second order without the products of
+    two axes.
 
     """
     orders, *shape = angle.shape

@@ -261,6 +261,32 @@ def test_what_does_not_turn_has_no_circle() -> None:
     assert np.isnan(parallel.icr).all()
 
 
+def test_covariance_by_differences_is_exact_for_lines_and_squares() -> None:
+    """Of a square of independent errors: its variance, and the square of its shift."""
+    rng = np.random.default_rng(5)
+    position = rng.normal(size=(3, 4)) + 1j * rng.normal(size=(3, 4))
+    angle = rng.normal(size=(3, 4))
+    spreads = []
+    for scale in (0.3, 0.2):
+        roots = scale * rng.normal(size=(4, 3, 3))
+        spreads.append(np.moveaxis(roots @ roots.swapaxes(1, 2), 0, -1))
+
+    def linear(z: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return (2 - 1j) * z[0] + 3j * z[2] + (0.5 + 1j) * a[1]
+
+    by_position, by_angle = np.zeros((3, 4), complex), np.zeros((3, 4), complex)
+    by_position[0], by_position[2], by_angle[1] = 2 - 1j, 3j, 0.5 + 1j
+    orders = slice(0, 3)
+    exact = planar.Linear(linear(position, angle), by_position, by_angle, orders, orders)
+    value, covariance = planar.propagate(linear, position, angle, *spreads)
+    np.testing.assert_array_equal(value, exact.value)
+    np.testing.assert_allclose(covariance, planar.covariance(exact, *spreads), rtol=1e-9)
+    spreads[1] *= np.eye(3)[..., None]
+    variance = spreads[1][1, 1]
+    square = planar.propagate(lambda z, a: a[1] ** 2 + 0j, position, 0 * angle, *spreads)[1]
+    np.testing.assert_allclose(square[:, 0, 0], 3 * variance**2, rtol=1e-9)
+
+
 def test_shapes_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match='icr must have shape'):
         planar.inflection_circle(1.0, [0.0, 0.0, 0.0], [1.0, 0.0])

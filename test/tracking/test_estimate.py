@@ -42,6 +42,24 @@ def test_a_pole_is_that_of_the_derivatives(order: int) -> None:
     assert found.determined.any()
 
 
+def test_balls_point_is_withheld_where_it_may_be_anywhere_on_the_circle() -> None:
+    one, sure = estimate(), estimate()
+    for covariance in (sure.position_covariance, sure.angle_covariance):
+        covariance *= 1e-6
+    # The jerk alone, which the circle does not need.
+    one.position_covariance[3, 3] *= 1e4
+    ball, known = one.ball_point, sure.ball_point
+    assert known.determined.all() and one.inflection_circle.determined.all()
+    assert 0 < ball.determined.sum() < COUNT
+    sizes = one.inflection_diameter.value
+    for told, wide in ((ball, sizes), (known, sizes)):
+        deviation = np.sqrt(np.trace(told.covariance, axis1=-2, axis2=-1))
+        assert (4 * deviation < wide)[told.determined].all()
+    # It lies on the circle.
+    from_center = np.abs(known.value - sure.inflection_circle.value)
+    np.testing.assert_allclose(2 * from_center, sure.inflection_diameter.value, rtol=1e-9)
+
+
 def test_a_pole_of_which_nothing_is_known_is_undetermined() -> None:
     one = estimate()
     one.angle_covariance[1, 1] *= 1e-6
