@@ -852,6 +852,15 @@ def test_play_can_be_interrupted_while_it_waits_for_a_reader_that_has_stopped(
     assert 0 < min(asked) <= max(asked) <= 1
 
 
+def test_play_ends_with_a_warning_where_a_reader_never_takes_its_messages(
+    unheard: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(Publisher, 'wait_for_all_acked', lambda *_: False)
+    monkeypatch.setattr(player_module, '_LONGEST_ACKNOWLEDGMENT', 0.0)
+    assert play(unheard, wait=0.1) == 3
+    assert capfd.readouterr().err.count('a subscriber of /unheard does not take its messages') == 1
+
+
 def test_told_to_stop_node_and_recorder_end_at_once_and_the_recording_is_whole(
     peer: Peer, simulated: Bag, by_place: Path, tmp_path: Path
 ) -> None:
