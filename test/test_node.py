@@ -68,7 +68,7 @@ Bag = Callable[..., Path]
 ROD = Settings(bodies=bodies_of('cardan'))
 # The markers by place: the one identity that all four types of messages have.
 BY_PLACE = Settings(bodies={'rod': ('0', '1', '2', '3')}, marker_identity='index')
-SLOW = 'the node is slower than the stream'
+TOO_SLOW = 'the node is slower than the stream'
 LIMIT = 30.0  # s; machines that build are slow, and stop now and then
 RELIABLE = {
     f'qos_overrides./markers.subscription.{key}': value
@@ -196,7 +196,7 @@ def process(*words: str | Path, log: Path, limit: int = 60) -> Iterator['subproc
 
 def complaints(log: Path) -> list[str]:
     """Lines of a node's log that are more than information, but that this machine is too busy."""
-    return [line for line in warnings_of(log) if SLOW not in line]
+    return [line for line in warnings_of(log) if TOO_SLOW not in line]
 
 
 def warnings_of(log: Path) -> list[str]:
