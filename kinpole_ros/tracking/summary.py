@@ -26,6 +26,7 @@ class TrackerSummary:
     def counts(self) -> Counter[str]:
         """Numbers of frames and markers that were dropped, corrected or not seen, by cause."""
         count_new_frames(self.state)
+        self.state.timeline.count_lost()
         return self.state.totals.counts
 
     @property

@@ -20,6 +20,7 @@ from kinpole_ros.tracking.clock import (
     UNSETTLED,
     Clock,
     clock_of,
+    count_frames,
     count_until_slip,
     estimate_clock,
 )
@@ -101,8 +102,9 @@ class Timeline:
         # Stamps of the frames, in parts, and which of the frames are used; number of all of them.
         self._appended = [(np.zeros(0, np.int64), np.zeros(0, bool))]
         self._seen = 0
-        # Lost frames among them.
-        self._lost = 0
+        # Lost frames: in the totals, among frames before those kept here, among these at the last
+        # update.
+        self._lost = self._lost_before = self._lost_at_update = 0
         # Frames since the last update, and used frames that were not compared with neighbors yet.
         self._new = self._unweighed = 0
         # Whether even stamps may slip; the last stamp that did, and whether it is the next one.
@@ -315,8 +317,8 @@ class Timeline:
 
     def _estimate_clock(self, history: History) -> np.ndarray:
         """Estimate the clock; return the counts (n,) of the newest frames of the history."""
-        stamps, is_used = (np.concatenate(arrays) for arrays in zip(*self._appended, strict=True))
-        stamps, is_used = stamps[-MEMORY:], is_used[-MEMORY:]
+        kept, is_used = (np.concatenate(arrays) for arrays in zip(*self._appended, strict=True))
+        stamps, is_used = kept[-MEMORY:], is_used[-MEMORY:]
         uncounted = sum(len(part.stamps) for part in self._waiting)
         clock, counts = estimate_clock(stamps, self.clock)
         if self._counter is not None and self._counter.keeps_pace:
@@ -327,24 +329,33 @@ class Timeline:
             clock, counts = clock_of(clock, counts, stamps, which, own)
         is_used = is_used[len(is_used) - len(counts) :]
         self._appended = [(stamps[len(stamps) - len(counts) :], is_used)]
-        self._count_lost(clock, counts)
+        self._count_lost_at_update(clock, kept, counts)
         self.clock = clock
         counts = counts[is_used]
         return np.asarray(counts[: len(counts) - uncounted])
 
-    def _count_lost(self, clock: Clock, counts: np.ndarray) -> None:
-        """Count the frames that were lost between the new ones."""
-        if clock.is_on_grid and self.clock is not None and self.clock.is_even:
-            # The empty steps of the grid were taken for losses.
-            self._totals['lost'] -= self._lost
-            self._lost, self._new = 0, len(counts)
-        steps = np.diff(counts)[max(len(counts) - self._new - UNSETTLED - 1, 0) : -UNSETTLED]
+    def count_lost(self) -> None:
+        """Count the frames that were lost up to now in the totals."""
+        lost = self._lost_before + self._lost_at_update
+        if self._new and self.clock is not None and self._shows_losses(self.clock):
+            stamps = np.concatenate([stamps for stamps, _ in self._appended])
+            counts = count_frames(stamps[-self._new - UNSETTLED - 1 :], self.clock)
+            lost += _lost_between(counts[:-UNSETTLED])
+        self._totals['lost'] += lost - self._lost
+        self._lost = lost
+
+    def _count_lost_at_update(self, clock: Clock, stamps: np.ndarray, counts: np.ndarray) -> None:
+        """Count the frames lost between those with stamps (N,), ns; the newest have counts (n,)."""
+        dropped = len(stamps) - len(counts)
+        if dropped and self.clock is not None and self._shows_losses(self.clock):
+            self._lost_before += _lost_between(count_frames(stamps, self.clock)[: dropped + 1])
+        shown = self._shows_losses(clock)
+        self._lost_at_update = _lost_between(counts[:-UNSETTLED]) if shown else 0
         self._new = 0
-        # Stamps far from all ticks do not show any loss.
-        if self.at_ticks or clock.is_on_grid or clock.largest < clock.interval / 2:
-            lost = int((steps - 1).clip(0).sum())
-            self._lost += lost
-            self._totals['lost'] += lost
+
+    def _shows_losses(self, clock: Clock) -> bool:
+        """Whether stamps are near ticks: stamps far from all of them do not show any loss."""
+        return self.at_ticks or clock.is_on_grid or clock.largest < clock.interval / 2
 
     def _weigh_motion(
         self, history: History, samples: int, counts: np.ndarray, noise: Real
@@ -419,6 +430,11 @@ class Timeline:
         waiting = [self._counter.count_frames(p.stamps, p.points)[0] for p in self._waiting]
         self._waiting_counts = np.concatenate([_NO_COUNTS, *waiting])
         return counts
+
+
+def _lost_between(counts: np.ndarray) -> int:
+    """Return how many frames were lost between those with counts (n,)."""
+    return int(counts[-1] - counts[0]) + 1 - len(counts)
 
 
 def _increasing(stamps: np.ndarray) -> np.ndarray:

@@ -55,6 +55,7 @@ class Tracker(TrackerSummary):
     def _start(self, posed: bool, before: Timeline | None = None) -> None:
         """Start from nothing, but with the clock of the timeline `before` a jump of the stamps."""
         self._events = []
+        self.state.timeline.count_lost()
         self.state = start(self.settings, posed, self.state.totals, before)
 
     def add(self, frames: MarkerFrames, order: int | None, events: bool = False) -> list[Estimate]:
