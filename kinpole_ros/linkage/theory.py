@@ -6,8 +6,8 @@ The scene's markers show how its body frames lie in the measured bodies.
 
 import re
 from collections.abc import Callable, Container, Sequence
-from functools import partial
-from typing import NamedTuple, TypeAlias
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -37,7 +37,8 @@ class PointOfInterest(NamedTuple):
     point: complex
 
 
-class Theory(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Theory:
     """
     A scene, and how it matches the tracked bodies.
 
@@ -65,40 +66,36 @@ class Theory(NamedTuple):
 
     def quantities(self, bodies: Sequence[str]) -> list[RegisteredQuantity]:
         """Return the motion of the points of interest, and the balance of the loads, as topics."""
-        found = [
-            RegisteredQuantity(
-                f'{point.body}/points/{point.name}{end}',
-                'vector' if order else 'point',
-                max(order, 1),
-                unit,
-                partial(measured_point, self, point, order),
-                bodies.index(point.body),
-            )
-            for point in points_of_interest(self)
+        motion = [
+            (end, 'vector' if order else 'point', max(order, 1), unit, (measured_point, order))
             for order, (end, unit) in enumerate(_POINT_TOPICS)
         ]
-        found += [
+        path = [
+            ('/path_radius', 'number', 2, 'm', (path_radius,)),
+            ('/path_center', 'point', 2, 'm', (path_center,)),
+        ]
+        found = [
             RegisteredQuantity(
-                f'{point.body}/points/{point.name}/{name}',
-                kind,
-                2,
-                'm',
-                partial(measure, self, point),
+                *(f'{point.body}/points/{point.name}{end}', kind, order, unit),
+                _once(measure, self, point, *arguments),
                 bodies.index(point.body),
             )
+            for rows in (motion, path)
             for point in points_of_interest(self)
-            for name, kind, measure in (
-                ('path_radius', 'number', path_radius),
-                ('path_center', 'point', path_center),
-            )
+            for end, kind, order, unit, (measure, *arguments) in rows
         ]
         if self.balances:
             holder = self.scene.held_by
             is_torque = holder is None or holder.point is None
             kind, unit = ('torque', 'N m') if is_torque else ('force', 'N')
             effort = balance if is_torque else balance_force
-            found.append(RegisteredQuantity('balance', kind, 1, unit, partial(effort, self)))
+            found.append(RegisteredQuantity('balance', kind, 1, unit, _once(effort, self)))
         return found
+
+
+def _once(measure: Callable[..., Any], *arguments: Any) -> Callable[[Estimate], Any]:
+    """Return what measures a quantity of an estimate once, for all who read it."""
+    return lambda estimate: estimate.once(measure, *arguments)
 
 
 def load_theory(settings: Settings) -> Theory:
@@ -173,7 +170,7 @@ def balance(theory: Theory, estimate: Estimate) -> Numbers:
     along `balance_direction`. Determined where all the bodies are estimated, and the input moves by
     more than its noise.
     """
-    frames = body_frames(theory, estimate)
+    frames = estimate.once(body_frames, theory)
     holder = theory.scene.held_by
     acting = {theory.driver} if holder is None else {holder.body, holder.of} - {GROUND}
     needed = acting | {load.body for load in theory.loads}
@@ -181,7 +178,7 @@ def balance(theory: Theory, estimate: Estimate) -> Numbers:
         nan = np.full(np.shape(estimate.stamp), np.nan)
         return Numbers(nan, nan, np.isfinite(nan))
     through = Port(theory.matches[theory.driver if holder is None else holder.body].tracked, 1.0)
-    direction = balance_direction(theory, estimate)
+    direction = estimate.once(balance_direction, theory)
     if holder is not None and holder.point is not None and direction is not None:
         through = _port(theory, Force(holder.body, holder.point, direction), frames, estimate)
     value, variance, determined = measured_balance(
@@ -204,7 +201,7 @@ def balance_direction(theory: Theory, estimate: Estimate) -> np.ndarray | None:
     if holder is None or holder.point is None:
         return None
     direction = np.full(np.shape(estimate.stamp), np.exp(1j * holder.along))
-    frames = body_frames(theory, estimate)
+    frames = estimate.once(body_frames, theory)
     if holder.of in frames:
         angle = estimate.angle[0][..., theory.matches[holder.of].tracked] + frames[holder.of][1]
         # Where the angle is not known, the force is not determined either.
@@ -214,8 +211,8 @@ def balance_direction(theory: Theory, estimate: Estimate) -> np.ndarray | None:
 
 def balance_force(theory: Theory, estimate: Estimate) -> Vectors:
     """The force of `balance` along its direction, (T,)."""
-    value, variance, determined = balance(theory, estimate)
-    direction = balance_direction(theory, estimate)
+    value, variance, determined = estimate.once(balance, theory)
+    direction = estimate.once(balance_direction, theory)
     assert direction is not None
     along = np.stack((direction.real, direction.imag), axis=-1)
     matrix = variance[:, None, None] * along[:, :, None] * along[:, None, :]
@@ -255,7 +252,7 @@ def measured_point(
     theory: Theory, point: PointOfInterest, order: int, estimate: Estimate
 ) -> Vectors:
     """Position of a point (T,), m, or its derivative of `order` 1 to 4, as measured."""
-    arm, motion = _motion_of(theory, point, estimate)
+    arm, motion = estimate.once(_motion_of, theory, point)
     found = point_motion(order, arm, *motion[:2])
     return _known(theory, point, estimate, found.value, covariance(found, *motion[2:]))
 
@@ -266,19 +263,21 @@ def path_center(theory: Theory, point: PointOfInterest, estimate: Estimate) -> V
 
     Undetermined near an inflection, where its distance does not stand out of its noise.
     """
-    return _center_of_path(theory, point, estimate)[0]
+    return estimate.once(_path_of, theory, point)[0]
 
 
 def path_radius(theory: Theory, point: PointOfInterest, estimate: Estimate) -> Numbers:
     """Radius (T,), m, of `path_center`, positive where the path turns left along its velocity."""
-    return _center_of_path(theory, point, estimate)[1]
+    return estimate.once(_path_of, theory, point)[1]
 
 
-def _center_of_path(
-    theory: Theory, point: PointOfInterest, estimate: Estimate
-) -> tuple[Vectors, Numbers]:
-    """By velocity and acceleration: Euler and Savary need a body that turns."""
-    arm, motion = _motion_of(theory, point, estimate)
+def _path_of(theory: Theory, point: PointOfInterest, estimate: Estimate) -> tuple[Vectors, Numbers]:
+    """
+    Return center and radius of curvature of the path of a point.
+
+    By velocity and acceleration: Euler and Savary need a body that turns.
+    """
+    arm, motion = estimate.once(_motion_of, theory, point)
 
     def center_and_radius(position: Complex, angle: Real) -> Complex:
         place, v, acc = (point_motion(k, arm, position, angle).value for k in range(3))
@@ -309,7 +308,7 @@ def _motion_of(
     position, angle = estimate.position[..., b], estimate.angle[..., b]
     spreads = estimate.position_covariance[..., b], estimate.angle_covariance[..., b]
     nothing = np.full(np.shape(estimate.stamp), np.nan)
-    origin, turn = body_frames(theory, estimate).get(point.body, (nothing + 0j, nothing))
+    origin, turn = estimate.once(body_frames, theory).get(point.body, (nothing + 0j, nothing))
     arm = origin + point.point * np.exp(1j * turn) - estimate.reference[..., b]
     return arm, (position, angle, *spreads)
 

@@ -301,9 +301,10 @@ def result_outputs(
             outputs += _outputs(row, f'{bodies[b]}/{row.name}', rig, (b,))
     connected = [*(joints or {}).values(), *(registered.connected_bodies() if registered else ())]
     outputs += _pair_outputs(rig, connected)
-    for quantity in registered.quantities(bodies) if registered is not None else ():
+    quantities = registered.quantities(bodies) if registered is not None else ()
+    for quantity in quantities:
         outputs += _registered_outputs(quantity, given)
-    outputs.append(Output(STATE, PointCloud2, highest, state(given, highest)))
+    outputs.append(Output(STATE, PointCloud2, highest, state(given, highest, quantities)))
     draw = drawing(tuple(bodies), given, rig.trails, highest)
     outputs.append(Output(DRAWING, MarkerArray, highest, draw))
     if joints:
