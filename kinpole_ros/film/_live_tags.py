@@ -7,7 +7,7 @@ from contextlib import closing
 import cv2
 import numpy as np
 
-from kinpole_ros.film._film import Filmed, FilmOptions, gather, place_tags
+from kinpole_ros.film._film import Filmed, FilmOptions, gather, place_seen
 from kinpole_ros.film._ground import off_square
 from kinpole_ros.film._tags import TagFinder
 from kinpole_ros.film._video import FilmError, Picture, Video
@@ -61,8 +61,8 @@ class LiveTags:
         stamps = list(range(len(self._found)))
         seen = gather(stamps, self._found, (width, height), self._finder.family)
         self._found.clear()
-        if seen is not None:
-            filmed = place_tags(seen, self._options)
+        if seen.tags:
+            filmed = place_seen(seen, self._options)
             if len(filmed.maps) > 1:
                 ground, _, _ = filmed.assumed[-1].partition('; perspective')
                 raise FilmError(
