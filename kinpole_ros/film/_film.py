@@ -179,9 +179,8 @@ def read_film(
     return replace(filmed, assumed=[_film_line(video, seen, options), *filmed.assumed])
 
 
-def place_seen(seen: Seen, options: FilmOptions) -> Filmed:
+def place_seen(seen: Seen, options: FilmOptions, lens: Lens | None = None) -> Filmed:
     """Place tags and dots in the plane of motion; raises FilmError."""
-    lens = None
     if options.camera is not None:
         lens = read_lens(options.camera, seen.picture)
     pixels, dots = (_straight(seen, marks, options, lens) for marks in (seen.pixels, seen.dots))
@@ -190,13 +189,14 @@ def place_seen(seen: Seen, options: FilmOptions) -> Filmed:
         ends = np.array([[end.real, end.imag] for end in ends])
         maps = [map_of_ruler(ends if lens is None else lens.straight(ends), length)]
         corners = np.empty((len(dots), 0, 4), complex)
+        by = 'not corrected' if lens is None else f'by {options.camera}'
         assumed = [
             f'plane: the first end of --scale is the origin, x toward the second, {length:.4g} m '
-            f'away; the camera stands still, square to the plane; lens {_lens_text(options)}; to '
-            'change: --scale, --camera FILE'
+            f'away; the camera stands still, square to the plane; lens {by}; to change: --scale, '
+            '--camera FILE'
         ]
     else:
-        corners, maps, assumed = _place_tags(seen, pixels, options)
+        corners, maps, assumed = _place_tags(seen, pixels, options, lens)
     rows = zip(dots, [maps[min(k, len(maps) - 1)] for k in range(len(dots))], strict=True)
     places = np.array([plane.to_plane(row) for row, plane in rows]).reshape(len(dots), -1)
     named = dict(zip(options.points, places.T, strict=True))
@@ -206,11 +206,11 @@ def place_seen(seen: Seen, options: FilmOptions) -> Filmed:
 
 
 def _place_tags(
-    seen: Seen, pixels: np.ndarray, options: FilmOptions
+    seen: Seen, pixels: np.ndarray, options: FilmOptions, lens: Lens | None
 ) -> tuple[np.ndarray, list[PlaneMap], list[str]]:
     """Return the corners (T, n, 4), complex, m, of tags; the maps; and what was assumed."""
     views = different_views(pixels)
-    plane = fit_plane(views, options.size, seen.picture, options.camera is not None)
+    plane = fit_plane(views, options.size, seen.picture, lens is not None)
     corners = plane.to_plane(pixels)
     pixel = options.size / np.median(np.linalg.norm(np.diff(views, axis=1), axis=-1))
     _leave_out_hidden(corners, options.size, plane.residual, pixel)
@@ -218,7 +218,9 @@ def _place_tags(
     for tag in options.ground:
         if tag in seen.tags:  # it stands still, also where it is hidden
             corners[:, seen.tags.index(tag)] = _median(corners[:, seen.tags.index(tag)])
-    bends = f'too (it bends by {abs(plane.bending):.1%} at the edge of the picture)'
+    lens_text = f'too (it bends by {abs(plane.bending):.1%} at the edge of the picture)'
+    if lens is not None:
+        lens_text = f'by {options.camera or "its CameraInfo"}'
     return (
         corners,
         maps,
@@ -226,13 +228,9 @@ def _place_tags(
             f'{_tag_line(seen, corners, options)}; noise of a corner {plane.residual:.2g} pixels '
             f'or {plane.residual * pixel * 1e3:.2g} mm; to change: --size 40mm, --family',
             f'plane: {ground_text}; perspective such that all tags are squares of one size, lens '
-            f'{_lens_text(options, bends)}; to change: --ground 7, --camera FILE',
+            f'{lens_text}; to change: --ground 7, --camera FILE',
         ],
     )
-
-
-def _lens_text(options: FilmOptions, otherwise: str = 'not corrected') -> str:
-    return otherwise if options.camera is None else f'by {options.camera}'
 
 
 def _straight(

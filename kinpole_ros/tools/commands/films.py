@@ -145,8 +145,12 @@ def _write_markers(options: argparse.Namespace, given: 'FilmOptions') -> None:
 
 @command(
     'camera',
-    option('source SOURCE', 'number or device of a camera, as 0 or /dev/video0; or a video'),
+    option(
+        'source SOURCE', 'number or device of a camera, as 0 or /dev/video0; or a video', nargs='?'
+    ),
     option('--topic T', 'topic of the markers (/markers)', default='/markers'),
+    option('--detections T', 'topic of the tags that apriltag_ros finds, instead of a camera'),
+    option('--info T', 'topic of their CameraInfo (/camera/camera_info)'),
     *FILM_OPTIONS,
 )
 def camera(options: argparse.Namespace) -> int:
@@ -158,12 +162,25 @@ def camera(options: argparse.Namespace) -> int:
     the pictures on /kinpole_camera/image while somebody looks. The stamps are those of receipt, or
     of the video. It needs ROS.
 
+    With --detections another detector finds the tags, in rectified pictures, as apriltag_ros does.
+    The stamps are those of its messages.
+
     Examples:
       kinpole camera 0 --size 40mm
+      kinpole camera --detections /detections --info /camera/camera_info --size 40mm
       kinpole camera crank.mp4 --topic /film/markers
     """
-    from kinpole_ros.tools.camera import publish
+    from kinpole_ros.tools.camera import publish, publish_detections
 
-    count = publish(options.source, film_options(options), options.topic)
+    given = film_options(options)
+    if (options.source is None) == (options.detections is None):
+        raise UsageError('camera needs a SOURCE, or --detections TOPIC, and not both')
+    if options.detections is None:
+        if options.info is not None:
+            raise UsageError('--info is for --detections')
+        count = publish(options.source, given, options.topic)
+    else:
+        info = options.info or '/camera/camera_info'
+        count = publish_detections(options.detections, info, given, options.topic)
     print(f'{count} messages published')
     return 0
