@@ -62,6 +62,13 @@ class PlaneMap(NamedTuple):
         return self._replace(matrix=back @ shift @ self.matrix)
 
 
+def map_of_ruler(ends: np.ndarray, length: float) -> PlaneMap:
+    """Return the map of a camera square to the plane: from ends[0], x to ends[1], `length` m."""
+    along = (ends[1] - ends[0]) @ (1, -1j)
+    plane = PlaneMap(ends[0], float(abs(along)), 0.0, np.diag([length, length, 1.0]))
+    return plane.moved(0j, float(np.angle(along)))
+
+
 def _homogeneous(points: np.ndarray) -> np.ndarray:
     return np.concatenate((points, np.ones((*points.shape[:-1], 1))), axis=-1)
 

@@ -7,8 +7,9 @@ from contextlib import closing
 import cv2
 import numpy as np
 
-from kinpole_ros.film._film import Filmed, FilmOptions, gather, place_tags
+from kinpole_ros.film._film import Filmed, FilmOptions, gather, place_seen
 from kinpole_ros.film._ground import off_square
+from kinpole_ros.film._lens import Lens
 from kinpole_ros.film._tags import TagFinder
 from kinpole_ros.film._video import FilmError, Picture, Video
 
@@ -22,22 +23,31 @@ class LiveTags:
     Places the tags of a camera that stands still, picture by picture.
 
     The map to the plane is learned from the first pictures with tags, and kept. `learned` is None
-    until then. Raises FilmError for a camera that moves, and for options of videos.
+    until then. `lens` is the camera if it is known otherwise than by a file. Raises FilmError for a
+    camera that moves, and for options of videos.
     """
 
-    def __init__(self, options: FilmOptions) -> None:
+    def __init__(self, options: FilmOptions, lens: Lens | None = None) -> None:
         options.check()
         if options.line_time:
             raise FilmError('--line-time is for videos, whose stamps are exact; fix: leave it out')
         self.learned: Filmed | None = None
-        self._options, self._finder = options, TagFinder(options.family)
+        self._options, self._lens = options, lens
+        self._finder = TagFinder(options.family)
         self._found: list[tuple[list[int], np.ndarray]] = []
 
     def find(self, gray: np.ndarray) -> tuple[list[str], np.ndarray]:
         """Return names of markers and their places (n,), complex, m; none until it is learned."""
         tags, (places, _) = self._finder.find(gray)
+        height, width = gray.shape
+        return self.place(tags, places, (width, height), self._finder.family)
+
+    def place(
+        self, tags: list[int], places: np.ndarray, picture: tuple[int, int], family: str
+    ) -> tuple[list[str], np.ndarray]:
+        """Return the same of tags that are found already, with corners (n, 4, 2), pixels."""
         if self.learned is None:
-            self._learn(tags, places, gray)
+            self._learn(tags, places, picture, family)
         if self.learned is None or not tags:
             return [], np.empty(0, complex)
         pixels = places if self.learned.lens is None else self.learned.lens.straight(places)
@@ -52,17 +62,17 @@ class LiveTags:
         ]
         return names, corners[good].ravel()
 
-    def _learn(self, tags: list[int], places: np.ndarray, gray: np.ndarray) -> None:
+    def _learn(
+        self, tags: list[int], places: np.ndarray, picture: tuple[int, int], family: str
+    ) -> None:
         if tags:
             self._found.append((tags, places.astype(np.float32)))
         if len(self._found) < _LEARNED:
             return
-        height, width = gray.shape
-        stamps = list(range(len(self._found)))
-        seen = gather(stamps, self._found, (width, height), self._finder.family)
+        seen = gather(list(range(len(self._found))), self._found, picture, family)
         self._found.clear()
-        if seen is not None:
-            filmed = place_tags(seen, self._options)
+        if seen.tags:
+            filmed = place_seen(seen, self._options, self._lens)
             if len(filmed.maps) > 1:
                 ground, _, _ = filmed.assumed[-1].partition('; perspective')
                 raise FilmError(

@@ -27,7 +27,11 @@ FAMILY = cv2.aruco.DICT_APRILTAG_36h11
 
 @dataclass(frozen=True)
 class Tag:
-    """A tag on a body: its center (m) and turn (rad) in the frame of the body."""
+    """
+    A tag on a body: its center (m) and turn (rad) in the frame of the body.
+
+    One with a number below 0 is a dark dot, half as wide, on white paper.
+    """
 
     number: int
     body: str
@@ -267,7 +271,10 @@ class Film:
 
 
 def bits(number: int, family: int) -> np.ndarray:
-    """Return the gray levels of the modules of a tag, with its white margin."""
+    """Return the gray levels of the modules of a tag, with its white margin; below 0 of a dot."""
+    if number < 0:
+        steps = np.arange(-15.5, 16)
+        return np.where(np.hypot(steps, steps[:, None]) > 8, PAPER, INK).astype(np.float32)
     dictionary = cv2.aruco.getPredefinedDictionary(family)
     modules = dictionary.markerSize + 2
     code = cv2.aruco.generateImageMarker(dictionary, number, modules)

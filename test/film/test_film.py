@@ -29,6 +29,7 @@ PARAMETERS = {
         for body, tags in BODIES.items()
     },
 }
+LIMITED = 'timeout', '-k', '2', '60', sys.executable  # s, if it does not end
 SMALL = Camera((1152, 648), width=0.95, target=0.15 + 0.1j)
 
 
@@ -247,7 +248,7 @@ def test_a_camera_publishes_markers(four_bar: tuple[Film, Path]) -> None:
     from kinpole_ros.ros.listener import listen
 
     words = ['-m', 'kinpole_ros.tools.cli', 'camera', str(four_bar[1]), '--size', '24mm']
-    command = [sys.executable, *words, '--topic', '/film/markers']
+    command = [*LIMITED, *words, '--topic', '/film/markers']
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
         try:
             assert process.stdout is not None
@@ -266,7 +267,7 @@ def test_a_camera_publishes_markers(four_bar: tuple[Film, Path]) -> None:
 def test_ctrl_c_ends_a_camera_with_its_count(four_bar: tuple[Film, Path]) -> None:
     pytest.importorskip('rclpy')
     words = ['-m', 'kinpole_ros.tools.cli', 'camera', str(four_bar[1]), '--size', '24mm']
-    command = [sys.executable, *words]
+    command = [*LIMITED, *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
         try:
             assert process.stdout is not None
