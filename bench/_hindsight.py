@@ -49,19 +49,21 @@ class Best(NamedTuple):
     seeds: np.ndarray
 
 
-def settings(lag: float = LAG) -> list[tuple[int, int]]:
+def settings(lag: float = LAG, rate: float = RATE) -> list[tuple[int, int]]:
     """All pairs (samples, degree): windows to the longest in steps of a fifth, degrees 1 to 12."""
-    most = round(WINDOW * RATE) + 1
+    most = round(WINDOW * rate) + 1
     lengths = [5]
     while lengths[-1] < most:
         lengths.append(min(most, max(lengths[-1] + 2, round(lengths[-1] * 1.2) // 2 * 2 + 1)))
     return [(n, d) for n in lengths for d in range(1, 13) if d < n]
 
 
-def fixed_weights(samples: int, degree: int, lag: float = LAG) -> tuple[np.ndarray, int]:
+def fixed_weights(
+    samples: int, degree: int, lag: float = LAG, rate: float = RATE
+) -> tuple[np.ndarray, int]:
     """Weights (4, samples) for order 0 to 3 and how many samples lie ahead of the instant."""
-    ahead = min((samples - 1) // 2, round(lag * RATE))
-    t = (np.arange(samples) - (samples - 1 - ahead)) / RATE
+    ahead = min((samples - 1) // 2, round(lag * rate))
+    t = (np.arange(samples) - (samples - 1 - ahead)) / rate
     return derivative_weights(t, degree, 3), ahead
 
 

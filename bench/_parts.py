@@ -20,6 +20,7 @@ from bench._outcome import rig_rows
 from bench._peers import OURS, Table, equal_lag, over_lag
 from bench._pendulum import TABLE, pendulum
 from bench._pynumdiff import pynumdiff_errors
+from bench._rates import rate_rows
 from bench._record import (
     NOISES,
     QUANTITIES,
@@ -150,6 +151,10 @@ def _live(quick: bool, progress: Progress) -> dict[str, Rows]:
     return {'live': live_rows(live), 'start': start_rows(live)}
 
 
+def _rates(quick: bool, progress: Progress) -> dict[str, Rows]:
+    return dict(zip(('rates', 'near_events'), rate_rows(quick, progress), strict=True))
+
+
 def _pendulum(quick: bool, progress: Progress) -> dict[str, Rows]:
     # Its data do not come with the project, and it takes long.
     return {'pendulum': pendulum()} if TABLE.exists() and not quick else {}
@@ -172,6 +177,7 @@ PARTS = {
     'lag': Part((14, 3), _lag),
     'model': Part((15, 4), _model),
     'pynumdiff': Part((60, 10), _pynumdiff),
+    'rates': Part((300, 20), _rates),
     'atlas': Part((98, 11), lambda quick, tell: {'atlas': survey(quick, tell)}),
     'pendulum': Part((10, 0), _pendulum),
     'rigs': Part((170, 14), _rigs),

@@ -18,9 +18,11 @@ from bench._motions import cusped, other_motions, swinging
 from bench._page import make_page
 from bench._page_limits import long_part
 from bench._page_peers import _beyond
+from bench._page_rates import rates_part
 from bench._parts import PARTS
 from bench._peers import FIXED, OURS, likely_kalman, make_kalman, run_kalman
 from bench._pendulum import _fixed, _poles
+from bench._rates import RATES_HZ, rate_rows
 from bench._record import (
     NOISES,
     POLES,
@@ -33,6 +35,7 @@ from bench._record import (
     rms,
 )
 from bench._report import progress_of_parts
+from bench._rivals import RIVALS
 from bench._rows import read_rows, write_rows
 from kinpole_ros import planar
 from kinpole_ros.tools import cli
@@ -388,6 +391,34 @@ def test_the_page_says_what_the_rows_say_and_no_more() -> None:
     older = {'part': 'speed', 'tables': 'speed', 'day': '2025-12-31', 'load': 0.1}
     later = quiet | {'run': [*quiet['run'], run | words | older]}
     assert 'earlier than the other parts: speed (2025-12-31).' in make_page(later)
+
+
+@pytest.mark.parametrize('name', RIVALS)
+def test_rivals_differentiate_a_cubic(name: str) -> None:
+    at, rate, noise = 24, 60.0, 1e-6
+    t = (np.arange(31) - at) / rate
+    exact = np.array((0.3, -2.0, 5.0, 12.0))
+    signal = exact @ (t ** np.arange(4)[:, None] / np.array((1, 1, 2, 6))[:, None])
+    samples = signal + noise * np.random.default_rng(0).normal(size=(20, 31))
+    found = RIVALS[name](samples, at, rate, noise)
+    # A filter cannot follow, nor does the variation of the acceleration vanish.
+    rough = name.startswith(('Butterworth', 'total'))
+    allowed = np.array((1e-3, 0.1, 2.0, 100.0) if rough else (4e-6, 1e-4, 4e-3, 0.1))
+    assert (np.sqrt(((found - exact[:, None]) ** 2).mean(axis=1)) < allowed).all()
+
+
+def test_rates_have_a_row_for_each_rate_lag_and_quantity() -> None:
+    done: list[float] = []
+    rows, near = rate_rows(True, done.append)
+    assert done == sorted(done) and done[-1] == 1.0
+    places = {(row['kind'], row['rate'], row['lag'], row['quantity']) for row in rows}
+    assert {place[1:3] for place in places} == {(r, g) for r in RATES_HZ for g in (0.0, 0.1)}
+    assert {row['kind'] for row in rows} == {'smooth', 'events'}
+    assert all(0.01 < row['median'] < 10 for row in rows if row['quantity'] == 'ω')
+    assert {row['quantity'] for row in near} >= {'ω', 'α', 'jerk'}
+    text = rates_part(rows, near)
+    assert '| 1000 Hz, 0.1 s |' in text and 'nan' not in text
+    assert all(rival in text for rival in RIVALS)
 
 
 def test_paragraphs_and_lists_are_wrapped_and_tables_are_not() -> None:
