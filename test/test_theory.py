@@ -268,7 +268,7 @@ def test_what_a_quantity_of_the_scene_follows_from_is_computed_once(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Topics, their deviations, the state and the table read center and radius of a path."""
-    calls: dict[str, list[Any]] = {'_path_of': [], 'body_frames': [], '_motion_of': []}
+    calls: dict[str, list[Any]] = {'_paths': [], '_motion_of_points': []}
 
     def counted(compute: Any, estimates: list[Any]) -> Any:
         def computed(*arguments: Any) -> Any:

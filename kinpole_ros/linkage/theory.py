@@ -5,8 +5,9 @@ The scene's markers show how its body frames lie in the measured bodies.
 """
 
 import re
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -23,8 +24,14 @@ from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.reasons import FARTHEST, SIGNIFICANT
 from kinpole_ros.tracking.values import Numbers, RegisteredQuantity, Vectors
 
-# Ends of the topics of a point, and their units, by the order of the derivative.
-_POINT_TOPICS = (('', 'm'), ('/velocity', 'm/s'), ('/acceleration', 'm/s²'), ('/jerk', 'm/s³'))
+# Of the topics of a point: end, kind, order and unit. Those of its motion are by their derivative.
+_MOTION_TOPICS = (
+    ('', 'point', 1, 'm'),
+    ('/velocity', 'vector', 1, 'm/s'),
+    ('/acceleration', 'vector', 2, 'm/s²'),
+    ('/jerk', 'vector', 3, 'm/s³'),
+)
+_PATH_TOPICS = (('/path_radius', 'number', 2, 'm'), ('/path_center', 'point', 2, 'm'))
 # Names that may be part of a topic's.
 _TOKEN = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 
@@ -51,6 +58,16 @@ class Theory:
     driver: str
     loads: tuple[Load, ...]
 
+    @cached_property
+    def points(self) -> list[PointOfInterest]:
+        """Points of tracked bodies that the scene names and no joint uses, for topics."""
+        return list(_points_of_interest(self))
+
+    @cached_property
+    def bodies_of_points(self) -> list[int]:
+        """The tracked body of each of the points."""
+        return [self.matches[point.body].tracked for point in self.points]
+
     @property
     def balances(self) -> bool:
         """Whether the scene has loads, and a tracked body that can balance them."""
@@ -66,36 +83,34 @@ class Theory:
 
     def quantities(self, bodies: Sequence[str]) -> list[RegisteredQuantity]:
         """Return the motion of the points of interest, and the balance of the loads, as topics."""
-        motion = [
-            (end, 'vector' if order else 'point', max(order, 1), unit, (measured_point, order))
-            for order, (end, unit) in enumerate(_POINT_TOPICS)
-        ]
-        path = [
-            ('/path_radius', 'number', 2, 'm', (path_radius,)),
-            ('/path_center', 'point', 2, 'm', (path_center,)),
-        ]
+        motion = [(measured_points, self, order) for order in range(len(_MOTION_TOPICS))]
+        path = [(path_radii, self), (path_centers, self)]
         found = [
             RegisteredQuantity(
                 *(f'{point.body}/points/{point.name}{end}', kind, order, unit),
-                _once(measure, self, point, *arguments),
+                partial(_of_point, k, measure),
                 bodies.index(point.body),
             )
-            for rows in (motion, path)
-            for point in points_of_interest(self)
-            for end, kind, order, unit, (measure, *arguments) in rows
+            for topics, measures in ((_MOTION_TOPICS, motion), (_PATH_TOPICS, path))
+            for k, point in enumerate(self.points)
+            for (end, kind, order, unit), measure in zip(topics, measures, strict=True)
         ]
         if self.balances:
             holder = self.scene.held_by
             is_torque = holder is None or holder.point is None
             kind, unit = ('torque', 'N m') if is_torque else ('force', 'N')
-            effort = balance if is_torque else balance_force
-            found.append(RegisteredQuantity('balance', kind, 1, unit, _once(effort, self)))
+            effort: Callable[..., Numbers | Vectors] = balance if is_torque else balance_force
+            found.append(
+                RegisteredQuantity('balance', kind, 1, unit, lambda now: now.once(effort, self))
+            )
         return found
 
 
-def _once(measure: Callable[..., Any], *arguments: Any) -> Callable[[Estimate], Any]:
-    """Return what measures a quantity of an estimate once, for all who read it."""
-    return lambda estimate: estimate.once(measure, *arguments)
+def _of_point(k: int, measure: tuple[Any, ...], estimate: Estimate) -> Numbers | Vectors:
+    """Return a quantity (T,) of the k-th of the points, which are measured once for all readers."""
+    quantity: Numbers | Vectors = estimate.once(*measure)
+    value, spread, determined = (part[:, k] for part in quantity)
+    return type(quantity)(value, spread, determined)
 
 
 def load_theory(settings: Settings) -> Theory:
@@ -154,12 +169,14 @@ Frames: TypeAlias = dict[str, tuple[Complex, Real]]
 
 def body_frames(theory: Theory, estimate: Estimate) -> Frames:
     """How the scene's frames lie in the tracked bodies, of bodies whose shape is known."""
-    frames = {}
-    for body, match in theory.matches.items():
-        frame = match.fit_frame(estimate.shape[..., match.tracked, :])
-        if np.isfinite(frame[1]).any():
-            frames[body] = frame
-    return frames
+    frames = {body: estimate.once(body_frame, theory, body) for body in theory.matches}
+    return {body: frame for body, frame in frames.items() if np.isfinite(frame[1]).any()}
+
+
+def body_frame(theory: Theory, body: str, estimate: Estimate) -> tuple[Complex, Real]:
+    """How the scene's frame of a body lies in the tracked one, NaN where its shape is unknown."""
+    match = theory.matches[body]
+    return match.fit_frame(estimate.shape[..., match.tracked, :])
 
 
 def balance(theory: Theory, estimate: Estimate) -> Numbers:
@@ -229,14 +246,12 @@ def _port(theory: Theory, load: Load, frames: Frames, estimate: Estimate) -> Por
     return Port(b, complex(load.torque))  # type: ignore[arg-type]
 
 
-def points_of_interest(theory: Theory) -> list[PointOfInterest]:
-    """Points of tracked bodies that the scene names and no joint uses, for topics."""
+def _points_of_interest(theory: Theory) -> Iterator[PointOfInterest]:
     used = {
         end
         for joint in theory.scene.mechanism.assembly.joints
         for end in ((joint.one, joint.a), (joint.other, joint.b))
     }
-    points = []
     for name, (body, position) in theory.scene.points.items():
         if body == GROUND or (body, position) in used:
             continue
@@ -244,40 +259,33 @@ def points_of_interest(theory: Theory) -> list[PointOfInterest]:
         last = name.rpartition('.')[2]
         if moved.body in theory.matches and _TOKEN.fullmatch(last):
             assert isinstance(moved, Force)
-            points.append(PointOfInterest(moved.body, last, complex(moved.point)))
-    return points
+            yield PointOfInterest(moved.body, last, complex(moved.point))
 
 
-def measured_point(
-    theory: Theory, point: PointOfInterest, order: int, estimate: Estimate
-) -> Vectors:
-    """Position of a point (T,), m, or its derivative of `order` 1 to 4, as measured."""
-    arm, motion = estimate.once(_motion_of, theory, point)
+def measured_points(theory: Theory, order: int, estimate: Estimate) -> Vectors:
+    """Positions of the points (T, P), m, or their derivatives of `order` 1 to 4, as measured."""
+    arm, motion = estimate.once(_motion_of_points, theory)
     found = point_motion(order, arm, *motion[:2])
-    return _known(theory, point, estimate, found.value, covariance(found, *motion[2:]))
+    return _known(theory, estimate, found.value, covariance(found, *motion[2:]))
 
 
-def path_center(theory: Theory, point: PointOfInterest, estimate: Estimate) -> Vectors:
+def path_centers(theory: Theory, estimate: Estimate) -> Vectors:
     """
-    Center of curvature (T,), m, of the path of a point, as measured.
+    Centers of curvature (T, P), m, of the paths of the points, as measured.
 
-    Undetermined near an inflection, where its distance does not stand out of its noise.
+    Undetermined near an inflection, where the distance does not stand out of its noise.
     """
-    return estimate.once(_path_of, theory, point)[0]
+    return estimate.once(_paths, theory)[0]
 
 
-def path_radius(theory: Theory, point: PointOfInterest, estimate: Estimate) -> Numbers:
-    """Radius (T,), m, of `path_center`, positive where the path turns left along its velocity."""
-    return estimate.once(_path_of, theory, point)[1]
+def path_radii(theory: Theory, estimate: Estimate) -> Numbers:
+    """Radii (T, P), m, of `path_centers`, positive where the path turns left along its velocity."""
+    return estimate.once(_paths, theory)[1]
 
 
-def _path_of(theory: Theory, point: PointOfInterest, estimate: Estimate) -> tuple[Vectors, Numbers]:
-    """
-    Return center and radius of curvature of the path of a point.
-
-    By velocity and acceleration: Euler and Savary need a body that turns.
-    """
-    arm, motion = estimate.once(_motion_of, theory, point)
+def _paths(theory: Theory, estimate: Estimate) -> tuple[Vectors, Numbers]:
+    """By velocity and acceleration: Euler and Savary need a body that turns."""
+    arm, motion = estimate.once(_motion_of_points, theory)
 
     def center_and_radius(position: Complex, angle: Real) -> Complex:
         place, v, acc = (point_motion(k, arm, position, angle).value for k in range(3))
@@ -287,35 +295,33 @@ def _path_of(theory: Theory, point: PointOfInterest, estimate: Estimate) -> tupl
 
     low = [array[:3] for array in motion[:2]] + [array[:3, :3] for array in motion[2:]]
     (center, radius), (of_center, of_radius) = propagate(center_and_radius, *low)
-    variance, size = of_radius[..., 0, 0], estimate.size[..., theory.matches[point.body].tracked]
-    found = _known(theory, point, estimate, center, of_center)
+    found, variance = _known(theory, estimate, center, of_center), of_radius[..., 0, 0]
     with np.errstate(invalid='ignore'):
-        is_near = np.abs(radius) < FARTHEST * size
+        is_near = np.abs(radius) < FARTHEST * estimate.size[:, theory.bodies_of_points]
         is_known = found.determined & is_near & (radius.real**2 > SIGNIFICANT**2 * variance)
     return found._replace(determined=is_known), Numbers(radius.real, variance, is_known)
 
 
-def _motion_of(
-    theory: Theory, point: PointOfInterest, estimate: Estimate
+def _motion_of_points(
+    theory: Theory, estimate: Estimate
 ) -> tuple[Complex, tuple[Complex, Real, Real, Real]]:
     """
-    Return a point in the frame of its body's reference (T,), and the motion of that.
+    Return the points (T, P) in frames at the references of their bodies, and the motion of these.
 
-    The motion is position and angle with their derivatives and covariances. The point is NaN where
+    The motion is position and angle with their derivatives and covariances. A point is NaN where
     the shape of the body is unknown.
     """
-    b = theory.matches[point.body].tracked
-    position, angle = estimate.position[..., b], estimate.angle[..., b]
-    spreads = estimate.position_covariance[..., b], estimate.angle_covariance[..., b]
-    nothing = np.full(np.shape(estimate.stamp), np.nan)
-    origin, turn = estimate.once(body_frames, theory).get(point.body, (nothing + 0j, nothing))
-    arm = origin + point.point * np.exp(1j * turn) - estimate.reference[..., b]
-    return arm, (position, angle, *spreads)
+    bodies = theory.bodies_of_points
+    frames = [estimate.once(body_frame, theory, point.body) for point in theory.points]
+    arms = [
+        origin + point.point * np.exp(1j * turn)
+        for point, (origin, turn) in zip(theory.points, frames, strict=True)
+    ]
+    names = 'position', 'angle', 'position_covariance', 'angle_covariance'
+    position, angle, *spreads = (getattr(estimate, name)[..., bodies] for name in names)
+    return np.stack(arms, axis=1) - estimate.reference[:, bodies], (position, angle, *spreads)
 
 
-def _known(
-    theory: Theory, point: PointOfInterest, estimate: Estimate, value: Complex, matrix: Real
-) -> Vectors:
+def _known(theory: Theory, estimate: Estimate, value: Complex, matrix: Real) -> Vectors:
     is_finite = np.isfinite(value) & np.isfinite(matrix).all(axis=(-2, -1))
-    is_seen = estimate.missing[..., theory.matches[point.body].tracked] == ''
-    return Vectors(value, matrix, is_finite & is_seen)
+    return Vectors(value, matrix, is_finite & (estimate.missing[:, theory.bodies_of_points] == ''))

@@ -116,14 +116,16 @@ def _added_values(
     """Return the fields (T, B, count) of registered quantities, each from its column on."""
     added = np.zeros((len(estimate), len(estimate.bodies), count))
     for quantity, first in columns:
-        value, spread, determined = (np.asarray(part) for part in quantity.values(estimate))
+        value, spread, determined = quantity.values(estimate)
         if quantity.is_vector:
-            parts = value.real, value.imag, *(spread[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
+            spreads = (spread[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
+            parts = [value.real, value.imag, *spreads, determined]
         else:
-            parts = value.real, np.sqrt(np.maximum(spread, 0.0))
-        block = np.stack((*parts, np.ones(len(value))), axis=-1)
-        block = np.where((determined & np.isfinite(block).all(axis=-1))[:, None], block, 0.0)
-        added[:, quantity.body, first : first + block.shape[1]] = block
+            parts = [value.real, np.sqrt(np.maximum(spread, 0.0)), determined]
+        own = added[:, quantity.body, first : first + len(parts)]
+        for k, part in enumerate(parts):
+            own[:, k] = part
+        own[~(determined & np.isfinite(own).all(axis=1))] = 0.0
     return added
 
 
