@@ -51,7 +51,8 @@ class LiveTags:
         if self.learned is None or not tags:
             return [], np.empty(0, complex)
         pixels = places if self.learned.lens is None else self.learned.lens.straight(places)
-        corners = self.learned.maps[0].to_plane(pixels)
+        heights = [[self.learned.heights.get(tag, 0.0)] for tag in tags]
+        corners = self.learned.maps[0].to_plane(pixels, np.array(heights))
         is_square = np.abs(off_square(corners, self._options.size)).max(axis=1)
         good = is_square < _MOST_OFF * self._options.size
         names = [
