@@ -1,5 +1,6 @@
 """Tags and dots of a film as markers in the plane of motion: the corners of a tag, and each dot."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -118,8 +119,8 @@ class Filmed:
 
     @property
     def names(self) -> list[str]:
-        """The names of the markers: tag3_1 is the top left corner of tag 3, then clockwise."""
-        return [f'tag{tag}_{k}' for tag in self.tags for k in range(1, 5)] + list(self.dots)
+        """The names of the markers: the corners of tags, and dots."""
+        return marker_names(self.tags) + list(self.dots)
 
     @property
     def places(self) -> np.ndarray:
@@ -131,6 +132,11 @@ class Filmed:
         """Return the pixels (..., 2) of points (...), complex, m, in the picture of a number."""
         pixels = self.maps[min(number, len(self.maps) - 1)].to_pixels(points)
         return self.lens.curved(pixels) if self.lens is not None else pixels
+
+
+def marker_names(tags: Sequence[int]) -> list[str]:
+    """Return the names of corners: tag3_1 is the top left corner of tag 3, then clockwise."""
+    return [f'tag{tag}_{k}' for tag in tags for k in range(1, 5)]
 
 
 @dataclass(frozen=True)

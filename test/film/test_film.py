@@ -250,9 +250,11 @@ def test_tags_of_a_camera_are_placed_after_a_second_and_a_half(
         names, places = live.find(picture.gray)
         assert bool(names) == (k >= 44)
         for name, place in zip(names, places, strict=True):
+            if np.isnan(place):
+                continue
+            seen += 1
             tag, corner = map(int, name.removeprefix('tag').split('_'))
             assert abs(place - whole[k, tag, corner - 1]) < 1.5e-3
-        seen += len(names)
     assert seen > 0.98 * 28 * 16
 
 
