@@ -1,5 +1,6 @@
 """Tags and dots of a film as markers in the plane of motion: the corners of a tag, and each dot."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -93,6 +94,8 @@ class Filmed:
         (T, n, 4), complex, m, in the plane of motion; NaN where not seen.
     dots : dict of str to ndarray
         The places (T,) of dots, likewise.
+    heights : dict of int to float
+        Heights of tags above the plane of `maps`, m, by a known camera; else 0.
     maps : list of PlaneMap
         The map of each picture, or one for all.
     lens : Lens or None
@@ -108,6 +111,7 @@ class Filmed:
     stamps: np.ndarray
     corners: np.ndarray
     dots: dict[str, np.ndarray]
+    heights: dict[int, float]
     maps: list[PlaneMap]
     lens: Lens | None
     picture: tuple[int, int]
@@ -115,8 +119,8 @@ class Filmed:
 
     @property
     def names(self) -> list[str]:
-        """The names of the markers: tag3_1 is the top left corner of tag 3, then clockwise."""
-        return [f'tag{tag}_{k}' for tag in self.tags for k in range(1, 5)] + list(self.dots)
+        """The names of the markers: the corners of tags, and dots."""
+        return marker_names(self.tags) + list(self.dots)
 
     @property
     def places(self) -> np.ndarray:
@@ -128,6 +132,11 @@ class Filmed:
         """Return the pixels (..., 2) of points (...), complex, m, in the picture of a number."""
         pixels = self.maps[min(number, len(self.maps) - 1)].to_pixels(points)
         return self.lens.curved(pixels) if self.lens is not None else pixels
+
+
+def marker_names(tags: Sequence[int]) -> list[str]:
+    """Return the names of corners: tag3_1 is the top left corner of tag 3, then clockwise."""
+    return [f'tag{tag}_{k}' for tag in tags for k in range(1, 5)]
 
 
 @dataclass(frozen=True)
@@ -188,7 +197,7 @@ def place_seen(seen: Seen, options: FilmOptions, lens: Lens | None = None) -> Fi
         *ends, length = options.ruler
         ends = np.array([[end.real, end.imag] for end in ends])
         maps = [map_of_ruler(ends if lens is None else lens.straight(ends), length)]
-        corners = np.empty((len(dots), 0, 4), complex)
+        corners, heights = np.empty((len(dots), 0, 4), complex), np.empty(0)
         by = 'not corrected' if lens is None else f'by {options.camera}'
         assumed = [
             f'plane: the first end of --scale is the origin, x toward the second, {length:.4g} m '
@@ -196,22 +205,25 @@ def place_seen(seen: Seen, options: FilmOptions, lens: Lens | None = None) -> Fi
             '--camera FILE'
         ]
     else:
-        corners, maps, assumed = _place_tags(seen, pixels, options, lens)
+        corners, heights, maps, assumed = _place_tags(seen, pixels, options, lens)
     rows = zip(dots, [maps[min(k, len(maps) - 1)] for k in range(len(dots))], strict=True)
     places = np.array([plane.to_plane(row) for row, plane in rows]).reshape(len(dots), -1)
     named = dict(zip(options.points, places.T, strict=True))
     if named:
         assumed.insert(len(assumed) - 1, _dot_line(named, options))
-    return Filmed(tuple(seen.tags), seen.stamps, corners, named, maps, lens, seen.picture, assumed)
+    high = dict(zip(seen.tags, heights.tolist(), strict=True))
+    tags = tuple(seen.tags)
+    return Filmed(tags, seen.stamps, corners, named, high, maps, lens, seen.picture, assumed)
 
 
 def _place_tags(
     seen: Seen, pixels: np.ndarray, options: FilmOptions, lens: Lens | None
-) -> tuple[np.ndarray, list[PlaneMap], list[str]]:
-    """Return the corners (T, n, 4), complex, m, of tags; the maps; and what was assumed."""
-    views = different_views(pixels)
-    plane = fit_plane(views, options.size, seen.picture, lens is not None)
-    corners = plane.to_plane(pixels)
+) -> tuple[np.ndarray, np.ndarray, list[PlaneMap], list[str]]:
+    """Return corners (T, n, 4), complex, m, and heights (n,) of tags; maps; what was assumed."""
+    views, columns = different_views(pixels)
+    matrix = lens.matrix if lens is not None else None
+    plane, heights = fit_plane(views, columns, options.size, seen.picture, matrix)
+    corners = plane.to_plane(pixels, heights[:, None])
     pixel = options.size / np.median(np.linalg.norm(np.diff(views, axis=1), axis=-1))
     _leave_out_hidden(corners, options.size, plane.residual, pixel)
     maps, ground_text = _on_ground(corners, seen.tags, plane, options, pixel)
@@ -221,8 +233,11 @@ def _place_tags(
     lens_text = f'too (it bends by {abs(plane.bending):.1%} at the edge of the picture)'
     if lens is not None:
         lens_text = f'by {options.camera or "its CameraInfo"}'
+    if heights.any():
+        lens_text += f'; the heights of tags differ by {np.ptp(heights) * 1e3:.2g} mm'
     return (
         corners,
+        heights,
         maps,
         [
             f'{_tag_line(seen, corners, options)}; noise of a corner {plane.residual:.2g} pixels '
