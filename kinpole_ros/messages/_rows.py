@@ -7,7 +7,6 @@ estimate, are made by one call: in a node that sleeps between frames each call o
 
 from collections.abc import Callable, Iterable, Sequence
 from ctypes import byref, c_double, sizeof
-from functools import partial
 from itertools import chain
 from operator import itemgetter
 from typing import NamedTuple, TypeAlias
@@ -20,7 +19,7 @@ from kinpole_ros.messages._cdr import Writer
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.quantities import QUANTITIES
-from kinpole_ros.tracking.values import Numbers, RegisteredQuantity, Vectors
+from kinpole_ros.tracking.values import Numbers, Vectors
 
 # The messages of an estimate: indices of its instants, in order, and a message for each.
 Built: TypeAlias = tuple[list[int], list[bytes]]
@@ -39,15 +38,6 @@ _DOUBLES = dict.fromkeys((NORMAL, VECTOR, POINT), _SIZES['VECTOR_DOUBLES']) | {
     POSE: _SIZES['POSE_DOUBLES'],
     ODOMETRY: _SIZES['ODOMETRY_DOUBLES'],
     FRAME: _SIZES['FRAME_DOUBLES'],
-}
-# By the kind of a registered quantity, that of the message, and the doubles before and after its
-# own: a wrench is a force and then a torque.
-_REGISTERED = {
-    'point': (POINT, 0, 0),
-    'vector': (VECTOR, 0, 0),
-    'number': (NORMAL, 0, 0),
-    'force': (VECTOR, 0, 3),
-    'torque': (NORMAL, 3, 0),
 }
 # Rows are filled as integers, all of their fields at once.
 _ROW_FIELDS = len(bindings.Row._fields_)
@@ -193,26 +183,17 @@ def stamped(kind: int, child: str | None = None, before: int = 0, after: int = 0
     `child` is the second string of messages that have one, the child_frame_id of Odometry. So many
     doubles before and after those of the row are 0.
     """
-    return partial(_stamped, kind, child, before, after)
 
+    def template(frame_id: str, _: int) -> tuple[bytes, int]:
+        writer = Writer()
+        if kind == FRAME:
+            # A TFMessage is a list, of this one item.
+            writer.pack('I', 1)
+        writer.header(0, frame_id)
+        if child is not None:
+            writer.string(child)
+        writer.align(8)
+        head = len(writer.data) + 8 * before
+        return bytes(writer.data) + bytes(8 * (before + _DOUBLES[kind] + after)), head
 
-def _stamped(
-    kind: int, child: str | None, before: int, after: int, frame_id: str, _: int
-) -> tuple[bytes, int]:
-    writer = Writer()
-    if kind == FRAME:
-        # A TFMessage is a list, of this one item.
-        writer.pack('I', 1)
-    writer.header(0, frame_id)
-    if child is not None:
-        writer.string(child)
-    writer.align(8)
-    head = len(writer.data) + 8 * before
-    return bytes(writer.data) + bytes(8 * (before + _DOUBLES[kind] + after)), head
-
-
-def registered_row(quantity: RegisteredQuantity) -> Row:
-    """Return the row of a quantity that another package computes."""
-    kind, before, after = _REGISTERED[quantity.kind]
-    template = stamped(kind, before=before, after=after)
-    return Row(kind, 0, template, quantity.order, quantity.body or 0, values=quantity.values)
+    return template
