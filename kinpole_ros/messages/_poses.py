@@ -43,19 +43,9 @@ _NUMBER_IS_MEANT = 1  # `id_type` of mocap4r2_msgs/msg/Marker
 
 def kind_of(type_name: str, marker_type: str = 'auto') -> str | None:
     """
-    Return the input type of messages.
+    Return the input type, a key of `MESSAGE_TYPES`, of messages of a type of this name.
 
-    Parameters
-    ----------
-    type_name : str
-        Name of the message type.
-    marker_type : str
-        The parameter `marker_type`.
-
-    Returns
-    -------
-    str or None
-        A key of `MESSAGE_TYPES`; None where such messages are not read.
+    None where they are not read with this parameter `marker_type`.
     """
     kinds = AUTO_TYPES if marker_type == 'auto' else (marker_type,)
     return next((kind for kind in kinds if INPUT_TYPE_NAMES[kind] == type_name), None)
@@ -63,24 +53,9 @@ def kind_of(type_name: str, marker_type: str = 'auto') -> str | None:
 
 def reader_of(kind: str, settings: Settings) -> 'MarkerReader | PoseReader':
     """
-    Return the reader of messages of an input type.
+    Return the reader of messages of an input type, a key of `MESSAGE_TYPES`.
 
-    Parameters
-    ----------
-    kind : str
-        A key of `MESSAGE_TYPES`.
-    settings : Settings
-        The parameters, which name the bodies.
-
-    Returns
-    -------
-    MarkerReader or PoseReader
-        The reader.
-
-    Raises
-    ------
-    ParameterError
-        Where the settings do not go with the type.
+    Raises ParameterError where the settings do not go with the type.
     """
     if kind not in POSE_TYPES:
         return marker_reader(kind, settings.marker_identity)
@@ -90,24 +65,10 @@ def reader_of(kind: str, settings: Settings) -> 'MarkerReader | PoseReader':
 
 def marker_reader(kind: str, identity: str) -> 'MarkerReader | PoseReader':
     """
-    Return the reader of messages of a type of markers.
+    Return the reader of messages of markers by the parameter `marker_identity`.
 
-    Parameters
-    ----------
-    kind : str
-        A key of `MESSAGE_TYPES` without poses.
-    identity : str
-        The parameter `marker_identity`.
-
-    Returns
-    -------
-    MarkerReader or PoseReader
-        The reader.
-
-    Raises
-    ------
-    ParameterError
-        Where the type has no such identities.
+    `kind` is a key of `MESSAGE_TYPES` without poses. Raises ParameterError where it has no such
+    identities.
     """
     if not MESSAGE_TYPES[kind].item:
         return MarkerReader(kind, identity)
