@@ -373,25 +373,11 @@ def poses_data(
     kind: str, stamp: int, frame_id: str, names: Sequence[str], poses: np.ndarray
 ) -> bytes:
     """
-    Write a message of poses of bodies.
+    Write a message of poses of n bodies, with a stamp in ns.
 
-    Parameters
-    ----------
-    kind : str
-        pose_stamped, body_poses or tf. A PoseStamped has the first pose alone.
-    stamp : int
-        Stamp, ns.
-    frame_id : str
-        Frame of the poses.
-    names : sequence of str
-        Names of the n bodies, the child frames on /tf.
-    poses : ndarray
-        Poses (n, 7): x, y, z, m, and quaternions x, y, z, w. One that is not finite is not on /tf.
-
-    Returns
-    -------
-    bytes
-        The message.
+    `kind` is pose_stamped, of the first pose alone, body_poses or tf, where `names` are the child
+    frames. `poses` (n, 7) are x, y, z, m, and quaternions x, y, z, w. One that is not finite is
+    not on /tf.
     """
     writer = Writer()
     if kind == 'tf':
