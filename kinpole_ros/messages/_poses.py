@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from kinpole_ros.messages._cdr import Writer
-from kinpole_ros.messages._offsets import MessageOffsets, PoseOffsets, text_at
+from kinpole_ros.messages._offsets import MessageOffsets, PoseOffsets, stamp_at, text_at
 from kinpole_ros.messages._points import blank_unseen, rotation_matrices
 from kinpole_ros.messages._reader import MarkerReader
 from kinpole_ros.messages._types import (
@@ -208,7 +208,7 @@ class PoseReader:
             )
         if self._width == len(_UNSEEN):
             self._note_names(named)
-        return _Poses(_stamp(data, stamp, offsets.order), text_at(data, frame_id), named)
+        return _Poses(stamp_at(data, stamp, offsets.order), text_at(data, frame_id), named)
 
     def _name(self, index: int, entry: Mapping[str, Any], data: bytes) -> str:
         """Return the name in the message of a marker or body, else its number, else its index."""
@@ -245,7 +245,7 @@ class PoseReader:
             )
             return
         self._parent = parent
-        stamp = _stamp(data, transform.stamp, order)
+        stamp = stamp_at(data, transform.stamp, order)
         self._note_stamp(child, stamp)
         pending = self._pending
         if pending is None or stamp != pending.stamp or child in pending.poses:
@@ -351,18 +351,6 @@ def _have_length_1(quaternions: np.ndarray) -> np.ndarray:
     with np.errstate(over='ignore', invalid='ignore'):
         square = (quaternions**2).sum(axis=-1)
         return np.asarray(np.abs(square - 1) < 2 * _LENGTH_TOLERANCE)
-
-
-def _stamp(data: bytes, offset: int, order: str) -> int:
-    """Return the stamp of a header, ns."""
-    seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, offset)
-    stamp = int(seconds * SECOND + nanoseconds)
-    if not 0 <= stamp < END_OF_TIME or nanoseconds >= SECOND:
-        raise MessageError(
-            f'header.stamp is {seconds} s and {nanoseconds} ns; see that the driver sets it to the '
-            'time of capture, counted from 1970 or from its start'
-        )
-    return stamp
 
 
 def _shown(name: str) -> str:
