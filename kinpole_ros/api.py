@@ -23,10 +23,9 @@ from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.tracker import Tracker
 from kinpole_ros.tracking.values import (
-    POLE_NAMES,
-    RATE_NAMES,
     Numbers,
     Vectors,
+    known_arrays,
     measured_pairs,
     quantity_names,
 )
@@ -485,30 +484,14 @@ def _body_arrays(estimate: Estimate) -> dict[str, np.ndarray]:
         'angle': np.where(is_known, estimate.angle[0], np.nan),
         'missing': estimate.missing.astype(str),
     }
-    for name, quantity in estimate.quantities(estimate.order).items():
-        of_kind = _number_arrays if isinstance(quantity, Numbers) else _vector_arrays
-        arrays |= of_kind(name, quantity)  # type: ignore[arg-type]
-    return arrays
+    return arrays | _real_arrays(estimate.quantities(estimate.order))
 
 
 def _pair_arrays(estimate: Estimate) -> dict[str, np.ndarray]:
     """Return the fields of all `PairMotion`, (T, pairs, ...)."""
-    rate = _number_arrays(RATE_NAMES[0], estimate.relative_rate)
-    return rate | _vector_arrays(POLE_NAMES[0], estimate.relative_icr)
+    return _real_arrays({'angular_velocity': estimate.relative_rate, 'icr': estimate.relative_icr})
 
 
-def _number_arrays(name: str, numbers: Numbers) -> dict[str, np.ndarray]:
-    with np.errstate(invalid='ignore'):
-        sigma = np.sqrt(numbers.variance)
-    return {
-        name: np.where(numbers.determined, numbers.value, np.nan),
-        f'{name}_sigma': np.where(numbers.determined, sigma, np.nan),
-    }
-
-
-def _vector_arrays(name: str, vectors: Vectors) -> dict[str, np.ndarray]:
-    is_known = vectors.determined[..., None]
-    return {
-        name: np.where(is_known, to_plane(vectors.value), np.nan),
-        f'{name}_covariance': np.where(is_known[..., None], vectors.covariance, np.nan),
-    }
+def _real_arrays(quantities: Mapping[str, Numbers | Vectors]) -> dict[str, np.ndarray]:
+    arrays = known_arrays(quantities)
+    return {name: to_plane(a) if np.iscomplexobj(a) else a for name, a in arrays.items()}

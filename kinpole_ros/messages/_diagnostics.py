@@ -77,27 +77,10 @@ class DiagnosticsMaker:
         stamps: Sequence[int] = (),
     ) -> DiagnosticArray:
         """
-        Make diagnostics of the time since the last ones.
+        Make diagnostics of the `seconds` since the last ones, with a stamp in ns.
 
-        Parameters
-        ----------
-        stamp : int
-            Their stamp, ns.
-        tracker : Tracker
-            The tracker.
-        latest : Estimate or None
-            The newest estimates of this time, of which the last is described.
-        seconds : float
-            Length of this time, s.
-        trouble : mapping of str to str
-            Other faults, by topic.
-        stamps : sequence of int
-            Stamps of the frames of this time, ns.
-
-        Returns
-        -------
-        DiagnosticArray
-            The message.
+        `latest` are the newest estimates of this time, of which the last is described. `trouble`
+        are other faults by topic, and `stamps` those of the frames, ns.
         """
         now = None if latest is None else latest[-1]
         return self.begin(stamp, tracker, seconds, trouble, stamps)(now)

@@ -230,21 +230,7 @@ def drawing(bodies: tuple[str, ...], given: Plane, trails: Trails, highest: int)
 
 
 def deletion_of_all(stamp: int, frame_id: str) -> bytes:
-    """
-    Write a message that deletes all markers that were drawn.
-
-    Parameters
-    ----------
-    stamp : int
-        Stamp, ns.
-    frame_id : str
-        Frame of the markers.
-
-    Returns
-    -------
-    bytes
-        A MarkerArray.
-    """
+    """Write a MarkerArray, with a stamp in ns, that deletes all markers that were drawn."""
     writer = Writer()
     writer.pack('I', 1)
     _write_marker(writer, stamp, (frame_id, ''), None, Marker.DELETEALL)

@@ -18,22 +18,9 @@ _BASIC = {'boolean': 'bool', 'octet': 'byte', 'float': 'float32', 'double': 'flo
 
 def installed_class(name: str) -> Any:
     """
-    Return the class that rclpy publishes and subscribes to a type with.
+    Return the class that rclpy publishes and subscribes to a type with, by its name.
 
-    Parameters
-    ----------
-    name : str
-        'package/msg/Name' or 'package/Name'.
-
-    Returns
-    -------
-    type
-        The class.
-
-    Raises
-    ------
-    LookupError
-        For a type that is not installed.
+    Raises LookupError for a type that is not installed.
     """
     try:
         package, *_, short = name.split('/')

@@ -85,21 +85,8 @@ def marker_arrays(
     """
     Return the messages that `to_message` makes MarkerArrays of, serialized, without its objects.
 
-    Parameters
-    ----------
-    stamps : ndarray
-        Stamps (T,), ns.
-    frame_id : str
-        Frame of the points.
-    names : sequence of str
-        Names of the n markers.
-    points : ndarray
-        Positions (T, n, 3), m; a marker with a coordinate that is not finite is left out.
-
-    Returns
-    -------
-    list of bytes
-        T messages in CDR.
+    `stamps` (T,) are in ns and `points` (T, n, 3) in m; a marker with a coordinate that is not
+    finite is left out.
     """
     messages = [b''] * len(stamps)
     seen = np.isfinite(points).all(axis=-1)

@@ -266,16 +266,18 @@ def text_at(data: bytes, text: Items) -> str:
     return data[start : start + number].partition(b'\0')[0].decode(errors='replace')
 
 
-def check_stamp(data: bytes, at: int, order: str) -> None:
-    """Raise MessageError for a stamp that no ROS time has."""
+def stamp_at(data: bytes, at: int, order: str) -> int:
+    """Return a stamp in a message, ns; MessageError for one that no ROS time has."""
     seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, at)
+    stamp = int(seconds * SECOND + nanoseconds)
     if seconds < 0:
         raise MessageError(
             f'header.stamp is {seconds} s; see that the driver sets it to the time of capture, '
             'counted from 1970 or from its start'
         )
-    if seconds * SECOND + nanoseconds >= END_OF_TIME:
+    if stamp >= END_OF_TIME:
         raise MessageError(
             f'header.stamp has {nanoseconds} ns after {seconds} s, more than a ROS time holds; '
             'see that the driver sets nanosec to less than 1e9'
         )
+    return stamp

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from kinpole_ros.messages._cdr import Writer
-from kinpole_ros.messages._offsets import MessageOffsets, PoseOffsets, text_at
+from kinpole_ros.messages._offsets import MessageOffsets, PoseOffsets, stamp_at, text_at
 from kinpole_ros.messages._points import blank_unseen, rotation_matrices
 from kinpole_ros.messages._reader import MarkerReader
 from kinpole_ros.messages._types import (
@@ -44,19 +44,9 @@ _NUMBER_IS_MEANT = 1  # `id_type` of mocap4r2_msgs/msg/Marker
 
 def kind_of(type_name: str, marker_type: str = 'auto') -> str | None:
     """
-    Return the input type of messages.
+    Return the input type, a key of `MESSAGE_TYPES`, of messages of a type of this name.
 
-    Parameters
-    ----------
-    type_name : str
-        Name of the message type.
-    marker_type : str
-        The parameter `marker_type`.
-
-    Returns
-    -------
-    str or None
-        A key of `MESSAGE_TYPES`; None where such messages are not read.
+    None where they are not read with this parameter `marker_type`.
     """
     kinds = AUTO_TYPES if marker_type == 'auto' else (marker_type,)
     return next((kind for kind in kinds if INPUT_TYPE_NAMES[kind] == type_name), None)
@@ -64,24 +54,9 @@ def kind_of(type_name: str, marker_type: str = 'auto') -> str | None:
 
 def reader_of(kind: str, settings: Settings) -> 'MarkerReader | PoseReader':
     """
-    Return the reader of messages of an input type.
+    Return the reader of messages of an input type, a key of `MESSAGE_TYPES`.
 
-    Parameters
-    ----------
-    kind : str
-        A key of `MESSAGE_TYPES`.
-    settings : Settings
-        The parameters, which name the bodies.
-
-    Returns
-    -------
-    MarkerReader or PoseReader
-        The reader.
-
-    Raises
-    ------
-    ParameterError
-        Where the settings do not go with the type.
+    Raises ParameterError where the settings do not go with the type.
     """
     if kind not in POSE_TYPES:
         return marker_reader(kind, settings.marker_identity)
@@ -91,24 +66,10 @@ def reader_of(kind: str, settings: Settings) -> 'MarkerReader | PoseReader':
 
 def marker_reader(kind: str, identity: str) -> 'MarkerReader | PoseReader':
     """
-    Return the reader of messages of a type of markers.
+    Return the reader of messages of markers by the parameter `marker_identity`.
 
-    Parameters
-    ----------
-    kind : str
-        A key of `MESSAGE_TYPES` without poses.
-    identity : str
-        The parameter `marker_identity`.
-
-    Returns
-    -------
-    MarkerReader or PoseReader
-        The reader.
-
-    Raises
-    ------
-    ParameterError
-        Where the type has no such identities.
+    `kind` is a key of `MESSAGE_TYPES` without poses. Raises ParameterError where it has no such
+    identities.
     """
     if not MESSAGE_TYPES[kind].item:
         return MarkerReader(kind, identity)
@@ -248,7 +209,7 @@ class PoseReader:
             )
         if self._width == len(_UNSEEN):
             self._note_names(named)
-        return _Poses(_stamp(data, stamp, offsets.order), text_at(data, frame_id), named)
+        return _Poses(stamp_at(data, stamp, offsets.order), text_at(data, frame_id), named)
 
     def _name(self, index: int, entry: Mapping[str, Any], data: bytes) -> str:
         """Return the name in the message of a marker or body, else its number, else its index."""
@@ -287,7 +248,7 @@ class PoseReader:
             )
             return
         self._parent = parent
-        stamp = _stamp(data, transform.stamp, order)
+        stamp = stamp_at(data, transform.stamp, order)
         self._note_stamp(child, stamp)
         pending = self._pending
         if pending is None or stamp != pending.stamp or child in pending.poses:
@@ -395,18 +356,6 @@ def _have_length_1(quaternions: np.ndarray) -> np.ndarray:
         return np.asarray(np.abs(square - 1) < 2 * _LENGTH_TOLERANCE)
 
 
-def _stamp(data: bytes, offset: int, order: str) -> int:
-    """Return the stamp of a header, ns."""
-    seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, offset)
-    stamp = int(seconds * SECOND + nanoseconds)
-    if not 0 <= stamp < END_OF_TIME or nanoseconds >= SECOND:
-        raise MessageError(
-            f'header.stamp is {seconds} s and {nanoseconds} ns; see that the driver sets it to the '
-            'time of capture, counted from 1970 or from its start'
-        )
-    return stamp
-
-
 def _shown(name: str) -> str:
     return repr(name)[:_SHOWN_CHARACTERS]
 
@@ -415,25 +364,11 @@ def poses_data(
     kind: str, stamp: int, frame_id: str, names: Sequence[str], poses: np.ndarray
 ) -> bytes:
     """
-    Write a message of poses of bodies.
+    Write a message of poses of n bodies, with a stamp in ns.
 
-    Parameters
-    ----------
-    kind : str
-        pose_stamped, body_poses or tf. A PoseStamped has the first pose alone.
-    stamp : int
-        Stamp, ns.
-    frame_id : str
-        Frame of the poses.
-    names : sequence of str
-        Names of the n bodies, the child frames on /tf.
-    poses : ndarray
-        Poses (n, 7): x, y, z, m, and quaternions x, y, z, w. One that is not finite is not on /tf.
-
-    Returns
-    -------
-    bytes
-        The message.
+    `kind` is pose_stamped, of the first pose alone, body_poses or tf, where `names` are the child
+    frames. `poses` (n, 7) are x, y, z, m, and quaternions x, y, z, w. One that is not finite is
+    not on /tf.
     """
     writer = Writer()
     if kind == 'tf':

@@ -29,7 +29,7 @@ from kinpole_ros.messages._marker_array import (
     names_at,
     shown_entries,
 )
-from kinpole_ros.messages._offsets import Items, MessageOffsets, check_stamp, text_at
+from kinpole_ros.messages._offsets import Items, MessageOffsets, stamp_at, text_at
 from kinpole_ros.messages._points import (
     PointLayout,
     blank_unseen,
@@ -292,7 +292,8 @@ def _make_layout(kind: str, identity: str, data: bytes) -> _Layout:
         found = in_one(offsets, data, mask)
         if identity not in ('auto', 'index'):
             raise _no_identity(kind, identity)
-    check_stamp(data, found.stamp, offsets.order)
+    # Raises its error; the compiled code reads the stamps.
+    stamp_at(data, found.stamp, offsets.order)
     mask.add(*found.frame_id)
     # The sign of the seconds of the stamp: negative ones are refused.
     mask.add(found.stamp + (3 if offsets.order == '<' else 0), 1)

@@ -88,17 +88,9 @@ def joint_build(
     outputs: Sequence[Output],
 ) -> Callable[[Estimate], list[tuple[int, bytes]]]:
     """
-    Return a function that makes the messages of several topics.
+    Return a function that makes the messages of several topics of an estimate.
 
-    Parameters
-    ----------
-    outputs : sequence of Output
-        The topics. One call of compiled code makes the messages of all those that it can.
-
-    Returns
-    -------
-    callable
-        Of an estimate; returns messages, each with the index of its topic.
+    Each is with the index of its topic. One call of compiled code makes all those that it can.
     """
     builds = [(k, output.build) for k, output in enumerate(outputs)]
     compiled = [(k, build) for k, build in builds if isinstance(build, Rows)]
@@ -328,21 +320,7 @@ def _pair_outputs(rig: _Rig, connected: Sequence[tuple[str, str]]) -> Iterator[O
 
 
 def outputs_of(settings: Settings, registered: Registered | None) -> list[Output]:
-    """
-    Return the topics of results with these parameters.
-
-    Parameters
-    ----------
-    settings : Settings
-        The parameters; `topics` chooses the standard topics or all.
-    registered : Registered or None
-        Quantities of another package, as of the theory of their scene.
-
-    Returns
-    -------
-    list of Output
-        The topics.
-    """
+    """Return the topics of results; the parameter `topics` chooses the standard ones or all."""
     outputs = result_outputs(
         tuple(settings.bodies),
         settings.plane,
@@ -356,21 +334,7 @@ def outputs_of(settings: Settings, registered: Registered | None) -> list[Output
 
 
 def live_outputs(settings: Settings, registered: Registered | None) -> list[Output]:
-    """
-    Return the topics of a live node: those of results, and that of live pages.
-
-    Parameters
-    ----------
-    settings : Settings
-        The parameters.
-    registered : Registered or None
-        As for `outputs_of`.
-
-    Returns
-    -------
-    list of Output
-        The topics.
-    """
+    """Return the topics of a live node: those of results, and that of live pages."""
     build = view_builder(plane_of(settings.plane) or XY)
     page = Output(VIEW, String, settings.highest_order, build, interval=VIEW_INTERVAL)
     return [*outputs_of(settings, registered), page]

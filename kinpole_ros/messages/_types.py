@@ -32,22 +32,9 @@ class MessageError(ValueError):
 
 def message_class(name: str) -> Any:
     """
-    Return a message class by name.
+    Return a message class by name, 'package/msg/Name' or 'package/Name'.
 
-    Parameters
-    ----------
-    name : str
-        'package/msg/Name' or 'package/Name'.
-
-    Returns
-    -------
-    type
-        The class.
-
-    Raises
-    ------
-    LookupError
-        For a type that is neither known nor installed.
+    Raises LookupError for a type that is neither known nor installed.
     """
     package, short = name.partition('/')[0], name.rpartition('/')[2]
     name = f'{package}/msg/{short}'
@@ -74,19 +61,7 @@ def _message_class(name: str) -> Any:
 
 
 def type_name(cls: Any) -> str:
-    """
-    Return the name of a message class.
-
-    Parameters
-    ----------
-    cls : type
-        The class, of `message_class` or of rclpy.
-
-    Returns
-    -------
-    str
-        The full name, such as 'geometry_msgs/msg/PointStamped'.
-    """
+    """Return the full name of a message class, as 'geometry_msgs/msg/PointStamped'."""
     if name := getattr(cls, '__msgtype__', ''):
         return str(name)
     package, kind = cls.__module__.split('.')[:2]
@@ -97,16 +72,8 @@ def definition(cls: Any) -> str:
     """
     Return the text of a message type and of all types in it, in rosbag2's form ('ros2msg').
 
-    Parameters
-    ----------
-    cls : type
-        The class of the type.
-
-    Returns
-    -------
-    str
-        The type itself, then the types that it contains, once each, below a line of 80 '=' and a
-        line 'MSG: package/Name'.
+    These are the type itself, then those that it contains, once each, below a line of 80 '=' and a
+    line 'MSG: package/Name'.
     """
     return str(_STORE.generate_msgdef(type_name(message_class(type_name(cls))), ros_version=2)[0])
 
@@ -115,15 +82,7 @@ def serialize_message(message: Any) -> bytes:
     """
     Serialize a message to plain CDR, little endian, with zeros in the padding.
 
-    Parameters
-    ----------
-    message : object
-        A message of a class of `message_class`, or of rclpy.
-
-    Returns
-    -------
-    bytes
-        The message. One of rclpy has the padding that rclpy leaves.
+    One of rclpy has the padding that rclpy leaves.
     """
     if not hasattr(message, '__msgtype__'):
         from rclpy.serialization import serialize_message as serialize_of_rclpy
@@ -134,24 +93,9 @@ def serialize_message(message: Any) -> bytes:
 
 def deserialize_message(data: bytes, cls: Any) -> Any:
     """
-    Read a message; bytes behind it are ignored, as by rclpy, and text must be UTF-8.
+    Read a message in CDR of either byte order; MessageError for other data.
 
-    Parameters
-    ----------
-    data : bytes
-        The message in CDR of either byte order.
-    cls : type
-        Its class.
-
-    Returns
-    -------
-    object
-        The message.
-
-    Raises
-    ------
-    MessageError
-        For other data.
+    Bytes behind it are ignored, as by rclpy, and text must be UTF-8.
     """
     try:
         # The method of the store refuses bytes behind the message.
@@ -166,19 +110,7 @@ def deserialize_message(data: bytes, cls: Any) -> Any:
 
 
 def fields(cls: Any) -> dict[str, str]:
-    """
-    Return the fields of a message class.
-
-    Parameters
-    ----------
-    cls : type
-        The class.
-
-    Returns
-    -------
-    dict
-        Types by name, as a .msg file has them.
-    """
+    """Return the types of the fields of a message class by name, as a .msg file has them."""
     return {name: _msg_type(kind) for name, kind in _STORE.fielddefs[type_name(cls)][1]}
 
 
@@ -247,41 +179,12 @@ END_OF_TIME = 2**31 * SECOND  # ns: the first stamp that a ROS time cannot hold
 
 
 def stamp_to_ns(stamp: Any) -> int:
-    """
-    Return a stamp as an exact number.
-
-    Parameters
-    ----------
-    stamp : Time
-        A builtin_interfaces Time.
-
-    Returns
-    -------
-    int
-        The stamp, ns.
-    """
+    """Return a builtin_interfaces Time as an exact number of ns."""
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 
 
 def ns_to_stamp(ns: int) -> Any:
-    """
-    Make a stamp of a number.
-
-    Parameters
-    ----------
-    ns : int
-        The stamp, ns.
-
-    Returns
-    -------
-    Time
-        A builtin_interfaces Time.
-
-    Raises
-    ------
-    ValueError
-        Outside of what it holds, the years 1970 to 2038.
-    """
+    """Return a builtin_interfaces Time; ValueError beyond the years 1970 to 2038 that it holds."""
     sec, nanosec = divmod(int(ns), SECOND)
     if not 0 <= ns < END_OF_TIME:
         raise ValueError(f'stamp {ns} ns is out of range: a ROS time holds 0 to 2^31 s')

@@ -47,23 +47,13 @@ def view_builder(default_plane: Plane) -> Build:
 
 def view_of(estimate: Estimate, default_plane: Plane) -> dict[str, Any]:
     """
-    Return what pages show of one instant, in SI units, rounded to seven digits or to micrometers.
+    Return what pages show of one instant (B,), in SI units, rounded to seven digits or micrometers.
 
-    Parameters
-    ----------
-    estimate : Estimate
-        One instant, of shape (B,).
-    default_plane : Plane
-        The plane of an estimate without one.
-
-    Returns
-    -------
-    dict
-        `stamp`, ns; `along`, the names of the axes of the plane; `figures`, the names of the
-        quantities; `bodies`, each with `name` and `reasons`; `pairs`. A body with a pose also has
-        `x`, `y`, `angle`, `vx`, `vy` of its frame, `size` (0 if unknown), the markers `outline` in
-        its frame, and the quantities that are determined, as in `quantity_lists`. `reasons` say why
-        the others are undetermined, under 'all' for the whole body.
+    `stamp`, ns; `along`, the names of the axes of the plane; `figures`, the names of the
+    quantities; `bodies`, each with `name` and `reasons`; `pairs`. A body with a pose also has `x`,
+    `y`, `angle`, `vx`, `vy` of its frame, `size` (0 if unknown), the markers `outline` in its
+    frame, and the quantities that are determined, as in `quantity_lists`. `reasons` say why the
+    others are undetermined, under 'all' for the whole body.
     """
     bodies: list[dict[str, Any]] = []
     determined = estimate.quantities(estimate.order)
@@ -107,20 +97,11 @@ def quantity_lists(
     quantities: Mapping[str, Numbers | Vectors],
 ) -> dict[str, list[list[float] | None]]:
     """
-    Return quantities as pages read them.
+    Return quantities (B,) as pages read them: by name a list for each body, None if undetermined.
 
-    Parameters
-    ----------
-    quantities : mapping of str to Numbers or Vectors
-        Quantities (B,) by name.
-
-    Returns
-    -------
-    dict
-        By name, a list for each body, None where the quantity is undetermined: of a number
-        [value, standard deviation]; of a velocity [x, y, standard deviation of its length]; of a
-        point [x, y, major, minor, direction], with the semi-axes of its ellipse of one standard
-        deviation and the direction of the major one, rad.
+    It is of a number [value, standard deviation]; of a velocity [x, y, standard deviation of its
+    length]; of a point [x, y, major, minor, direction], with the semi-axes of its ellipse of one
+    standard deviation and the direction of the major one, rad.
     """
     lists = {}
     for name, quantity in quantities.items():

@@ -47,28 +47,11 @@ def listen(
     topic: str, seconds: float, progress: Callable[[float], None] | None = None
 ) -> tuple[list[MarkerFrames], str]:
     """
-    Receive the markers of a topic for some time from its first message on.
+    Receive the markers of a topic for so many seconds from its first message on.
 
-    Parameters
-    ----------
-    topic : str
-        The topic; the slash before it may be missing.
-    seconds : float
-        The time, s.
-    progress : callable, optional
-        Called with the fraction done.
-
-    Returns
-    -------
-    frames : list of MarkerFrames
-        The frames, without messages that are too large for the node.
-    topic : str
-        The full name of the topic.
-
-    Raises
-    ------
-    BagError
-        Where nobody publishes markers on it, or too much to be kept.
+    Returns the frames, without messages that are too large for the node, and the full name of the
+    topic. `progress` is called with the fraction done. Raises BagError where nobody publishes
+    markers on it, or too much to be kept.
     """
     name = with_slash(topic)
     context = own_context()

@@ -333,17 +333,9 @@ def _spin(node: KinpoleNode, executor: Executor, stop_requested: Callable[[], bo
 
 def main(args: Sequence[str] | None = None) -> int:
     """
-    Run the node until SIGINT or SIGTERM.
+    Run the node until SIGINT or SIGTERM, and return the exit status.
 
-    Parameters
-    ----------
-    args : sequence of str, optional
-        The command line; that of the process if not given.
-
-    Returns
-    -------
-    int
-        The exit status.
+    Without `args` the command line is that of the process.
     """
     words = list(sys.argv if args is None else args)
     node = executor = stop_requested = None

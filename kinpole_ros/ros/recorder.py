@@ -34,23 +34,9 @@ def record(output: str | Path, prefixes: list[str]) -> int:
     """
     Record all topics that begin with one of `prefixes` until SIGINT or SIGTERM.
 
-    Parameters
-    ----------
-    output : str or Path
-        The bag to write. All but the last second of it is readable even after a kill.
-    prefixes : list of str
-        Beginnings of the names of topics.
-
-    Returns
-    -------
-    int
-        The number of messages.
-
-    Raises
-    ------
-    BagError
-        Where the output cannot be written, or is a file that is not empty: a recording cannot be
-        made again.
+    Returns the number of messages. All but the last second of the bag is readable even after a
+    kill. Raises BagError where it cannot be written, or is a file that is not empty: a recording
+    cannot be made again.
     """
     path = Path(output)
     if path.is_file() and path.stat().st_size:

@@ -54,22 +54,7 @@ def policy(settings: Settings, node: str = 'kinpole', namespace: str = '/') -> s
     """
     Return the policy of the node in the XML of SROS2, version 0.2.0, for the enclave of its name.
 
-    Parameters
-    ----------
-    settings : Settings
-        The parameters of the node.
-    node, namespace : str
-        Name and namespace of the node.
-
-    Returns
-    -------
-    str
-        The policy.
-
-    Raises
-    ------
-    ParameterError
-        As `permitted` does.
+    Raises ParameterError as `permitted` does.
     """
     names = permitted(settings)
     root = Element('policy', version='0.2.0')

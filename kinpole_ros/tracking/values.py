@@ -1,6 +1,6 @@
 """Names of quantities, values with their uncertainty, and pairs of bodies of an estimate."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -45,6 +45,25 @@ class Numbers(NamedTuple):
     value: np.ndarray
     variance: np.ndarray
     determined: np.ndarray
+
+
+def known_arrays(quantities: Mapping[str, Numbers | Vectors]) -> dict[str, np.ndarray]:
+    """
+    Return quantities (...) as arrays, NaN where undetermined, by their names.
+
+    A number also has NAME_sigma, a vector, complex, NAME_covariance (..., 2, 2).
+    """
+    arrays = {}
+    for name, (value, spread, determined) in quantities.items():
+        if spread.ndim == value.ndim:
+            arrays[name] = np.where(determined, value, np.nan)
+            with np.errstate(invalid='ignore'):
+                arrays[f'{name}_sigma'] = np.where(determined, np.sqrt(spread), np.nan)
+        else:
+            arrays[name] = np.where(determined, value, complex(np.nan, np.nan))
+            is_known = determined[..., None, None]
+            arrays[f'{name}_covariance'] = np.where(is_known, spread, np.nan)
+    return arrays
 
 
 def ellipse_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,5 +1,6 @@
 """Poses of bodies in place of markers: what is made of them, how sure it is, what is refused."""
 
+import struct
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -14,12 +15,14 @@ from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import (
     INPUT_TYPES,
     DiagnosticsMaker,
+    MarkerReader,
     MessageError,
     PoseReader,
     deserialize_message,
     poses_data,
     serialize_message,
     stamp_to_ns,
+    to_message,
 )
 from kinpole_ros.settings import (
     POSE_TYPES,
@@ -543,6 +546,32 @@ def test_bodies_stamped_alike_are_not_said_to_be_late(tmp_path: Path) -> None:
     result = replay(two_bodies(tmp_path / 'tf.mcap', 0), settings)
     assert result.estimates > 200
     assert not result.pose_problem
+
+
+@pytest.mark.parametrize(
+    ('seconds', 'nanoseconds', 'expected'),
+    [
+        (-1, 0, 'header.stamp is -1 s; see that the driver sets it'),
+        (2**31 - 1, 10**9, 'header.stamp has 1000000000 ns after 2147483647 s'),
+        (1, 1_500_000_000, 2_500_000_000),
+    ],
+)
+def test_stamps_of_poses_are_those_of_markers(
+    seconds: int, nanoseconds: int, expected: int | str
+) -> None:
+    """One rule for all types of messages says which stamps are none."""
+    pose = poses_data('pose_stamped', 0, 'world', [], np.array([(1.0, 2.0, 3.0, *UPRIGHT)]))
+    markers = serialize_message(to_message('pose_array', 0, 'world', ['a'], np.zeros((1, 3))))
+    stamp = struct.pack('<iI', seconds, nanoseconds)
+    for reader, data in (
+        (PoseReader('pose_stamped', ()), pose),
+        (MarkerReader('pose_array'), markers),
+    ):
+        (found,) = reader.read([data[:4] + stamp + data[12:]])
+        if isinstance(found, MessageError):
+            assert str(found).startswith(str(expected))
+        else:
+            assert found.stamps.tolist() == [expected]
 
 
 @pytest.mark.parametrize('kind', WRITTEN)

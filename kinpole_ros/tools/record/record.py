@@ -5,14 +5,14 @@ It comes from the estimates of a replay, from a bag of results, from messages of
 from a solved scene; what shows it does not know which.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from kinpole_ros.tools.record.lost import lost_frames, usual_interval
-from kinpole_ros.tracking.values import Numbers, Vectors, measured_pairs
+from kinpole_ros.tracking.values import measured_pairs
 
 # By subject, a body or a pair (j, i), and by quantity: arrays (T, ...), NaN where undetermined.
 Subject: TypeAlias = str | tuple[str, str]
@@ -90,20 +90,6 @@ class MotionRecord(NamedTuple):
             for body, drawn in self.outlines.items()
         }
         return self._replace(stamp=self.stamp[::step], columns=columns, outlines=outlines)
-
-
-def quantity_columns(
-    quantities: Mapping[str, Numbers | Vectors], k: int
-) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the names and columns of quantities (T, B) of the k-th body or pair."""
-    for name, (value, variance, determined) in quantities.items():
-        is_known = determined[:, k]
-        none = np.nan if value.dtype.kind == 'f' else complex(np.nan, np.nan)
-        yield name, np.where(is_known, value[:, k], none)
-        if variance.ndim == value.ndim:
-            yield f'{name}_sigma', np.where(is_known, np.sqrt(variance[:, k]), np.nan)
-        else:
-            yield f'{name}_covariance', np.where(is_known[:, None, None], variance[:, k], np.nan)
 
 
 def pairs_of(record: MotionRecord) -> list[tuple[str, str]]:

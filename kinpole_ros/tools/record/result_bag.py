@@ -25,13 +25,14 @@ from kinpole_ros.messages import (
 )
 from kinpole_ros.tools.record.diagnostics_log import DiagnosticsLog
 from kinpole_ros.tools.record.lost import lost_count
-from kinpole_ros.tools.record.record import Columns, MotionRecord, Series, quantity_columns
+from kinpole_ros.tools.record.record import Columns, MotionRecord, Series
 from kinpole_ros.tracking.plane import AXES, Plane, as_parameter, plane_along, plane_of, upward
 from kinpole_ros.tracking.values import (
     POLE_NAMES,
     RATE_NAMES,
     Numbers,
     Vectors,
+    known_arrays,
     quantity_names,
 )
 
@@ -128,8 +129,11 @@ def read_record(bag: str | Path, progress: Callable[[float], None] | None = None
         for stamps, quantities in found.states.get(node, []):
             numbered |= _numbers_of(own, stamps, quantities, plane)
             at = stamp.searchsorted(stamps)
+            # Not those of the points that a scene names, which no page shows.
+            shown = {name: quantities[name] for name in _OF_BODY if name in quantities}
+            arrays = known_arrays(shown)
             for prefix, number in numbered.items():
-                _fill(columns, names[prefix], quantities, number, at, len(stamp))
+                _fill(columns, names[prefix], arrays, number, at, len(stamp))
         bodies |= {names[p]: p for p in sorted(numbered, key=lambda p: numbered[p])}
     for body in bodies:
         _add_reasons(columns, body, stamp, found.diagnostics)
@@ -263,18 +267,16 @@ def _numbers_of(
 def _fill(
     columns: Columns,
     body: str,
-    quantities: Mapping[str, Numbers | Vectors],
+    arrays: Mapping[str, np.ndarray],
     number: int,
     at: np.ndarray,
     instants: int,
 ) -> None:
-    """Write the quantities of a body of states at the indices `at` (T,) of the record."""
-    # Not those of the points that a scene names, which no page shows.
-    own = {name: quantities[name] for name in _OF_BODY if name in quantities}
-    for name, values in quantity_columns(own, number):
+    """Write the arrays (T, B, ...) of a body of states at the indices `at` (T,) of the record."""
+    for name, values in arrays.items():
         if (body, name) not in columns:
-            columns[body, name] = np.full((instants, *values.shape[1:]), np.nan, values.dtype)
-        columns[body, name][at] = values
+            columns[body, name] = np.full((instants, *values.shape[2:]), np.nan, values.dtype)
+        columns[body, name][at] = values[:, number]
     columns[body, 'position_sigma'] = np.sqrt(columns[body, 'position_covariance'][:, 0, 0])
 
 

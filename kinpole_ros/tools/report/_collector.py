@@ -7,9 +7,9 @@ import numpy as np
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import LinkageError
 from kinpole_ros.tools.record.lost import lost_count
-from kinpole_ros.tools.record.record import Columns, MotionRecord, quantity_columns
+from kinpole_ros.tools.record.record import Columns, MotionRecord
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.values import RATE_NAMES, measured_pairs
+from kinpole_ros.tracking.values import RATE_NAMES, known_arrays, measured_pairs
 
 
 class Collector:
@@ -73,6 +73,7 @@ def _estimate_columns(estimate: Estimate) -> Columns:
     quantities = estimate.quantities(estimate.order)
     if estimate.order >= 3:
         quantities['ball_point'] = estimate.ball_point
+    arrays = known_arrays(quantities)
     with np.errstate(invalid='ignore'):
         for b, body in enumerate(estimate.bodies):
             columns[body, 'missing'] = estimate.missing[:, b].astype(object)
@@ -83,15 +84,14 @@ def _estimate_columns(estimate: Estimate) -> Columns:
             columns[body, 'angle_sigma'] = np.sqrt(estimate.angle_covariance[0, 0, :, b])
             columns[body, 'shape'] = estimate.shape[:, b]
             columns[body, 'size'] = estimate.size[:, b]
-            for name, values in quantity_columns(quantities, b):
-                columns[body, name] = values
+            for name, values in arrays.items():
+                columns[body, name] = values[:, b]
             for name, reason in reasons.items():
                 withheld = np.where(estimate.missing[:, b] == '', reason[:, b], '')
                 columns[body, f'{name}_withheld'] = withheld.astype(object)
-        centers = {'icr': estimate.relative_icr}
-        for k, (i, j) in enumerate(measured_pairs(len(estimate.bodies))):
-            for name, values in quantity_columns(centers, k):
-                columns[(estimate.bodies[j], estimate.bodies[i]), name] = values
+        for name, values in known_arrays({'icr': estimate.relative_icr}).items():
+            for k, (i, j) in enumerate(measured_pairs(len(estimate.bodies))):
+                columns[(estimate.bodies[j], estimate.bodies[i]), name] = values[:, k]
     return columns
 
 
