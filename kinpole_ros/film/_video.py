@@ -70,22 +70,15 @@ class Video:
         def decode() -> None:
             try:
                 for item in self._decoded():
-                    if not _put(waiting, item, is_over):
+                    if not put(waiting, item, is_over):
                         return
-                _put(waiting, None, is_over)
+                put(waiting, None, is_over)
             except Exception as error:
-                _put(waiting, error, is_over)
+                put(waiting, error, is_over)
 
         thread = threading.Thread(target=decode, daemon=True)
         thread.start()
-        try:
-            while (item := waiting.get()) is not None:
-                if isinstance(item, Exception):
-                    raise item
-                yield item
-        finally:
-            is_over.set()
-            thread.join()
+        yield from taken(waiting, thread, is_over)
 
     def _decoded(self) -> Iterator[tuple[int, Any]]:
         first = last = -1
@@ -156,7 +149,21 @@ class Video:
         )
 
 
-def _put(waiting: 'queue.Queue[Any]', item: Any, is_over: threading.Event) -> bool:
+def taken(
+    waiting: 'queue.Queue[Any]', thread: threading.Thread, is_over: threading.Event
+) -> Iterator[Any]:
+    """Yield what a thread puts into a queue, until None; raise an error that it puts there."""
+    try:
+        while (item := waiting.get()) is not None:
+            if isinstance(item, Exception):
+                raise item
+            yield item
+    finally:
+        is_over.set()
+        thread.join()
+
+
+def put(waiting: 'queue.Queue[Any]', item: Any, is_over: threading.Event) -> bool:
     """Put an item in a queue, and return True; False when nobody will take it any more."""
     while not is_over.is_set():
         with suppress(queue.Full):

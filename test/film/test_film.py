@@ -3,6 +3,8 @@
 import signal
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +17,8 @@ from kinpole_ros import replay
 from kinpole_ros.bags import read_frames
 from kinpole_ros.film import FilmError, FilmOptions, Lens, LiveTags, film_to_bag, read_film
 from kinpole_ros.film._film import Seen, place_seen
-from kinpole_ros.film._video import Video
+from kinpole_ros.film._live_tags import newest
+from kinpole_ros.film._video import Picture, Video
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.tools.cli import main
 
@@ -256,6 +259,26 @@ def test_tags_of_a_camera_are_placed_after_a_second_and_a_half(
             tag, corner = map(int, name.removeprefix('tag').split('_'))
             assert abs(place - whole[k, tag, corner - 1]) < 1.5e-3
     assert seen > 0.98 * 28 * 16
+
+
+def test_pictures_of_a_camera_that_come_too_fast_are_left_out() -> None:
+    gray, all_came, may_end = np.zeros((2, 2), np.uint8), threading.Event(), threading.Event()
+
+    def pictures() -> Iterator[Picture]:
+        yield Picture(0, gray)
+        assert may_end.wait(20)
+        for stamp in range(1, 6):
+            yield Picture(stamp, gray)
+        all_came.set()
+        raise FilmError('no more')
+
+    seen = newest(pictures())
+    assert next(seen).stamp == 0
+    may_end.set()
+    assert all_came.wait(20)
+    assert next(seen).stamp == 5
+    with pytest.raises(FilmError, match='no more'):
+        next(seen)
 
 
 def test_a_live_camera_has_to_stand_still(tmp_path: Path) -> None:
