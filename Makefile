@@ -8,7 +8,8 @@ LOCK ?= requirements
 PROGRESS ?= 10
 RUN := .venv/bin/python
 PIP = $(RUN) -m pip install --disable-pip-version-check
-PYTEST := -m pytest -p xdist -n auto --dist loadfile
+# A worker that a test ends is not replaced: it would be given the same test again.
+PYTEST := -m pytest -p xdist -n auto --dist loadfile --max-worker-restart 0
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test docs oldest newest lint sanitize bags fuzz lock clean

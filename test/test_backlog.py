@@ -14,7 +14,7 @@ from conftest import sent, stamp_of, write_config
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
 from test_faults import LAG, STEP, Rig, message, rod
-from test_node import LIMIT, complaints, process
+from test_node import LIMIT, TOO_SLOW, process, warnings_of
 
 from kinpole_ros.messages import MARKER_TYPES, MessageError, serialize_message
 from kinpole_ros.ros import source as source_module
@@ -97,7 +97,7 @@ def test_a_node_slower_than_the_stream_says_so_and_catches_up_with_all_frames(
                 rig.diagnosed(
                     lambda: rig.send_next(publisher),
                     DiagnosticStatus.WARN,
-                    'the node is slower than the stream',
+                    TOO_SLOW,
                     None,
                 )
                 last = rig.stamp
@@ -117,8 +117,8 @@ def test_a_node_slower_than_the_stream_says_so_and_catches_up_with_all_frames(
             node.send_signal(signal.SIGINT)
             assert node.wait(LIMIT) == 0
             rig.close()
-    (told,) = complaints(log)
-    assert 'the node is slower than the stream' in told
+    (told,) = warnings_of(log)
+    assert TOO_SLOW in told
 
 
 @pytest.mark.parametrize('given', [None, 7])

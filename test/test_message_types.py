@@ -48,8 +48,22 @@ DEFINITIONS = {
     'motion_capture_tracking_interfaces/msg/NamedPose': 'string name\ngeometry_msgs/Pose pose\n',
     'motion_capture_tracking_interfaces/msg/NamedPoseArray': 'std_msgs/Header header\n'
     'motion_capture_tracking_interfaces/NamedPose[] poses\n',
+    'aruco_msgs/msg/Marker': 'std_msgs/Header header\nuint32 id\n'
+    'geometry_msgs/PoseWithCovariance pose\nfloat64 confidence\n',
+    'aruco_msgs/msg/MarkerArray': 'std_msgs/Header header\naruco_msgs/Marker[] markers\n',
+    'aruco_markers_msgs/msg/Marker': 'std_msgs/Header header\nuint32 id\n'
+    'geometry_msgs/PoseStamped pose\nfloat64 pixel_x\nfloat64 pixel_y\n',
+    'aruco_markers_msgs/msg/MarkerArray': 'std_msgs/Header header\n'
+    'aruco_markers_msgs/Marker[] markers\n',
+    'aruco_opencv_msgs/msg/MarkerPose': 'uint16 marker_id\ngeometry_msgs/Pose pose\n',
+    'aruco_opencv_msgs/msg/BoardPose': 'string board_name\ngeometry_msgs/Pose pose\n',
+    'aruco_opencv_msgs/msg/ArucoDetection': 'std_msgs/Header header\n'
+    'aruco_opencv_msgs/MarkerPose[] markers\naruco_opencv_msgs/BoardPose[] boards\n',
 }
-KINDS = ('mocap_markers', 'rigid_bodies', 'named_poses')
+OF_TAGS = ('aruco', 'aruco_markers', 'aruco_detection')
+KINDS = ('mocap_markers', 'rigid_bodies', 'named_poses', *OF_TAGS)
+# The numbers of tags, by the names that the other types have.
+TAGS = {'rod': 3, 'rodd': 4, 't': 65535, 'a': 0}
 PACKAGES = {INPUT_TYPE_NAMES[kind].partition('/')[0] for kind in KINDS}
 STORE: Any = get_typestore(Stores.ROS2_JAZZY)
 for _name, _text in DEFINITIONS.items():
@@ -88,11 +102,28 @@ def markers(stamp: int, *items: Any, is_little: bool = True) -> bytes:
     return packed('mocap_markers', message, is_little)
 
 
+def tag(kind: str, stamp: int, number: int, one: Any) -> Any:
+    """The pose of a tag, as a detector of this type sends it."""
+    if kind == 'aruco_detection':
+        return make('aruco_opencv_msgs/MarkerPose', number, one)
+    if kind == 'aruco':
+        with_covariance = make('geometry_msgs/PoseWithCovariance', one, np.zeros(36))
+        return make('aruco_msgs/Marker', header(stamp), number, with_covariance, 1.0)
+    stamped = make('geometry_msgs/PoseStamped', header(stamp), one)
+    return make('aruco_markers_msgs/Marker', header(stamp), number, stamped, 5.0, 6.0)
+
+
 def poses(kind: str, stamp: int, is_little: bool = True, **bodies: Any) -> bytes:
     if kind == 'rigid_bodies':
         own = [marker('inner', (9, 9, 9))]
         items = [make('mocap4r2_msgs/RigidBody', name, own, one) for name, one in bodies.items()]
         return packed(kind, make('mocap4r2_msgs/RigidBodies', header(stamp), 7, items), is_little)
+    if kind in OF_TAGS:
+        items = [tag(kind, stamp, TAGS[name], one) for name, one in bodies.items()]
+        boards = [[]] if kind == 'aruco_detection' else []
+        late = stamp + 7_000_000 if kind == 'aruco_markers' else stamp  # as its driver does
+        message = make(INPUT_TYPE_NAMES[kind].replace('/msg', ''), header(late), items, *boards)
+        return packed(kind, message, is_little)
     package = 'motion_capture_tracking_interfaces'
     items = [make(f'{package}/NamedPose', name, one) for name, one in bodies.items()]
     return packed(kind, make(f'{package}/NamedPoseArray', header(stamp), items), is_little)
@@ -122,6 +153,7 @@ SETTINGS = {
     'mocap_markers': {'bodies': ['rod'], 'rod.markers': ['a', 'b', 'c', 'd']},
     'rigid_bodies': {'bodies': ['rod'], 'rod.markers': ['rod'], 'marker_type': 'rigid_bodies'},
     'named_poses': {'bodies': ['rod'], 'rod.markers': ['rod'], 'marker_type': 'named_poses'},
+    **{kind: {'bodies': ['rod'], 'rod.markers': ['3'], 'marker_type': kind} for kind in OF_TAGS},
 }
 
 
@@ -170,12 +202,15 @@ def test_markers_that_come_and_go_are_frames_of_other_names() -> None:
 @pytest.mark.parametrize('is_little', [True, False])
 @pytest.mark.parametrize('kind', KINDS[1:])
 def test_poses_have_the_names_of_their_bodies(kind: str, is_little: bool) -> None:
+    names = ('65535', '0') if kind in OF_TAGS else ('t', 'a')
+    own = {'tip.markers': names[:1], 'arm.markers': names[1:]}
     settings = settings_from(
-        {'bodies': ['arm', 'tip'], 'arm.markers': ['a'], 'tip.markers': ['t'], 'marker_type': kind}
+        {'bodies': ['arm', 'tip'], 'marker_type': kind, **{k: list(v) for k, v in own.items()}}
     )
     data = poses(kind, FIRST, is_little, t=pose((1, 2, 3), 0.5), a=pose((4, 5, 6), 0.0))
     (frames,) = reader_of(kind, settings).read([data])
-    assert frames.identities == ('t', 'a')
+    assert frames.identities == names
+    assert frames.stamps.tolist() == [FIRST]
     np.testing.assert_array_equal(frames.points, [[[1, 2, 3], [4, 5, 6]]])
     angles = np.arctan2(frames.axes[0, :, 0, 1], frames.axes[0, :, 0, 0])
     np.testing.assert_allclose(angles, [0.5, 0], atol=1e-12)
@@ -204,7 +239,8 @@ def test_a_name_that_comes_twice_is_refused() -> None:
 def test_a_message_cut_anywhere_or_with_wrong_sizes_is_an_error_or_frames(kind: str) -> None:
     data = next(rod(kind))
     read = reader_of(kind, settings_from(SETTINGS[kind])).read
-    for end in range(len(data)):
+    behind = 4 if kind == 'aruco_detection' else 0  # bytes of its boards, which are not read
+    for end in range(len(data) - behind):
         (result,) = read([data[:end]])
         assert isinstance(result, MessageError)
     for at in range(len(data) - 3):

@@ -13,8 +13,16 @@ from test_results import FRAME, PLANES, estimate, placed, stacked
 from kinpole_ros import messages
 from kinpole_ros.bags import read_messages, replay
 from kinpole_ros.messages import STATE, Output, read_state, result_outputs, state_fields
+from kinpole_ros.messages._state import state
 from kinpole_ros.settings import load_settings
-from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors
+from kinpole_ros.tracking.plane import XY
+from kinpole_ros.tracking.values import (
+    POLE_NAMES,
+    RATE_NAMES,
+    Numbers,
+    RegisteredQuantity,
+    Vectors,
+)
 
 ROOT = Path(__file__).parents[1]
 BODIES = ('crank', 'coupler', 'rocker')
@@ -247,6 +255,73 @@ def test_states_of_before_the_inflection_circle_are_read(order: int) -> None:
     for name, quantity in found.items():
         for part, expected in zip(quantity, now[name], strict=True):
             np.testing.assert_array_equal(part, expected)
+
+
+def registered() -> list[RegisteredQuantity]:
+    """Known at the first of two instants: of either body P, of the second one a number."""
+    value, known = np.array([1 + 2j, np.nan + 0j]), np.array([True, True])
+    spread = np.array([[3.0, 0.5], [0.5, 4.0]]) * np.ones((2, 1, 1))
+    number = Numbers(np.array([5.0, 6.0]), np.array([0.25, 0.25]), np.array([True, False]))
+    one, two = (Vectors(factor * value, spread, known) for factor in (1, 2))
+    return [
+        RegisteredQuantity('crank/points/P', 'point', 1, 'm', lambda _: one, 0),
+        RegisteredQuantity('coupler/points/P', 'point', 1, 'm', lambda _: two, 1),
+        RegisteredQuantity('coupler/slip', 'number', 2, 'm', lambda _: number, 1),
+        RegisteredQuantity('balance', 'torque', 1, 'N m', lambda _: number),
+    ]
+
+
+@pytest.mark.parametrize('order', [1, 2, 3, 4])
+def test_quantities_registered_of_a_body_are_fields_of_that_body(order: int) -> None:
+    """Bodies with a quantity of one name share its fields; what is of no body has none."""
+    now = stacked([estimate(order=order), estimate(5_010_000_000, order=order)])
+    at, pair = state(XY, order, registered())(now)
+    assert at == [0, 1]
+    _, plain = state(XY, order)(now)
+    added = [f'points/P_{end}' for end in ('x', 'y', 'xx', 'xy', 'yy', 'determined')]
+    added += ['slip', 'slip_deviation', 'slip_determined'] if order > 1 else []
+    for data, before in zip(pair, plain, strict=True):
+        cloud, alone = (deserialize_message(each, PointCloud2) for each in (data, before))
+        points, others = points_of(cloud), points_of(alone)
+        assert points.dtype.names == (*(others.dtype.names or ()), *added)
+        for name in others.dtype.names or ():
+            np.testing.assert_array_equal(points[name], others[name])
+    first, second = (read_state(data)[1] for data in pair)
+    found = first['points/P']
+    assert isinstance(found, Vectors)
+    assert found.determined.tolist() == [True, True]
+    assert found.value.tolist() == [1 + 2j, 2 + 4j]
+    assert found.covariance.tolist() == [[[3.0, 0.5], [0.5, 4.0]]] * 2
+    # Of the second instant no value is finite.
+    assert not second['points/P'].determined.any() and not second['points/P'].value.any()
+    if order > 1:
+        assert [part.tolist() for part in first['slip']] == [[0, 5], [0, 0.25], [False, True]]
+        assert not second['slip'].determined.any() and not second['slip'].value.any()
+
+
+@pytest.mark.parametrize(
+    'names',
+    [
+        ['slip', 'slip_deviation'],
+        ['slip', 'slip_deviation', 'slip'],
+        ['slip', 'slip_xx', 'slip_determined'],
+        ['icr', 'icr_deviation', 'icr_determined'],
+        ['position', 'position_deviation', 'position_determined'],
+        2 * ['slip', 'slip_deviation', 'slip_determined'],
+    ],
+)
+def test_fields_that_are_of_no_quantity_are_refused(names: list[str]) -> None:
+    _, (data,) = output().build(stacked([estimate()]))
+    cloud = deserialize_message(data, PointCloud2)
+    rows = np.frombuffer(bytes(cloud.data), np.uint8).reshape(cloud.width, -1)
+    for name in names:
+        field = PointField(name=name, offset=cloud.point_step, datatype=PointField.FLOAT64, count=1)
+        cloud.fields.append(field)
+        cloud.point_step += 8
+    cloud.data = np.pad(rows, ((0, 0), (0, 8 * len(names)))).ravel()
+    cloud.row_step = cloud.width * cloud.point_step
+    with pytest.raises(ValueError, match=r'its fields of .* are not those of a topic `state`'):
+        read_state(serialize_message(cloud))
 
 
 def test_another_cloud_is_refused() -> None:

@@ -9,6 +9,8 @@ from conftest import bodies_of, decoded
 from recordings import START, follow, record
 
 from kinpole_ros import planar
+from kinpole_ros.bags import read_messages
+from kinpole_ros.linkage import theory
 from kinpole_ros.linkage.positions import Positions
 from kinpole_ros.linkage.theory import balance, balance_direction, load_theory
 from kinpole_ros.mechanism import (
@@ -19,7 +21,7 @@ from kinpole_ros.mechanism import (
     scene_names,
     scenes_folder,
 )
-from kinpole_ros.messages import stamp_to_ns
+from kinpole_ros.messages import read_states, stamp_to_ns
 from kinpole_ros.settings import ParameterError, Settings, load_settings, settings_from
 from kinpole_ros.tools import cli
 from kinpole_ros.tracking import update
@@ -198,13 +200,91 @@ def test_paths_of_points_have_centers_which_are_withheld_near_an_inflection(
     spread = np.array([complex(m.point.x, m.point.y) for m in spreads])
     for part in (np.real, np.imag):
         assert np.mean(np.abs(part(off)) < 1.96 * part(spread)) > 0.9
-    table = tmp_path / 'out.csv'
-    words = ['--config', str(config(tmp_path, path)), '--csv', str(table)]
+
+
+def test_the_state_of_a_result_bag_has_the_points_as_tables_and_topics_have_them(
+    bag: Path, tmp_path: Path
+) -> None:
+    """A path that bends both ways, so that its radius is known at some instants only."""
+    path = scene(tmp_path, 'bent', bent=('P: [0.1, 0.15]', 'P: [0.5, -0.1]'))
+    table, output = tmp_path / 'out.csv', tmp_path / 'out.mcap'
+    words = ['--config', str(config(tmp_path, path)), '--csv', str(table), '--output', str(output)]
     assert cli.main(['replay', str(bag), *words]) == 0
     columns = np.genfromtxt(table, delimiter=',', names=True)
-    known = columns['coupler_points_P_path_radius']
-    np.testing.assert_array_equal(known[np.isfinite(known)], said)
-    assert np.isfinite(columns['coupler_points_P_path_center_x_sigma']).sum() == len(said)
+    topics = decoded(output)
+    states = read_messages(output, ['/kinpole/state'])
+    ((stamps, quantities),) = read_states(message.data for message in states)
+    found = {}
+    for name in (name for name in quantities if '/' in name):
+        # Other bodies have no such point.
+        assert not quantities[name].determined[:, [0, 2]].any()
+        value, spread, known = (part[:, 1] for part in quantities[name])
+        assert known.any()
+        assert not value[~known].any() and not spread[~known].any()
+        of_topic = topics[f'/kinpole/coupler/{name}']
+        assert stamps[known].tolist() == [stamp_to_ns(message.header.stamp) for message in of_topic]
+        if np.iscomplexobj(value):
+            ends = {'_x': value.real, '_y': value.imag}
+            ends |= {'_x_sigma': spread[:, 0, 0] ** 0.5, '_y_sigma': spread[:, 1, 1] ** 0.5}
+        else:
+            ends = {'': value, '_sigma': spread**0.5}
+        found |= {f'coupler_{name.replace("/", "_")}{end}': (ends[end], known) for end in ends}
+    assert set(found) == {name for name in columns.dtype.names or () if '_points_' in name}
+    for name, (values, known) in found.items():
+        np.testing.assert_allclose(columns[name], np.where(known, values, np.nan), rtol=1e-14)
+    assert not all(known.all() for _, known in found.values())
+
+
+def test_the_state_of_exact_markers_has_the_motion_and_the_path_of_a_point(tmp_path: Path) -> None:
+    path, clean = scene(tmp_path), tmp_path / 'clean.mcap'
+    words = ['--duration', '1.5', '--rate', '200', '--output', str(clean)]
+    assert cli.main(['simulate', str(path), *words]) == 0
+    replayed(clean, tmp_path, path)
+    states = read_messages(tmp_path / 'out.mcap', ['/kinpole/state'])
+    ((stamps, quantities),) = read_states(message.data for message in states)
+    begin = stamp_to_ns(decoded(clean)['/markers'][0].markers[0].header.stamp)
+    loaded = load_scene(path)
+    body, place = loaded.points['coupler.P']
+    motion = loaded.motion((stamps - begin) * 1e-9)[body]
+    exact = motion.position[:4] + place * rotation_derivatives(motion.angle)[:4]
+    position, velocity, acceleration, jerk = exact
+    radius = np.abs(velocity) ** 3 / (velocity.conj() * acceleration).imag
+    true = {
+        '': (position, 1e-12),
+        '/velocity': (velocity, 1e-10),
+        '/acceleration': (acceleration, 1e-7),
+        '/jerk': (jerk, 1e-5),
+        '/path_radius': (radius, 1e-7),
+        '/path_center': (position + 1j * velocity / np.abs(velocity) * radius, 1e-7),
+    }
+    assert [f'points/P{end}' for end in true] == [name for name in quantities if '/' in name]
+    for end, (values, bound) in true.items():
+        value, _, determined = (part[:, 1] for part in quantities[f'points/P{end}'])
+        assert determined.all()
+        np.testing.assert_allclose(value, values, rtol=bound)
+
+
+def test_what_a_quantity_of_the_scene_follows_from_is_computed_once(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Topics, their deviations, the state and the table read center and radius of a path."""
+    calls: dict[str, list[Any]] = {'_paths': [], '_motion_of_points': []}
+
+    def counted(compute: Any, estimates: list[Any]) -> Any:
+        def computed(*arguments: Any) -> Any:
+            estimates.append(arguments[-1])
+            return compute(*arguments)
+
+        return computed
+
+    for name, estimates in calls.items():
+        monkeypatch.setattr(theory, name, counted(getattr(theory, name), estimates))
+    path, table = scene(tmp_path), tmp_path / 'out.csv'
+    words = ['--config', str(config(tmp_path, path)), '--csv', str(table)]
+    assert cli.main(['replay', str(bag), *words, '--output', str(tmp_path / 'out.mcap')]) == 0
+    for estimates in calls.values():
+        assert estimates
+        assert len({*map(id, estimates)}) == len(estimates)
 
 
 def test_centers_of_bodies_that_are_as_the_scene_says_are_on_the_line_of_the_pins(

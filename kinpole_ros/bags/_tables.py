@@ -23,8 +23,6 @@ from kinpole_ros.tracking.values import (
 
 AddRows: TypeAlias = Callable[[Estimate], None]
 
-# Registered quantities of these kinds are numbers.
-_NUMBERS = ('number', 'torque')
 _GROUP_ROWS = 8192  # of a Parquet file, which are in memory at once
 # The event of a body that was found with an instant: its time, and the step of the derivative of
 # this order, of the angle and of the origin of the body's frame.
@@ -61,9 +59,8 @@ def column_names(
             f'{bodies[j]}_wrt_{bodies[i]}', ['angular_velocity'], ['icr']
         )
     for quantity in _up_to(order, registered):
-        name, is_vector = quantity.topic.replace('/', '_'), quantity.kind not in _NUMBERS
-        ends = ('_x', '_y', '_x_sigma', '_y_sigma') if is_vector else ('', '_sigma')
-        names += [name + end for end in ends]
+        ends = ('_x', '_y', '_x_sigma', '_y_sigma') if quantity.is_vector else ('', '_sigma')
+        names += [quantity.topic.replace('/', '_') + end for end in ends]
     return names + [f'{body}_{name}' for body in bodies for name in EVENT_COLUMNS]
 
 

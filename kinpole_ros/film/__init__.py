@@ -6,8 +6,9 @@ Nothing outside this package uses OpenCV or FFmpeg (PyAV), which the extra `film
 
 from kinpole_ros.film._calibration import calibrate
 from kinpole_ros.film._film import SIZE, Filmed, FilmOptions, film_to_bag, read_film
+from kinpole_ros.film._lens import Lens
 from kinpole_ros.film._live_tags import LiveTags, jpeg, live_pictures
-from kinpole_ros.film._overlay import Shape, straightened, write_overlay
+from kinpole_ros.film._overlay import Shape, straightened, write_overlay, write_picture
 from kinpole_ros.film._printed import print_sheet
 from kinpole_ros.film._video import FilmError
 
@@ -16,6 +17,7 @@ __all__ = [
     'FilmError',
     'FilmOptions',
     'Filmed',
+    'Lens',
     'LiveTags',
     'Shape',
     'calibrate',
@@ -26,4 +28,5 @@ __all__ = [
     'read_film',
     'straightened',
     'write_overlay',
+    'write_picture',
 ]

@@ -43,7 +43,7 @@ def refine_corners(gray: np.ndarray, quads: np.ndarray, modules: int) -> Corners
         base = places[:, :, None] + along[:, :, None] * _PLACES[:, None]
         across = reach[..., None] * _ACROSS
         samples = base[..., None, :] + across[..., None] * normal[:, :, None, None]
-        profile = _bilinear(gray, samples)
+        profile = bilinear(gray, samples)
         slope = np.diff(profile, axis=-1)
         steepest = slope.max(axis=-1, keepdims=True)
         weight = np.maximum(slope - _FLOOR * steepest, 0.0)
@@ -56,7 +56,7 @@ def refine_corners(gray: np.ndarray, quads: np.ndarray, modules: int) -> Corners
     return Corners(places, sigma)
 
 
-def _bilinear(gray: np.ndarray, at: np.ndarray) -> np.ndarray:
+def bilinear(gray: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Return the brightness at points (..., 2); the border is continued outward."""
     h, w = gray.shape
     at = np.nan_to_num(at, posinf=0.0, neginf=0.0)

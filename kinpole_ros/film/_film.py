@@ -1,20 +1,23 @@
-"""The tags of a film as markers in the plane of motion: four markers each, its corners."""
+"""Tags and dots of a film as markers in the plane of motion: the corners of a tag, and each dot."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from kinpole_ros.bags import write_points
+from kinpole_ros.film._dots import Dots
 from kinpole_ros.film._ground import (
     PlaneMap,
     different_views,
     fit_plane,
+    map_of_ruler,
     off_square,
     square_poses,
 )
 from kinpole_ros.film._lens import Lens, read_lens
-from kinpole_ros.film._tags import TagFinder
+from kinpole_ros.film._tags import NO_TAGS, TagFinder
 from kinpole_ros.film._video import FilmError, Progress, Video
 
 # m; the black square of a tag that `kinpole film --print` draws.
@@ -23,7 +26,8 @@ _LEAST_FRAMES = 5  # in which a tag is seen, else it is left out
 _MOST_OFF = 8.0  # residuals: a tag whose corners are farther off their square is partly hidden
 _LEAST_OFF = 0.03  # of the side, at least, which blur may well move a corner
 _MOVES = 3.0  # residuals that the ground moves in the picture, if the camera moves
-_SHOWN = 12  # tags that are named
+_SHOWN = 12  # tags or dots that are named
+SAME_STAMP = 1e6  # ns; a picture may be so much earlier than --at
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,13 @@ class FilmOptions:
         The file of the camera.
     line_time : float
         s from one row of a picture to the next (rolling shutter); the stamps are of the middle row.
+    points : dict of str to complex
+        Dots to follow by name, pixels, x + y i, in the picture at `at`.
+    at : float
+        s from the first picture to that in which they are chosen.
+    ruler : tuple, optional
+        Two places, pixels, and their distance, m: the first is the origin, and x points to the
+        second. Then no tags are searched.
 
     """
 
@@ -52,6 +63,9 @@ class FilmOptions:
     family: str = 'auto'
     camera: str | None = None
     line_time: float = 0.0
+    points: dict[str, complex] = field(default_factory=dict)
+    at: float = 0.0
+    ruler: tuple[complex, complex, float] | None = None
 
     def check(self) -> None:
         """Raise FilmError for a value out of range."""
@@ -59,12 +73,16 @@ class FilmOptions:
             raise FilmError(f'--size is {self.size}; it must be more than 0 m, the side of a tag')
         if not 0 <= self.line_time < 0.01:
             raise FilmError(f'--line-time is {self.line_time}; it must be from 0 to 0.01 s')
+        if self.ruler is not None and not (
+            self.points and self.ruler[0] != self.ruler[1] and 0 < self.ruler[2] < 1000
+        ):
+            raise FilmError('--scale is for --points; it must be two places and their distance, m')
 
 
 @dataclass(frozen=True)
 class Filmed:
     """
-    The tags of a film.
+    The tags and dots of a film.
 
     Attributes
     ----------
@@ -74,6 +92,10 @@ class Filmed:
         (T,) int64, ns, from the first picture on.
     corners : ndarray
         (T, n, 4), complex, m, in the plane of motion; NaN where not seen.
+    dots : dict of str to ndarray
+        The places (T,) of dots, likewise.
+    heights : dict of int to float
+        Heights of tags above the plane of `maps`, m, by a known camera; else 0.
     maps : list of PlaneMap
         The map of each picture, or one for all.
     lens : Lens or None
@@ -88,6 +110,8 @@ class Filmed:
     tags: tuple[int, ...]
     stamps: np.ndarray
     corners: np.ndarray
+    dots: dict[str, np.ndarray]
+    heights: dict[int, float]
     maps: list[PlaneMap]
     lens: Lens | None
     picture: tuple[int, int]
@@ -95,8 +119,14 @@ class Filmed:
 
     @property
     def names(self) -> list[str]:
-        """The names of the markers: tag3_1 is the top left corner of tag 3, then clockwise."""
-        return [f'tag{tag}_{k}' for tag in self.tags for k in range(1, 5)]
+        """The names of the markers: the corners of tags, and dots."""
+        return marker_names(self.tags) + list(self.dots)
+
+    @property
+    def places(self) -> np.ndarray:
+        """The places (T, N) of the markers, complex, m."""
+        corners = self.corners.reshape(len(self.stamps), -1)
+        return np.column_stack((corners, *self.dots.values()))
 
     def to_pixels(self, points: np.ndarray, number: int) -> np.ndarray:
         """Return the pixels (..., 2) of points (...), complex, m, in the picture of a number."""
@@ -104,13 +134,23 @@ class Filmed:
         return self.lens.curved(pixels) if self.lens is not None else pixels
 
 
+def marker_names(tags: Sequence[int]) -> list[str]:
+    """Return the names of corners: tag3_1 is the top left corner of tag 3, then clockwise."""
+    return [f'tag{tag}_{k}' for tag in tags for k in range(1, 5)]
+
+
 @dataclass(frozen=True)
 class Seen:
-    """Tags in the pictures: numbers, stamps (T,), pixels (T, n, 4, 2), and the picture's size."""
+    """
+    What the pictures show: tags, stamps (T,), and pixels of corners (T, n, 4, 2), dots (T, m, 2).
+
+    `picture` is the width and height of one.
+    """
 
     tags: list[int]
     stamps: np.ndarray
     pixels: np.ndarray
+    dots: np.ndarray
     picture: tuple[int, int]
     family: str
 
@@ -119,7 +159,7 @@ def read_film(
     path: str | Path, options: FilmOptions | None = None, progress: Progress | None = None
 ) -> Filmed:
     """
-    Find the tags of a film, and place them in the plane of motion.
+    Find the tags of a film, follow chosen dots, and place them in the plane of motion.
 
     Parameters
     ----------
@@ -143,40 +183,79 @@ def read_film(
     options = options or FilmOptions()
     options.check()
     video = Video(path)
-    seen = _find_tags(video, options, progress)
-    filmed = place_tags(seen, options)
+    seen = _search(video, options, progress)
+    filmed = place_seen(seen, options)
     return replace(filmed, assumed=[_film_line(video, seen, options), *filmed.assumed])
 
 
-def place_tags(seen: Seen, options: FilmOptions) -> Filmed:
-    """Place tags in the plane of motion; raises FilmError."""
-    lens = None
+def place_seen(seen: Seen, options: FilmOptions, lens: Lens | None = None) -> Filmed:
+    """Place tags and dots in the plane of motion; raises FilmError."""
     if options.camera is not None:
         lens = read_lens(options.camera, seen.picture)
-    pixels = seen.pixels.astype(float)
-    if options.line_time:
-        pixels = _at_one_instant(seen, options.line_time)
-    if lens is not None:
-        pixels = lens.straight(pixels)
-    views = different_views(pixels)
-    plane = fit_plane(views, options.size, seen.picture, lens is not None)
-    corners = plane.to_plane(pixels)
+    pixels, dots = (_straight(seen, marks, options, lens) for marks in (seen.pixels, seen.dots))
+    if options.ruler is not None:
+        *ends, length = options.ruler
+        ends = np.array([[end.real, end.imag] for end in ends])
+        maps = [map_of_ruler(ends if lens is None else lens.straight(ends), length)]
+        corners, heights = np.empty((len(dots), 0, 4), complex), np.empty(0)
+        by = 'not corrected' if lens is None else f'by {options.camera}'
+        assumed = [
+            f'plane: the first end of --scale is the origin, x toward the second, {length:.4g} m '
+            f'away; the camera stands still, square to the plane; lens {by}; to change: --scale, '
+            '--camera FILE'
+        ]
+    else:
+        corners, heights, maps, assumed = _place_tags(seen, pixels, options, lens)
+    rows = zip(dots, [maps[min(k, len(maps) - 1)] for k in range(len(dots))], strict=True)
+    places = np.array([plane.to_plane(row) for row, plane in rows]).reshape(len(dots), -1)
+    named = dict(zip(options.points, places.T, strict=True))
+    if named:
+        assumed.insert(len(assumed) - 1, _dot_line(named, options))
+    high = dict(zip(seen.tags, heights.tolist(), strict=True))
+    tags = tuple(seen.tags)
+    return Filmed(tags, seen.stamps, corners, named, high, maps, lens, seen.picture, assumed)
+
+
+def _place_tags(
+    seen: Seen, pixels: np.ndarray, options: FilmOptions, lens: Lens | None
+) -> tuple[np.ndarray, np.ndarray, list[PlaneMap], list[str]]:
+    """Return corners (T, n, 4), complex, m, and heights (n,) of tags; maps; what was assumed."""
+    views, columns = different_views(pixels)
+    matrix = lens.matrix if lens is not None else None
+    plane, heights = fit_plane(views, columns, options.size, seen.picture, matrix)
+    corners = plane.to_plane(pixels, heights[:, None])
     pixel = options.size / np.median(np.linalg.norm(np.diff(views, axis=1), axis=-1))
     _leave_out_hidden(corners, options.size, plane.residual, pixel)
     maps, ground_text = _on_ground(corners, seen.tags, plane, options, pixel)
     for tag in options.ground:
         if tag in seen.tags:  # it stands still, also where it is hidden
             corners[:, seen.tags.index(tag)] = _median(corners[:, seen.tags.index(tag)])
-    lens_text = f'by {options.camera}'
-    if options.camera is None:
-        lens_text = f'too (it bends by {abs(plane.bending):.1%} at the edge of the picture)'
-    assumed = [
-        f'{_tag_line(seen, corners, options)}; noise of a corner {plane.residual:.2g} pixels or '
-        f'{plane.residual * pixel * 1e3:.2g} mm; to change: --size 40mm, --family',
-        f'plane: {ground_text}; perspective such that all tags are squares of one size, lens '
-        f'{lens_text}; to change: --ground 7, --camera FILE',
-    ]
-    return Filmed(tuple(seen.tags), seen.stamps, corners, maps, lens, seen.picture, assumed)
+    lens_text = f'too (it bends by {abs(plane.bending):.1%} at the edge of the picture)'
+    if lens is not None:
+        lens_text = f'by {options.camera or "its CameraInfo"}'
+    if heights.any():
+        lens_text += f'; the heights of tags differ by {np.ptp(heights) * 1e3:.2g} mm'
+    return (
+        corners,
+        heights,
+        maps,
+        [
+            f'{_tag_line(seen, corners, options)}; noise of a corner {plane.residual:.2g} pixels '
+            f'or {plane.residual * pixel * 1e3:.2g} mm; to change: --size 40mm, --family',
+            f'plane: {ground_text}; perspective such that all tags are squares of one size, lens '
+            f'{lens_text}; to change: --ground 7, --camera FILE',
+        ],
+    )
+
+
+def _straight(
+    seen: Seen, pixels: np.ndarray, options: FilmOptions, lens: Lens | None
+) -> np.ndarray:
+    """Return pixels (T, ..., 2) at the stamps of their pictures, as a perfect lens shows them."""
+    pixels = pixels.astype(float)
+    if options.line_time:
+        pixels = _at_one_instant(seen, pixels, options.line_time)
+    return pixels if lens is None else lens.straight(pixels)
 
 
 def film_to_bag(
@@ -186,7 +265,7 @@ def film_to_bag(
     progress: Progress | None = None,
 ) -> Filmed:
     """
-    Write the tags of a film to a bag, as visualization_msgs/MarkerArray on /markers.
+    Write the tags and dots of a film to a bag, as visualization_msgs/MarkerArray on /markers.
 
     Parameters
     ----------
@@ -205,37 +284,49 @@ def film_to_bag(
 
     """
     filmed = read_film(path, options, progress)
-    flat = filmed.corners.reshape(len(filmed.stamps), -1)
+    flat = filmed.places
     points = np.stack((flat.real, flat.imag, np.where(np.isnan(flat), np.nan, 0.0)), axis=-1)
     write_points(output, filmed.names, filmed.stamps, points)
     return filmed
 
 
-def _find_tags(video: Video, options: FilmOptions, progress: Progress | None) -> Seen:
-    """Find the tags in all pictures."""
-    finder = TagFinder(options.family)
-    stamps, found = [], []
-    picture = (0, 0)
-    for picture_seen in video.pictures():
-        height, width = picture_seen.gray.shape
+def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Seen:
+    """Find the tags in all pictures, and follow the dots from that in which they are chosen."""
+    finder = None if options.ruler is not None else TagFinder(options.family)
+    stamps, found, places = [], [], []
+    picture, dots = (0, 0), None
+    chosen = np.reshape([(place.real, place.imag) for place in options.points.values()], (-1, 2))
+    for stamp, gray in video.pictures():
+        height, width = gray.shape
         if picture not in ((0, 0), (width, height)):
             video.cut = f'{video.path}: the size of its pictures changes; what follows is left out'
             break
         picture = width, height
-        tags, corners = finder.find(picture_seen.gray)
-        stamps.append(picture_seen.stamp)
+        tags, corners = finder.find(gray) if finder is not None else NO_TAGS
+        stamps.append(stamp)
         found.append((tags, corners.places.astype(np.float32)))
+        if dots is not None:
+            places.append(dots.follow(gray))
+        elif options.points and stamp >= options.at * 1e9 - SAME_STAMP:
+            dots = Dots(gray, list(options.points), chosen)
+            places.append(dots.places)
+        else:
+            places.append(np.full(chosen.shape, np.nan))
         if progress is not None and video.count:
             progress(min(1.0, len(stamps) / video.count))
-    seen = gather(stamps, found, picture, finder.family)
-    if seen is None:
+    seen = gather(stamps, found, picture, finder.family if finder is not None else '')
+    if options.points and dots is None:
+        raise FilmError(f'--at is {options.at:g} s, and {video.path} ends before')
+    if not seen.tags and finder is not None:
         cut = f', and {video.cut}' if video.cut else ''
+        fix = 'tape tags of `kinpole film --print` on the links, and film nearer, in more light'
+        if options.points:
+            fix = 'give --scale'
         raise FilmError(
             f'{video.path} shows no tag in {_LEAST_FRAMES} pictures ({len(stamps)} were searched'
-            f'{cut}); fix: tape tags of `kinpole film --print` on the links, and film nearer, in '
-            'more light'
+            f'{cut}); fix: {fix}'
         )
-    return seen
+    return replace(seen, dots=np.array(places))
 
 
 def gather(
@@ -243,33 +334,31 @@ def gather(
     found: list[tuple[list[int], np.ndarray]],
     picture: tuple[int, int],
     family: str,
-) -> Seen | None:
-    """Return the tags, and corners (n, 4, 2), of each picture as arrays; None if there are none."""
+) -> Seen:
+    """Return the tags, and corners (n, 4, 2), of each picture as arrays."""
     counts: dict[int, int] = {}
     for tags, _ in found:
         for tag in tags:
             counts[tag] = counts.get(tag, 0) + 1
     kept = sorted(tag for tag, count in counts.items() if count >= _LEAST_FRAMES)
-    if not kept:
-        return None
     columns = {tag: k for k, tag in enumerate(kept)}
     pixels = np.full((len(stamps), len(kept), 4, 2), np.nan, np.float32)
     for row, (tags, places) in enumerate(found):
         for tag, place in zip(tags, places, strict=True):
             if tag in columns:
                 pixels[row, columns[tag]] = place
-    return Seen(kept, np.array(stamps, np.int64), pixels, picture, family)
+    no_dots = np.empty((len(stamps), 0, 2))
+    return Seen(kept, np.array(stamps, np.int64), pixels, no_dots, picture, family)
 
 
-def _at_one_instant(seen: Seen, line_time: float) -> np.ndarray:
+def _at_one_instant(seen: Seen, pixels: np.ndarray, line_time: float) -> np.ndarray:
     """
-    Return the pixels (T, n, 4, 2) at the stamps of their pictures.
+    Return pixels (T, ..., 2) at the stamps of their pictures.
 
     A row is exposed later than the one above it. A corner is moved to the stamp along the parabola
     through three pictures; one that is seen in fewer at a time is left out.
     """
-    pixels = seen.pixels.astype(float)
-    stamp = (seen.stamps * 1e-9)[:, None, None]
+    stamp = (seen.stamps * 1e-9).reshape(-1, *[1] * (pixels.ndim - 2))
     time = stamp + line_time * (pixels[..., 1] - (seen.picture[1] - 1) / 2)
     moved = np.full(pixels.shape, np.nan)
     for first in (-1, -2, 0):  # the middle one of three pictures, else the last or the first
@@ -361,6 +450,16 @@ def _film_line(video: Video, seen: Seen, options: FilmOptions) -> str:
     return (
         f'film: {count} pictures of {seen.picture[0]} x {seen.picture[1]} in {seconds:.4g} s{rate} '
         f'by the stamps of the file{late}; rolling shutter: {shutter}{cut}; to change: --line-time'
+    )
+
+
+def _dot_line(dots: dict[str, np.ndarray], options: FilmOptions) -> str:
+    shares = {name: np.isfinite(places).mean() for name, places in dots.items()}
+    worst = min(shares, key=lambda name: shares[name])
+    names = ', '.join(list(dots)[:_SHOWN]) + (', ...' if len(dots) > _SHOWN else '')
+    return (
+        f'dots: {names}, chosen in the picture at {options.at:g} s, seen in {shares[worst]:.0%} of '
+        f'the pictures or more ({worst}); to change: --points, --at'
     )
 
 

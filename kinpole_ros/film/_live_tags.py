@@ -7,12 +7,14 @@ from contextlib import closing
 import cv2
 import numpy as np
 
-from kinpole_ros.film._film import Filmed, FilmOptions, gather, place_tags
+from kinpole_ros.film._film import Filmed, FilmOptions, gather, marker_names, place_seen
 from kinpole_ros.film._ground import off_square
+from kinpole_ros.film._lens import Lens
 from kinpole_ros.film._tags import TagFinder
 from kinpole_ros.film._video import FilmError, Picture, Video
 
 _LEARNED = 45  # pictures from which the map to the plane is learned: a second and a half
+_MOST = 250  # tags
 _QUALITY = 70  # of a JPEG
 _MOST_OFF = 0.05  # of the side: a tag whose corners are farther off their square is partly hidden
 
@@ -22,54 +24,69 @@ class LiveTags:
     Places the tags of a camera that stands still, picture by picture.
 
     The map to the plane is learned from the first pictures with tags, and kept. `learned` is None
-    until then. Raises FilmError for a camera that moves, and for options of videos.
+    until then. `lens` is the camera if it is known otherwise than by a file. Raises FilmError for a
+    camera that moves, and for options of videos.
     """
 
-    def __init__(self, options: FilmOptions) -> None:
+    def __init__(self, options: FilmOptions, lens: Lens | None = None) -> None:
         options.check()
         if options.line_time:
             raise FilmError('--line-time is for videos, whose stamps are exact; fix: leave it out')
         self.learned: Filmed | None = None
-        self._options, self._finder = options, TagFinder(options.family)
+        self._options, self._lens = options, lens
+        self._finder = TagFinder(options.family)
         self._found: list[tuple[list[int], np.ndarray]] = []
+        self._known: list[int] = []  # tags, in the order of their markers
 
     def find(self, gray: np.ndarray) -> tuple[list[str], np.ndarray]:
-        """Return names of markers and their places (n,), complex, m; none until it is learned."""
-        tags, (places, _) = self._finder.find(gray)
-        if self.learned is None:
-            self._learn(tags, places, gray)
-        if self.learned is None or not tags:
-            return [], np.empty(0, complex)
-        pixels = places if self.learned.lens is None else self.learned.lens.straight(places)
-        corners = self.learned.maps[0].to_plane(pixels)
-        is_square = np.abs(off_square(corners, self._options.size)).max(axis=1)
-        good = is_square < _MOST_OFF * self._options.size
-        names = [
-            f'tag{tag}_{k}'
-            for tag, is_good in zip(tags, good, strict=True)
-            if is_good
-            for k in range(1, 5)
-        ]
-        return names, corners[good].ravel()
+        """
+        Return names of markers and their places (N,), complex, m; none until it is learned.
 
-    def _learn(self, tags: list[int], places: np.ndarray, gray: np.ndarray) -> None:
+        A tag has its columns from its first picture on, with NaN where it is hidden.
+        """
+        tags, (places, _) = self._finder.find(gray)
+        height, width = gray.shape
+        return self.place(tags, places, (width, height), self._finder.family)
+
+    def place(
+        self, tags: list[int], places: np.ndarray, picture: tuple[int, int], family: str
+    ) -> tuple[list[str], np.ndarray]:
+        """Return the same of tags that are found already, with corners (n, 4, 2), pixels."""
+        if self.learned is None:
+            self._learn(tags, places, picture, family)
+        if self.learned is None:
+            return [], np.empty(0, complex)
+        self._known += [tag for tag in tags if tag not in self._known][: _MOST - len(self._known)]
+        rows = [k for k, tag in enumerate(tags) if tag in self._known]
+        tags, pixels = [tags[k] for k in rows], places[rows]
+        if self.learned.lens is not None:
+            pixels = self.learned.lens.straight(pixels)
+        heights = np.reshape([self.learned.heights.get(tag, 0.0) for tag in tags], (-1, 1))
+        corners = self.learned.maps[0].to_plane(pixels, heights)
+        off = np.abs(off_square(corners, self._options.size)).max(axis=1, keepdims=True)
+        shown = np.full((len(self._known), 4), np.nan, complex)
+        is_square = off < _MOST_OFF * self._options.size
+        shown[[self._known.index(tag) for tag in tags]] = np.where(is_square, corners, np.nan)
+        return marker_names(self._known), shown.ravel()
+
+    def _learn(
+        self, tags: list[int], places: np.ndarray, picture: tuple[int, int], family: str
+    ) -> None:
         if tags:
             self._found.append((tags, places.astype(np.float32)))
         if len(self._found) < _LEARNED:
             return
-        height, width = gray.shape
-        stamps = list(range(len(self._found)))
-        seen = gather(stamps, self._found, (width, height), self._finder.family)
+        seen = gather(list(range(len(self._found))), self._found, picture, family)
         self._found.clear()
-        if seen is not None:
-            filmed = place_tags(seen, self._options)
+        if seen.tags:
+            filmed = place_seen(seen, self._options, self._lens)
             if len(filmed.maps) > 1:
                 ground, _, _ = filmed.assumed[-1].partition('; perspective')
                 raise FilmError(
                     f'{ground}; live it has to stand still; fix: hold it by a tripod, or name a '
                     'tag of the ground by --ground'
                 )
-            self.learned = filmed
+            self.learned, self._known = filmed, list(filmed.tags)
 
 
 def live_pictures(source: str) -> Iterator[Picture]:

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from kinpole_ros.files import whole_file
-from kinpole_ros.film._film import Filmed
+from kinpole_ros.film._film import SAME_STAMP, Filmed
 from kinpole_ros.film._video import FilmError, Progress, Video, upright
 
 _TICKS = 90_000  # of a second, in which stamps are written
@@ -26,6 +26,7 @@ _PAGE_WIDTH = 800  # pixels of a straightened picture
 _MOST_PICTURES = 400  # in a page: some 50 kB each
 _QUALITY = 65  # of a JPEG
 _AROUND = 0.3  # of the extent of the tags, which a page shows around them
+_GRID = 50  # pixels between the lines by which dots are chosen
 _STEP = 16  # pixels between exact places of a straightened picture; it is smooth between them
 
 
@@ -109,6 +110,42 @@ def _encode(
         container.mux(stream.encode())
 
 
+def write_picture(path: str | Path, at: float, output: str | Path) -> float:
+    """
+    Write a picture of a film with a grid of its pixels, as .png.
+
+    Parameters
+    ----------
+    path : str or Path
+        The video.
+    at : float
+        The first picture from this instant on is written, s.
+    output : str or Path
+        The picture to write.
+
+    Returns
+    -------
+    float
+        Its instant, s.
+
+    """
+    for picture in Video(path).pictures():
+        if picture.stamp >= at * 1e9 - SAME_STAMP:
+            break
+    else:
+        raise FilmError(f'--at is {at:g} s, and {path} ends before')
+    shown = cv2.cvtColor(picture.gray, cv2.COLOR_GRAY2BGR)
+    for along, side in enumerate(picture.gray.shape[::-1]):
+        for place in range(0, side, _GRID):
+            line = shown[:, place] if along == 0 else shown[place]
+            line[:] = 0.6 * line + (0, 80, 80)
+            corner = (place + 2, 12) if along == 0 else (2, place + 12)
+            cv2.putText(shown, str(place), corner, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 255, 255))
+    with whole_file(output) as part:
+        part.write_bytes(cv2.imencode('.png', shown)[1].tobytes())
+    return picture.stamp * 1e-9
+
+
 def draw_shape(picture: np.ndarray, pixels: np.ndarray, shape: Shape) -> None:
     """Draw a shape on a picture, in place; `pixels` (n, 2) are its points, NaN breaks a line."""
     color = shape.color[::-1]
@@ -189,7 +226,7 @@ def straightened(
 
 def _box(filmed: Filmed) -> tuple[complex, complex]:
     """Return the lower left and upper right of what a page shows, complex, m."""
-    seen = filmed.corners[np.isfinite(filmed.corners)]
+    seen = filmed.places[np.isfinite(filmed.places)]
     low = complex(seen.real.min(), seen.imag.min())
     high = complex(seen.real.max(), seen.imag.max())
     around = _AROUND * max((high - low).real, (high - low).imag)

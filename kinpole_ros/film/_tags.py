@@ -44,6 +44,9 @@ class _Track(NamedTuple):
     velocity: np.ndarray
 
 
+NO_TAGS: tuple[list[int], Corners] = [], Corners(np.empty((0, 4, 2)), np.empty(0))
+
+
 class TagFinder:
     """Finds the tags of a film, picture by picture; `family` is '' until a tag was seen."""
 
@@ -66,7 +69,7 @@ class TagFinder:
         """Return the numbers of the n tags in the next picture, and their corners."""
         self._number += 1
         if not self.family and not self._find_family(gray):
-            return [], Corners(np.empty((0, 4, 2)), np.empty(0))
+            return NO_TAGS
         seen = self._near_last_places(gray)
         if self._number - self._searched >= self._search_step(seen):
             self._searched = self._number
@@ -127,7 +130,7 @@ class TagFinder:
     def _refined(self, gray: np.ndarray, seen: dict[int, np.ndarray]) -> tuple[list[int], Corners]:
         """Refine the quads of tags, and keep their places for the next picture."""
         if not seen:
-            return [], Corners(np.empty((0, 4, 2)), np.empty(0))
+            return NO_TAGS
         quads = np.stack(list(seen.values()))
         refined = refine_corners(gray, quads, self.modules)
         side = np.linalg.norm(quads[:, 1] - quads[:, 0], axis=-1)

@@ -5,9 +5,10 @@ The scene's markers show how its body frames lie in the measured bodies.
 """
 
 import re
-from collections.abc import Callable, Container, Sequence
-from functools import partial
-from typing import NamedTuple, TypeAlias
+from collections.abc import Callable, Container, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -23,8 +24,14 @@ from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.reasons import FARTHEST, SIGNIFICANT
 from kinpole_ros.tracking.values import Numbers, RegisteredQuantity, Vectors
 
-# Ends of the topics of a point, and their units, by the order of the derivative.
-_POINT_TOPICS = (('', 'm'), ('/velocity', 'm/s'), ('/acceleration', 'm/s²'), ('/jerk', 'm/s³'))
+# Of the topics of a point: end, kind, order and unit. Those of its motion are by their derivative.
+_MOTION_TOPICS = (
+    ('', 'point', 1, 'm'),
+    ('/velocity', 'vector', 1, 'm/s'),
+    ('/acceleration', 'vector', 2, 'm/s²'),
+    ('/jerk', 'vector', 3, 'm/s³'),
+)
+_PATH_TOPICS = (('/path_radius', 'number', 2, 'm'), ('/path_center', 'point', 2, 'm'))
 # Names that may be part of a topic's.
 _TOKEN = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 
@@ -37,7 +44,8 @@ class PointOfInterest(NamedTuple):
     point: complex
 
 
-class Theory(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Theory:
     """
     A scene, and how it matches the tracked bodies.
 
@@ -49,6 +57,16 @@ class Theory(NamedTuple):
     matches: dict[str, BodyMatch]
     driver: str
     loads: tuple[Load, ...]
+
+    @cached_property
+    def points(self) -> list[PointOfInterest]:
+        """Points of tracked bodies that the scene names and no joint uses, for topics."""
+        return list(_points_of_interest(self))
+
+    @cached_property
+    def bodies_of_points(self) -> list[int]:
+        """The tracked body of each of the points."""
+        return [self.matches[point.body].tracked for point in self.points]
 
     @property
     def balances(self) -> bool:
@@ -65,40 +83,34 @@ class Theory(NamedTuple):
 
     def quantities(self, bodies: Sequence[str]) -> list[RegisteredQuantity]:
         """Return the motion of the points of interest, and the balance of the loads, as topics."""
+        motion = [(measured_points, self, order) for order in range(len(_MOTION_TOPICS))]
+        path = [(path_radii, self), (path_centers, self)]
         found = [
             RegisteredQuantity(
-                f'{point.body}/points/{point.name}{end}',
-                'vector' if order else 'point',
-                max(order, 1),
-                unit,
-                partial(measured_point, self, point, order),
+                *(f'{point.body}/points/{point.name}{end}', kind, order, unit),
+                partial(_of_point, k, measure),
                 bodies.index(point.body),
             )
-            for point in points_of_interest(self)
-            for order, (end, unit) in enumerate(_POINT_TOPICS)
-        ]
-        found += [
-            RegisteredQuantity(
-                f'{point.body}/points/{point.name}/{name}',
-                kind,
-                2,
-                'm',
-                partial(measure, self, point),
-                bodies.index(point.body),
-            )
-            for point in points_of_interest(self)
-            for name, kind, measure in (
-                ('path_radius', 'number', path_radius),
-                ('path_center', 'point', path_center),
-            )
+            for topics, measures in ((_MOTION_TOPICS, motion), (_PATH_TOPICS, path))
+            for k, point in enumerate(self.points)
+            for (end, kind, order, unit), measure in zip(topics, measures, strict=True)
         ]
         if self.balances:
             holder = self.scene.held_by
             is_torque = holder is None or holder.point is None
             kind, unit = ('torque', 'N m') if is_torque else ('force', 'N')
-            effort = balance if is_torque else balance_force
-            found.append(RegisteredQuantity('balance', kind, 1, unit, partial(effort, self)))
+            effort: Callable[..., Numbers | Vectors] = balance if is_torque else balance_force
+            found.append(
+                RegisteredQuantity('balance', kind, 1, unit, lambda now: now.once(effort, self))
+            )
         return found
+
+
+def _of_point(k: int, measure: tuple[Any, ...], estimate: Estimate) -> Numbers | Vectors:
+    """Return a quantity (T,) of the k-th of the points, which are measured once for all readers."""
+    quantity: Numbers | Vectors = estimate.once(*measure)
+    value, spread, determined = (part[:, k] for part in quantity)
+    return type(quantity)(value, spread, determined)
 
 
 def load_theory(settings: Settings) -> Theory:
@@ -157,12 +169,14 @@ Frames: TypeAlias = dict[str, tuple[Complex, Real]]
 
 def body_frames(theory: Theory, estimate: Estimate) -> Frames:
     """How the scene's frames lie in the tracked bodies, of bodies whose shape is known."""
-    frames = {}
-    for body, match in theory.matches.items():
-        frame = match.fit_frame(estimate.shape[..., match.tracked, :])
-        if np.isfinite(frame[1]).any():
-            frames[body] = frame
-    return frames
+    frames = {body: estimate.once(body_frame, theory, body) for body in theory.matches}
+    return {body: frame for body, frame in frames.items() if np.isfinite(frame[1]).any()}
+
+
+def body_frame(theory: Theory, body: str, estimate: Estimate) -> tuple[Complex, Real]:
+    """How the scene's frame of a body lies in the tracked one, NaN where its shape is unknown."""
+    match = theory.matches[body]
+    return match.fit_frame(estimate.shape[..., match.tracked, :])
 
 
 def balance(theory: Theory, estimate: Estimate) -> Numbers:
@@ -173,7 +187,7 @@ def balance(theory: Theory, estimate: Estimate) -> Numbers:
     along `balance_direction`. Determined where all the bodies are estimated, and the input moves by
     more than its noise.
     """
-    frames = body_frames(theory, estimate)
+    frames = estimate.once(body_frames, theory)
     holder = theory.scene.held_by
     acting = {theory.driver} if holder is None else {holder.body, holder.of} - {GROUND}
     needed = acting | {load.body for load in theory.loads}
@@ -181,7 +195,7 @@ def balance(theory: Theory, estimate: Estimate) -> Numbers:
         nan = np.full(np.shape(estimate.stamp), np.nan)
         return Numbers(nan, nan, np.isfinite(nan))
     through = Port(theory.matches[theory.driver if holder is None else holder.body].tracked, 1.0)
-    direction = balance_direction(theory, estimate)
+    direction = estimate.once(balance_direction, theory)
     if holder is not None and holder.point is not None and direction is not None:
         through = _port(theory, Force(holder.body, holder.point, direction), frames, estimate)
     value, variance, determined = measured_balance(
@@ -204,7 +218,7 @@ def balance_direction(theory: Theory, estimate: Estimate) -> np.ndarray | None:
     if holder is None or holder.point is None:
         return None
     direction = np.full(np.shape(estimate.stamp), np.exp(1j * holder.along))
-    frames = body_frames(theory, estimate)
+    frames = estimate.once(body_frames, theory)
     if holder.of in frames:
         angle = estimate.angle[0][..., theory.matches[holder.of].tracked] + frames[holder.of][1]
         # Where the angle is not known, the force is not determined either.
@@ -214,8 +228,8 @@ def balance_direction(theory: Theory, estimate: Estimate) -> np.ndarray | None:
 
 def balance_force(theory: Theory, estimate: Estimate) -> Vectors:
     """The force of `balance` along its direction, (T,)."""
-    value, variance, determined = balance(theory, estimate)
-    direction = balance_direction(theory, estimate)
+    value, variance, determined = estimate.once(balance, theory)
+    direction = estimate.once(balance_direction, theory)
     assert direction is not None
     along = np.stack((direction.real, direction.imag), axis=-1)
     matrix = variance[:, None, None] * along[:, :, None] * along[:, None, :]
@@ -232,14 +246,12 @@ def _port(theory: Theory, load: Load, frames: Frames, estimate: Estimate) -> Por
     return Port(b, complex(load.torque))  # type: ignore[arg-type]
 
 
-def points_of_interest(theory: Theory) -> list[PointOfInterest]:
-    """Points of tracked bodies that the scene names and no joint uses, for topics."""
+def _points_of_interest(theory: Theory) -> Iterator[PointOfInterest]:
     used = {
         end
         for joint in theory.scene.mechanism.assembly.joints
         for end in ((joint.one, joint.a), (joint.other, joint.b))
     }
-    points = []
     for name, (body, position) in theory.scene.points.items():
         if body == GROUND or (body, position) in used:
             continue
@@ -247,38 +259,33 @@ def points_of_interest(theory: Theory) -> list[PointOfInterest]:
         last = name.rpartition('.')[2]
         if moved.body in theory.matches and _TOKEN.fullmatch(last):
             assert isinstance(moved, Force)
-            points.append(PointOfInterest(moved.body, last, complex(moved.point)))
-    return points
+            yield PointOfInterest(moved.body, last, complex(moved.point))
 
 
-def measured_point(
-    theory: Theory, point: PointOfInterest, order: int, estimate: Estimate
-) -> Vectors:
-    """Position of a point (T,), m, or its derivative of `order` 1 to 4, as measured."""
-    arm, motion = _motion_of(theory, point, estimate)
+def measured_points(theory: Theory, order: int, estimate: Estimate) -> Vectors:
+    """Positions of the points (T, P), m, or their derivatives of `order` 1 to 4, as measured."""
+    arm, motion = estimate.once(_motion_of_points, theory)
     found = point_motion(order, arm, *motion[:2])
-    return _known(theory, point, estimate, found.value, covariance(found, *motion[2:]))
+    return _known(theory, estimate, found.value, covariance(found, *motion[2:]))
 
 
-def path_center(theory: Theory, point: PointOfInterest, estimate: Estimate) -> Vectors:
+def path_centers(theory: Theory, estimate: Estimate) -> Vectors:
     """
-    Center of curvature (T,), m, of the path of a point, as measured.
+    Centers of curvature (T, P), m, of the paths of the points, as measured.
 
-    Undetermined near an inflection, where its distance does not stand out of its noise.
+    Undetermined near an inflection, where the distance does not stand out of its noise.
     """
-    return _center_of_path(theory, point, estimate)[0]
+    return estimate.once(_paths, theory)[0]
 
 
-def path_radius(theory: Theory, point: PointOfInterest, estimate: Estimate) -> Numbers:
-    """Radius (T,), m, of `path_center`, positive where the path turns left along its velocity."""
-    return _center_of_path(theory, point, estimate)[1]
+def path_radii(theory: Theory, estimate: Estimate) -> Numbers:
+    """Radii (T, P), m, of `path_centers`, positive where the path turns left along its velocity."""
+    return estimate.once(_paths, theory)[1]
 
 
-def _center_of_path(
-    theory: Theory, point: PointOfInterest, estimate: Estimate
-) -> tuple[Vectors, Numbers]:
+def _paths(theory: Theory, estimate: Estimate) -> tuple[Vectors, Numbers]:
     """By velocity and acceleration: Euler and Savary need a body that turns."""
-    arm, motion = _motion_of(theory, point, estimate)
+    arm, motion = estimate.once(_motion_of_points, theory)
 
     def center_and_radius(position: Complex, angle: Real) -> Complex:
         place, v, acc = (point_motion(k, arm, position, angle).value for k in range(3))
@@ -288,35 +295,33 @@ def _center_of_path(
 
     low = [array[:3] for array in motion[:2]] + [array[:3, :3] for array in motion[2:]]
     (center, radius), (of_center, of_radius) = propagate(center_and_radius, *low)
-    variance, size = of_radius[..., 0, 0], estimate.size[..., theory.matches[point.body].tracked]
-    found = _known(theory, point, estimate, center, of_center)
+    found, variance = _known(theory, estimate, center, of_center), of_radius[..., 0, 0]
     with np.errstate(invalid='ignore'):
-        is_near = np.abs(radius) < FARTHEST * size
+        is_near = np.abs(radius) < FARTHEST * estimate.size[:, theory.bodies_of_points]
         is_known = found.determined & is_near & (radius.real**2 > SIGNIFICANT**2 * variance)
     return found._replace(determined=is_known), Numbers(radius.real, variance, is_known)
 
 
-def _motion_of(
-    theory: Theory, point: PointOfInterest, estimate: Estimate
+def _motion_of_points(
+    theory: Theory, estimate: Estimate
 ) -> tuple[Complex, tuple[Complex, Real, Real, Real]]:
     """
-    Return a point in the frame of its body's reference (T,), and the motion of that.
+    Return the points (T, P) in frames at the references of their bodies, and the motion of these.
 
-    The motion is position and angle with their derivatives and covariances. The point is NaN where
+    The motion is position and angle with their derivatives and covariances. A point is NaN where
     the shape of the body is unknown.
     """
-    b = theory.matches[point.body].tracked
-    position, angle = estimate.position[..., b], estimate.angle[..., b]
-    spreads = estimate.position_covariance[..., b], estimate.angle_covariance[..., b]
-    nothing = np.full(np.shape(estimate.stamp), np.nan)
-    origin, turn = body_frames(theory, estimate).get(point.body, (nothing + 0j, nothing))
-    arm = origin + point.point * np.exp(1j * turn) - estimate.reference[..., b]
-    return arm, (position, angle, *spreads)
+    bodies = theory.bodies_of_points
+    frames = [estimate.once(body_frame, theory, point.body) for point in theory.points]
+    arms = [
+        origin + point.point * np.exp(1j * turn)
+        for point, (origin, turn) in zip(theory.points, frames, strict=True)
+    ]
+    names = 'position', 'angle', 'position_covariance', 'angle_covariance'
+    position, angle, *spreads = (getattr(estimate, name)[..., bodies] for name in names)
+    return np.stack(arms, axis=1) - estimate.reference[:, bodies], (position, angle, *spreads)
 
 
-def _known(
-    theory: Theory, point: PointOfInterest, estimate: Estimate, value: Complex, matrix: Real
-) -> Vectors:
+def _known(theory: Theory, estimate: Estimate, value: Complex, matrix: Real) -> Vectors:
     is_finite = np.isfinite(value) & np.isfinite(matrix).all(axis=(-2, -1))
-    is_seen = estimate.missing[..., theory.matches[point.body].tracked] == ''
-    return Vectors(value, matrix, is_finite & is_seen)
+    return Vectors(value, matrix, is_finite & (estimate.missing[:, theory.bodies_of_points] == ''))

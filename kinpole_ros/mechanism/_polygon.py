@@ -30,8 +30,9 @@ class Side(NamedTuple):
     A vector of a polygon: the derivative of r e^{iθ} from one point of the linkage to another.
 
     `name` is its head and, if that moves, its tail ('BA' is B relative to A), or that of a vector
-    of a loop. It starts at the image `tail`; `parts`, in this order normal, tangential, Coriolis
-    and slide, add up to it. `body` is that on which it is a line, empty for slides and struts.
+    of a loop. It starts at the image `tail`; `parts`, in this order normal, tangential, Coriolis,
+    slide and winding, add up to it. `body` is that on which it is a line, empty for slides, struts
+    and belts.
     """
 
     name: str
@@ -101,6 +102,9 @@ def polygon(scene: Scene, motion: Motion, order: int) -> Polygon:
         b = assembly.bodies.index(body)
         return complex(position[at, b] + point * turn[at, b])
 
+    def rate(body: str) -> float:
+        return 0.0 if body == GROUND else float(angle[1, assembly.bodies.index(body)])
+
     points = _body_points(scene, values[0])
     sides = list(_loop_sides(scene, position[order], values, order))
     shapes, drawn, on_ground = [], set(points[GROUND]), points[GROUND]
@@ -121,7 +125,7 @@ def polygon(scene: Scene, motion: Motion, order: int) -> Polygon:
                 sides.append(Side(label, body, images[first], components))
         if len(images) > 2:
             shapes.append(tuple(images.values()))
-    sides += _joint_sides(assembly, points, image, values, order)
+    sides += _joint_sides(assembly, points, image, rate, values, order)
     return Polygon(order, _merged(points, image), tuple(sides), tuple(shapes))
 
 
@@ -196,22 +200,31 @@ def _joint_sides(
     assembly: Assembly,
     points: BodyPoints,
     image: Callable[[str, complex], complex],
+    rate: Callable[[str], float],
     values: Real,
     order: int,
 ) -> Iterator[Side]:
     """
     Vectors along slides and struts, from the point `a` of one body to `b` of the other.
 
-    Also along belts, from wheel to wheel, but not of accelerations: a strand keeps its length, so
-    the velocities of its ends differ by what turns it.
+    Also along belts, from wheel to wheel. The free part of a strand keeps its length, so its ends
+    differ by what turns it. The point of the wheel below an end has the velocity of the end. Its
+    acceleration has r (φ' - θ')² to the hub more, since it is on a circle as seen from the strand:
+    the winding.
     """
     rows = dict(zip(assembly.loops.variables, values.T, strict=True)) | {GROUND: np.zeros(3)}
     for joint in assembly.joints:
-        if isinstance(joint, Belt) and order < 2:
+        if isinstance(joint, Belt):
             length, turn = rows[joint.name], rows[f'{joint.name}.angle']
-            straight = np.array([length[0], 0.0, 0.0])
+            parts = _components(order, np.array([length[0], 0.0, 0.0]), turn)
+            if order == 2:
+                first, last = (
+                    radius * (turn[1] - rate(body)) ** 2
+                    for radius, body in zip(joint.radii, (joint.one, joint.other), strict=True)
+                )
+                parts['winding'] = complex(1j * (first - last) * np.exp(1j * turn[0]))
             at = points[joint.one].get(_end_name(joint, joint.one), joint.a)
-            yield Side(joint.name, '', image(joint.one, at), _components(order, straight, turn))
+            yield Side(joint.name, '', image(joint.one, at), parts)
         terms = joint.loop_form().terms
         if len(terms) != 1 or not terms[0].slide or joint.rims():
             continue

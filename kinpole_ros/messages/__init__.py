@@ -1,5 +1,6 @@
 """ROS messages to arrays and back: no other package handles the fields of a message."""
 
+from kinpole_ros.messages._detections import DETECTIONS, read_detections
 from kinpole_ros.messages._diagnostics import RECEIVED, RESTARTS, DiagnosticsMaker
 from kinpole_ros.messages._drawing import COLORS, deletion_of_all
 from kinpole_ros.messages._events import read_event
@@ -46,6 +47,7 @@ from kinpole_ros.messages._view import PAGE_TOPICS, VIEW, quantity_lists, view_o
 __all__ = [
     'AUTO_TYPES',
     'COLORS',
+    'DETECTIONS',
     'DRAWING',
     'INPUT_TYPES',
     'INPUT_TYPE_NAMES',
@@ -79,6 +81,7 @@ __all__ = [
     'outputs_of',
     'poses_data',
     'quantity_lists',
+    'read_detections',
     'read_event',
     'read_markers',
     'read_state',

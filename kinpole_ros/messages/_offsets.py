@@ -19,7 +19,16 @@ from kinpole_ros.settings.message_types import Field
 _MAX_OBJECTS = 1 << 18
 _MARKER = 16
 # Bytes and alignment of the kinds of fields in MESSAGE_TYPES.
-_SIZES = {'int8': (1, 1), 'int32': (4, 4), 'uint32': (4, 4), 'point': (24, 8), 'pose': (56, 8)}
+_SIZES = {
+    'int8': (1, 1),
+    'uint16': (2, 2),
+    'int32': (4, 4),
+    'uint32': (4, 4),
+    'float64': (8, 8),
+    'point': (24, 8),
+    'pose': (56, 8),
+    'covariance': (288, 8),
+}
 _ORDERS = {b'\x00\x00': '>', LITTLE: '<'}
 
 
@@ -203,6 +212,8 @@ class MessageOffsets:
         for _, kind in row.before:
             self._field(kind)
         self.entries = self._fields_of_list(row.item)
+        if self.entries and 'header' in self.entries[0]:
+            self.stamp, self.frame_id = self.entries[0]['header']
 
     def _fields_of_list(self, item: tuple[Field, ...]) -> list[dict[str, Any]]:
         entries: list[dict[str, Any]] = []
@@ -214,9 +225,11 @@ class MessageOffsets:
         return entries
 
     def _field(self, kind: str | tuple[Field, ...]) -> Any:
-        """Pass a field of a kind of MESSAGE_TYPES; return its offset, or the items of a string."""
+        """Pass a field of a kind of MESSAGE_TYPES; return its offset, or those of its parts."""
         if not isinstance(kind, str):
             return self._fields_of_list(kind)
+        if kind == 'header':
+            return self._header()
         return self._sequence(1) if kind == 'string' else self._skip(*_SIZES[kind])
 
     def _header(self) -> tuple[int, Items]:

@@ -38,6 +38,7 @@ AUTO_TYPES = tuple(kind for kind, row in MESSAGE_TYPES.items() if row.is_recogni
 _LENGTH_TOLERANCE = 1e-3  # of a quaternion: generous for one of 32-bit floats
 _LISTED_NAMES, _SHOWN_CHARACTERS = 12, 80  # in messages: there may be any number, of any length
 _UNSEEN = np.full(7, np.nan)
+_NUMBER_FORMS: dict[Any, str] = {'uint16': 'H', 'int32': 'i', 'uint32': 'I'}
 _NUMBER_IS_MEANT = 1  # `id_type` of mocap4r2_msgs/msg/Marker
 
 
@@ -254,11 +255,13 @@ class PoseReader:
         if not self._has_names:
             return str(index)
         is_numbered = 'id_type' in entry and data[entry['id_type']] == _NUMBER_IS_MEANT
-        name = '' if is_numbered else text_at(data, entry['name'])
+        has_name = 'name' in entry and not is_numbered
+        name = text_at(data, entry['name']) if has_name else ''
         if name or 'number' not in entry:
             return name or str(index)
-        form = '<i' if data[1] else '>i'
-        return str(struct.unpack_from(form, data, entry['number'])[0])
+        form = _NUMBER_FORMS[dict(MESSAGE_TYPES[self._kind].item)['number']]
+        order = '<' if data[1] else '>'
+        return str(struct.unpack_from(order + form, data, entry['number'])[0])
 
     def _add_transform(
         self,

@@ -37,13 +37,13 @@ from kinpole_ros.messages._points import (
     transformed,
 )
 from kinpole_ros.messages._types import (
+    MARKER_TYPES,
     ROS_TYPE_NAMES,
     Marker,
     MessageError,
     serialize_message,
     type_name,
 )
-from kinpole_ros.settings import MESSAGE_TYPES
 from kinpole_ros.tracking.frame import MarkerFrames
 
 _IDENTITIES = ('auto', 'index', 'id', 'ns', 'ns_id', 'shape')
@@ -88,7 +88,7 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
     """
     if identity not in _IDENTITIES:
         raise ValueError(f"identity '{identity}' is unknown: use one of {', '.join(_IDENTITIES)}")
-    kinds = {name: kind for kind, name in ROS_TYPE_NAMES.items() if not MESSAGE_TYPES[kind].item}
+    kinds = {ROS_TYPE_NAMES[kind]: kind for kind in MARKER_TYPES}
     kind = kinds.get(type_name(type(message)))
     if kind is None:
         raise MessageError(

@@ -6,6 +6,7 @@ Other packages register quantities (`Registered`): this one imports none of them
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple, Protocol
 
 from kinpole_ros.messages._drawing import Trails, centrode, drawing
@@ -24,7 +25,6 @@ from kinpole_ros.messages._rows import (
     Build,
     Row,
     Rows,
-    registered_row,
     stamped,
 )
 from kinpole_ros.messages._state import STATE, state
@@ -171,12 +171,8 @@ def _odometry(rig: _Rig, order: int, body: int) -> Row:
     return Row(ODOMETRY, 0, stamped(ODOMETRY, rig.frames[body]), order, body)
 
 
-def _fixed_centrode(rig: _Rig, _: int, body: int) -> Build:
-    return centrode(body, rig.plane, rig.trails, None)
-
-
-def _moving_centrode(rig: _Rig, _: int, body: int) -> Build:
-    return centrode(body, rig.plane, rig.trails, rig.frames[body])
+def _centrode(is_fixed: bool, rig: _Rig, _: int, body: int) -> Build:
+    return centrode(body, rig.plane, rig.trails, None if is_fixed else rig.frames[body])
 
 
 def _events(rig: _Rig, _: int, body: int) -> Build:
@@ -209,8 +205,8 @@ OF_BODY = (
     TopicRow(
         'inflection_circle', PointStamped, 2, 'm', _compiled(POINT, CIRCLE_CENTER), True, True
     ),
-    TopicRow('centrode/fixed', Path, 1, 'm', _fixed_centrode, is_standard=False),
-    TopicRow('centrode/moving', Path, 1, 'm', _moving_centrode, is_standard=False),
+    TopicRow('centrode/fixed', Path, 1, 'm', partial(_centrode, True), is_standard=False),
+    TopicRow('centrode/moving', Path, 1, 'm', partial(_centrode, False), is_standard=False),
     TopicRow('event', PointCloud2, 1, '', _events, of_events=True),
 )
 _OF_PAIR = (
@@ -219,19 +215,33 @@ _OF_PAIR = (
         'angular_velocity', Vector3Stamped, 1, 'rad/s', _compiled(NORMAL, RELATIVE_RATE), True, True
     ),
 )
+# By the kind of a registered quantity, type and kind of its messages, and how many doubles are 0
+# before and after its own: a wrench is a force and then a torque.
 _OF_REGISTERED = {
-    'point': PointStamped,
-    'vector': Vector3Stamped,
-    'number': Vector3Stamped,
-    'force': WrenchStamped,
-    'torque': WrenchStamped,
+    'point': (PointStamped, POINT, 0, 0),
+    'vector': (Vector3Stamped, VECTOR, 0, 0),
+    'number': (Vector3Stamped, NORMAL, 0, 0),
+    'force': (WrenchStamped, VECTOR, 0, 3),
+    'torque': (WrenchStamped, NORMAL, 3, 0),
 }
+
+
+def _registered(quantity: RegisteredQuantity) -> TopicRow:
+    """Return the row of a quantity that another package computes."""
+    message_type, kind, before, after = _OF_REGISTERED[quantity.kind]
+    template = stamped(kind, before=before, after=after)
+
+    def make(_: _Rig, order: int) -> Row:
+        return Row(kind, 0, template, order, quantity.body or 0, values=quantity.values)
+
+    about = message_type, quantity.order, quantity.unit, make
+    return TopicRow(quantity.topic, *about, has_deviation=True)
 
 
 def _outputs(
     row: TopicRow, topic: str, rig: _Rig, bodies: tuple[int, ...], is_standard: bool = True
 ) -> list[Output]:
-    """Return the topic of a row for a body or a pair, and that of its standard deviation."""
+    """Return the topic of a row, for one or two bodies or none, and that of its deviation."""
     made = row.make(rig, row.order, *bodies)
     builds: list[Build] = [Rows([made], rig.plane) if isinstance(made, Row) else made]
     if row.has_deviation:
@@ -244,17 +254,6 @@ def _outputs(
             *(is_standard and not end, 0.0, row.of_events),
         )
         for end, build in zip(('', '/deviation'), builds, strict=False)
-    ]
-
-
-def _registered_outputs(quantity: RegisteredQuantity, plane: Plane) -> list[Output]:
-    row, kind = registered_row(quantity), _OF_REGISTERED[quantity.kind]
-    return [
-        Output(
-            *(f'{quantity.topic}{end}', kind, quantity.order, Rows([one], plane), quantity.unit),
-            is_standard=not end,
-        )
-        for end, one in (('', row), ('/deviation', row._replace(is_deviation=True)))
     ]
 
 
@@ -301,9 +300,10 @@ def result_outputs(
             outputs += _outputs(row, f'{bodies[b]}/{row.name}', rig, (b,))
     connected = [*(joints or {}).values(), *(registered.connected_bodies() if registered else ())]
     outputs += _pair_outputs(rig, connected)
-    for quantity in registered.quantities(bodies) if registered is not None else ():
-        outputs += _registered_outputs(quantity, given)
-    outputs.append(Output(STATE, PointCloud2, highest, state(given, highest)))
+    quantities = registered.quantities(bodies) if registered is not None else ()
+    for quantity in quantities:
+        outputs += _outputs(_registered(quantity), quantity.topic, rig, ())
+    outputs.append(Output(STATE, PointCloud2, highest, state(given, highest, quantities)))
     draw = drawing(tuple(bodies), given, rig.trails, highest)
     outputs.append(Output(DRAWING, MarkerArray, highest, draw))
     if joints:

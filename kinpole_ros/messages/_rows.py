@@ -7,7 +7,6 @@ estimate, are made by one call: in a node that sleeps between frames each call o
 
 from collections.abc import Callable, Iterable, Sequence
 from ctypes import byref, c_double, sizeof
-from functools import partial
 from itertools import chain
 from operator import itemgetter
 from typing import NamedTuple, TypeAlias
@@ -20,7 +19,7 @@ from kinpole_ros.messages._cdr import Writer
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.quantities import QUANTITIES
-from kinpole_ros.tracking.values import Numbers, RegisteredQuantity, Vectors
+from kinpole_ros.tracking.values import Numbers, Vectors
 
 # The messages of an estimate: indices of its instants, in order, and a message for each.
 Built: TypeAlias = tuple[list[int], list[bytes]]
@@ -40,18 +39,10 @@ _DOUBLES = dict.fromkeys((NORMAL, VECTOR, POINT), _SIZES['VECTOR_DOUBLES']) | {
     ODOMETRY: _SIZES['ODOMETRY_DOUBLES'],
     FRAME: _SIZES['FRAME_DOUBLES'],
 }
-# By the kind of a registered quantity, that of the message, and the doubles before and after its
-# own: a wrench is a force and then a torque.
-_REGISTERED = {
-    'point': (POINT, 0, 0),
-    'vector': (VECTOR, 0, 0),
-    'number': (NORMAL, 0, 0),
-    'force': (VECTOR, 0, 3),
-    'torque': (NORMAL, 3, 0),
-}
 # Rows are filled as integers, all of their fields at once.
 _ROW_FIELDS = len(bindings.Row._fields_)
-_GIVEN_FIELDS = slice(_ROW_FIELDS - 3, _ROW_FIELDS)
+_ADDED_FIELD = _ROW_FIELDS - 1
+_GIVEN_FIELDS = slice(_ADDED_FIELD - 3, _ADDED_FIELD)
 _PLANE_NUMBERS = sizeof(bindings.Plane) // sizeof(c_double)
 
 _UNMEASURED = 1e6  # m², rad², ...: a variance that a planar measurement says nothing about
@@ -65,7 +56,8 @@ class Row(NamedTuple):
     The messages of one quantity: of `body`, or of the body `other` with respect to it.
 
     `order` is the highest derivative it needs. `values` returns the quantity (T,), or (T, 1), where
-    no compiled code computes it.
+    no compiled code computes it. `added` returns what a `state` has of each body besides, (T, B,
+    `added_count`).
     """
 
     kind: int
@@ -76,6 +68,8 @@ class Row(NamedTuple):
     other: int = 0
     is_deviation: bool = False
     values: Callable[[Estimate], Numbers | Vectors] | None = None
+    added: Callable[[Estimate], np.ndarray] | None = None
+    added_count: int = 0
 
 
 class Rows:
@@ -85,6 +79,7 @@ class Rows:
         self.rows, self.given = rows, given
         self._order = max((row.order for row in rows), default=0)
         self._given_rows = [(k, row.values) for k, row in enumerate(rows) if row.values]
+        self._added_rows = [(k, row.added) for k, row in enumerate(rows) if row.added]
         self._fields = np.zeros((len(rows), _ROW_FIELDS), np.int64)
         self._space = np.empty(_PLANE_NUMBERS)
         # What the fields are made for, and the slices of a single instant.
@@ -129,6 +124,7 @@ class Rows:
         self._bind(estimate, bodies)
         # Keeps the arrays alive while the library uses them.
         arrays = [self._pass_values(k, values(estimate)) for k, values in self._given_rows]
+        arrays += [self._pass_added(k, added(estimate)) for k, added in self._added_rows]
         if motion.orders <= self._order:
             raise ValueError(f'expected derivatives up to order {self._order}')
         out = np.empty(self._size * instants, np.uint8)
@@ -157,8 +153,8 @@ class Rows:
         self._slices = []
         for fields, row, (data, head) in zip(self._fields, self.rows, templates, strict=True):
             what = _GIVEN if row.values else row.what
-            about = row.kind, what, row.body, row.other, row.is_deviation, head, len(data)
-            fields[: len(about) + 1] = *about, address + start
+            about = row.kind, what, row.body, row.other, row.is_deviation, row.added_count
+            fields[: len(about) + 3] = *about, head, len(data), address + start
             self._slices.append(slice(start, start + len(data)))
             start += len(data)
         self._size, self._layout = start, layout
@@ -175,6 +171,10 @@ class Rows:
         self._fields[k, _GIVEN_FIELDS] = [address_of(array) for array in arrays]
         return arrays
 
+    def _pass_added(self, k: int, added: np.ndarray) -> list[np.ndarray]:
+        self._fields[k, _ADDED_FIELD] = address_of(added)
+        return [added]
+
 
 def stamped(kind: int, child: str | None = None, before: int = 0, after: int = 0) -> Template:
     """
@@ -183,26 +183,17 @@ def stamped(kind: int, child: str | None = None, before: int = 0, after: int = 0
     `child` is the second string of messages that have one, the child_frame_id of Odometry. So many
     doubles before and after those of the row are 0.
     """
-    return partial(_stamped, kind, child, before, after)
 
+    def template(frame_id: str, _: int) -> tuple[bytes, int]:
+        writer = Writer()
+        if kind == FRAME:
+            # A TFMessage is a list, of this one item.
+            writer.pack('I', 1)
+        writer.header(0, frame_id)
+        if child is not None:
+            writer.string(child)
+        writer.align(8)
+        head = len(writer.data) + 8 * before
+        return bytes(writer.data) + bytes(8 * (before + _DOUBLES[kind] + after)), head
 
-def _stamped(
-    kind: int, child: str | None, before: int, after: int, frame_id: str, _: int
-) -> tuple[bytes, int]:
-    writer = Writer()
-    if kind == FRAME:
-        # A TFMessage is a list, of this one item.
-        writer.pack('I', 1)
-    writer.header(0, frame_id)
-    if child is not None:
-        writer.string(child)
-    writer.align(8)
-    head = len(writer.data) + 8 * before
-    return bytes(writer.data) + bytes(8 * (before + _DOUBLES[kind] + after)), head
-
-
-def registered_row(quantity: RegisteredQuantity) -> Row:
-    """Return the row of a quantity that another package computes."""
-    kind, before, after = _REGISTERED[quantity.kind]
-    template = stamped(kind, before=before, after=after)
-    return Row(kind, 0, template, quantity.order, quantity.body, values=quantity.values)
+    return template

@@ -4,9 +4,12 @@ The topic `state`: all quantities of all bodies at an instant in one message.
 A sensor_msgs/PointCloud2 with one point for each body and one field for each number needs no
 message type of its own. It costs far less to make, send and read than the separate topics, which
 have the same numbers.
+
+Registered quantities of a body, as of the points that a scene names, are further fields, not rows:
+a field has a name, by which programs find it, and the rows stay those of the bodies.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from itertools import chain
 from typing import Any, TypeAlias
@@ -20,8 +23,9 @@ from kinpole_ros.messages._types import (
     PointField,
     deserialize_message,
 )
+from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
-from kinpole_ros.tracking.values import Numbers, Vectors, quantity_names
+from kinpole_ros.tracking.values import Numbers, RegisteredQuantity, Vectors, quantity_names
 
 STATE = 'state'
 """The topic."""
@@ -34,12 +38,16 @@ _FIRST_FIELDS = {
     'determined': PointField.UINT32,
 }
 _FIRST_DOUBLES = len(_FIRST_FIELDS) // 2
+# The last field of a registered quantity has this ending, and is 1 where it is determined: bits are
+# few, and there may be many points.
+_DETERMINED = '_determined'
+_POSE = ('position', 'angle', 'velocity')
 # The bytes of the stamp in a message.
 _STAMP = slice(4, 12)
 Quantities: TypeAlias = dict[str, Numbers | Vectors]
 
 
-def state_fields(order: int) -> dict[str, list[str]]:
+def state_fields(order: int, registered: Sequence[RegisteredQuantity] = ()) -> dict[str, list[str]]:
     """
     Return the float64 fields of the topic `state`.
 
@@ -47,18 +55,36 @@ def state_fields(order: int) -> dict[str, list[str]]:
     ----------
     order : int
         Highest derivative, 1 to 4.
+    registered : sequence of RegisteredQuantity
+        Quantities of another package, of which those of bodies have fields.
 
     Returns
     -------
     dict
         The names of the fields by quantity. Bit k of the field `determined` is that of the k-th
         quantity. `pose` is the position, angle and velocity of the frame of the body. A number
-        is followed by its standard deviation, a vector by its covariance.
+        is followed by its standard deviation, a vector by its covariance, and a registered
+        quantity by whether it is determined, in place of a bit.
     """
     pose = [*_fields_of('position', True), *_fields_of('angle'), *_fields_of('velocity', True)]
     fields = {'pose': pose}
     names = quantity_names(order)
-    return fields | {name: _fields_of(name, is_vector) for name, is_vector in names.items()}
+    fields |= {name: _fields_of(name, is_vector) for name, is_vector in names.items()}
+    added = _added(order, registered)
+    return fields | {name: _added_fields(name, one.is_vector) for one, name in added}
+
+
+def _added(
+    order: int, registered: Sequence[RegisteredQuantity]
+) -> list[tuple[RegisteredQuantity, str]]:
+    """Return the registered quantities that have fields, with their names."""
+    own = [one for one in registered if one.body is not None and one.order <= order]
+    # Those of two bodies with the same name share its fields.
+    return [(one, one.topic.partition('/')[2]) for one in own]
+
+
+def _added_fields(name: str, is_vector: bool) -> list[str]:
+    return [*_fields_of(name, is_vector), f'{name}{_DETERMINED}']
 
 
 def _fields_of(name: str, is_vector: bool = False) -> list[str]:
@@ -67,18 +93,44 @@ def _fields_of(name: str, is_vector: bool = False) -> list[str]:
     return [name, f'{name}_deviation']
 
 
-def state(given: Plane, order: int) -> Rows:
+def state(given: Plane, order: int, registered: Sequence[RegisteredQuantity] = ()) -> Rows:
     """
     Return what makes the messages, with derivatives up to `order`.
 
     `given` is the plane of estimates that have none.
     """
-    return Rows([Row(STATE_POINTS, order, partial(_template, order), order)], given)
+    names = [*chain(*state_fields(order, registered).values())]
+    row = Row(STATE_POINTS, order, partial(_template, names), order)
+    if added := _added(order, registered):
+        first = sum(map(len, state_fields(order).values()))
+        fields = [(one, _added_fields(name, one.is_vector)[0]) for one, name in added]
+        columns = [(one, names.index(field) - first) for one, field in fields]
+        count = len(names) - first
+        row = row._replace(added=partial(_added_values, columns, count), added_count=count)
+    return Rows([row], given)
 
 
-def _template(order: int, frame_id: str, bodies: int) -> tuple[bytes, int]:
+def _added_values(
+    columns: Sequence[tuple[RegisteredQuantity, int]], count: int, estimate: Estimate
+) -> np.ndarray:
+    """Return the fields (T, B, count) of registered quantities, each from its column on."""
+    added = np.zeros((len(estimate), len(estimate.bodies), count))
+    for quantity, first in columns:
+        value, spread, determined = quantity.values(estimate)
+        if quantity.is_vector:
+            spreads = (spread[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
+            parts = [value.real, value.imag, *spreads, determined]
+        else:
+            parts = [value.real, np.sqrt(np.maximum(spread, 0.0)), determined]
+        own = added[:, quantity.body, first : first + len(parts)]
+        for k, part in enumerate(parts):
+            own[:, k] = part
+        own[~(determined & np.isfinite(own).all(axis=1))] = 0.0
+    return added
+
+
+def _template(names: Sequence[str], frame_id: str, bodies: int) -> tuple[bytes, int]:
     """A message with zeros for stamp and points, and the bytes before the points."""
-    names = chain(*state_fields(order).values())
     writer = Writer()
     writer.header(0, frame_id)
     size = writer.cloud_fields(_FIRST_FIELDS | dict.fromkeys(names, PointField.FLOAT64), bodies)
@@ -101,7 +153,8 @@ def read_state(data: bytes) -> tuple[int, Quantities]:
         Its stamp, ns.
     quantities : dict
         The quantities of `state_fields` by name, of all bodies (B,), with `position`, `angle` and
-        `velocity` in place of `pose`.
+        `velocity` in place of `pose`. Those of a point that a scene names, as `points/P/velocity`,
+        are undetermined for other bodies.
 
     Raises
     ------
@@ -175,14 +228,30 @@ def _fields_in(cloud: Any) -> dict[str, list[str]]:
     possible = [state_fields(order) for order in range(1, 5)]
     # Of bags of versions without the inflection circle, which is last.
     possible += [dict(list(fields.items())[:-2]) for fields in possible[1:]]
-    found = (one for one in possible if names == [*_FIRST_FIELDS, *chain(*one.values())])
-    fields = next(found, None)
-    if fields is None:
+    for fields in possible:
+        known = [*_FIRST_FIELDS, *chain(*fields.values())]
+        if names[: len(known)] == known:
+            break
+    else:
         raise ValueError('its fields are not those of a topic `state`')
+    for name, own in _added_in(names[len(known) :]):
+        is_quantity = own in (_added_fields(name, False), _added_fields(name, True))
+        if not is_quantity or name in (*_POSE, *fields):
+            raise ValueError(f'its fields of {name} are not those of a topic `state`')
+        fields[name] = own
     doubles = _FIRST_DOUBLES + len(names) - len(_FIRST_FIELDS)
     if cloud.is_bigendian or len(cloud.data) != 8 * doubles * cloud.width:
         raise ValueError(f'it has {len(cloud.data)} bytes of data for {cloud.width} bodies')
     return fields
+
+
+def _added_in(names: list[str]) -> Iterator[tuple[str, list[str]]]:
+    """Yield the registered quantities among the last fields of a message, with their fields."""
+    first = 0
+    for k, name in enumerate(names, 1):
+        if name.endswith(_DETERMINED) or k == len(names):
+            yield name.removesuffix(_DETERMINED), names[first:k]
+            first = k
 
 
 def _quantities_in(points: np.ndarray, fields: dict[str, list[str]]) -> Quantities:
@@ -194,8 +263,9 @@ def _quantities_in(points: np.ndarray, fields: dict[str, list[str]]) -> Quantiti
     column = dict(zip(names, np.moveaxis(points, -1, 0)[_FIRST_DOUBLES:], strict=True))
     quantities: Quantities = {}
     for bit, quantity in enumerate(fields):
-        determined = bits >> bit & 1 == 1
-        for name in ('position', 'angle', 'velocity') if quantity == 'pose' else (quantity,):
+        own = column.get(f'{quantity}{_DETERMINED}')
+        determined = bits >> bit & 1 == 1 if own is None else own != 0
+        for name in _POSE if quantity == 'pose' else (quantity,):
             if name in column:
                 variance = column[f'{name}_deviation'] ** 2
                 quantities[name] = Numbers(column[name], variance, determined)

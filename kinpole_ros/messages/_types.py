@@ -219,7 +219,6 @@ Point = message_class('geometry_msgs/msg/Point')
 PointStamped = message_class('geometry_msgs/msg/PointStamped')
 Pose = message_class('geometry_msgs/msg/Pose')
 PoseArray = message_class('geometry_msgs/msg/PoseArray')
-PoseStamped = message_class('geometry_msgs/msg/PoseStamped')
 PoseWithCovarianceStamped = message_class('geometry_msgs/msg/PoseWithCovarianceStamped')
 Vector3 = message_class('geometry_msgs/msg/Vector3')
 Vector3Stamped = message_class('geometry_msgs/msg/Vector3Stamped')
@@ -236,21 +235,13 @@ TFMessage = message_class('tf2_msgs/msg/TFMessage')
 Marker = message_class('visualization_msgs/msg/Marker')
 MarkerArray = message_class('visualization_msgs/msg/MarkerArray')
 
-MARKER_TYPES: dict[str, type] = {
-    'marker_array': MarkerArray,
-    'marker': Marker,
-    'pose_array': PoseArray,
-    'point_cloud2': PointCloud2,
-}
-# The types that can be written too: messages of markers, and of poses of bodies.
-INPUT_TYPES: dict[str, type] = {
-    **MARKER_TYPES,
-    'pose_stamped': PoseStamped,
-    'body_poses': PoseArray,
-    'tf': TFMessage,
-}
 INPUT_TYPE_NAMES = {kind: row.type_name for kind, row in MESSAGE_TYPES.items()}
 ROS_TYPE_NAMES = {kind: row.type_name for kind, row in MESSAGE_TYPES.items() if not row.has_poses}
+# The types that can be written too, and those of markers among them.
+INPUT_TYPES: dict[str, type] = {
+    kind: message_class(row.type_name) for kind, row in MESSAGE_TYPES.items() if not row.item
+}
+MARKER_TYPES = {kind: cls for kind, cls in INPUT_TYPES.items() if kind in ROS_TYPE_NAMES}
 SECOND = 1_000_000_000  # ns
 END_OF_TIME = 2**31 * SECOND  # ns: the first stamp that a ROS time cannot hold
 

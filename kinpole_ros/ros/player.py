@@ -35,6 +35,7 @@ from kinpole_ros.ros.private import RCLError
 
 _POLL_INTERVAL = 0.01  # s, while waiting for subscribers
 _ACKNOWLEDGMENT_WAIT = Duration(seconds=0.1)
+_LONGEST_ACKNOWLEDGMENT = 30.0  # s; Fast DDS drops a reader that died after 20
 _SETTLED = 1.0  # s in which subscribers stay the same, after which all are taken to be there
 _MAX_BEHIND = 0.5  # s behind the pace, after which a player says so
 _DEPTH = 1000  # messages
@@ -96,7 +97,7 @@ def play(
         _wait_for_subscribers(node, publishers, wait, subscribers)
         pace = _Pace(speed, clocks, clock)
         count = _publish(bag, publishers, pace, progress, loop, node)
-        _wait_until_read(publishers)
+        _wait_until_read(node, publishers)
     finally:
         node.destroy_node()
         context.try_shutdown()
@@ -146,11 +147,17 @@ def _make_publishers(
     return publishers
 
 
-def _wait_until_read(publishers: Mapping[str, Publisher]) -> None:
-    for publisher in publishers.values():
-        # Step by step, so that Ctrl-C ends it where a reader no longer reads.
+def _wait_until_read(node: Node, publishers: Mapping[str, Publisher]) -> None:
+    """Wait until reliable subscribers have all messages; warn of one that does not take them."""
+    deadline = time.monotonic() + _LONGEST_ACKNOWLEDGMENT
+    for name, publisher in publishers.items():
+        # Step by step, so that Ctrl-C ends it where a subscriber no longer reads.
         while not publisher.wait_for_all_acked(_ACKNOWLEDGMENT_WAIT):
-            pass
+            if time.monotonic() > deadline:
+                node.get_logger().warning(
+                    f'a subscriber of {name} does not take its messages; fix: end it if it hangs'
+                )
+                break
 
 
 def _wait_for_subscribers(

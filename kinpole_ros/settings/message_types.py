@@ -2,8 +2,8 @@
 
 from typing import NamedTuple, TypeAlias
 
-# Name of a field and its kind: int8, int32, uint32, string, point, pose, or the fields of the items
-# of a list.
+# Name of a field and its kind: int8, uint16, int32, uint32, float64, string, header, point, pose,
+# covariance, or the fields of the items of a list.
 Field: TypeAlias = 'tuple[str, str | tuple[Field, ...]]'
 
 
@@ -14,7 +14,7 @@ class MessageType(NamedTuple):
     A type that is a header and a list of markers or bodies is read by this row alone: `before` are
     the fields between header and list, `item` are those of an item. An item has a `point` or a
     `pose`. It is called by its `name`, or by its `number` where it has no name or its `id_type` is
-    1. Other types have readers of their own.
+    1. If items have a `header`, its stamp counts. Other types have readers of their own.
     """
 
     type_name: str
@@ -52,6 +52,35 @@ MESSAGE_TYPES = {
         'motion_capture_tracking_interfaces/msg/NamedPoseArray',
         has_poses=True,
         item=(('name', 'string'), ('pose', 'pose')),
+    ),
+    'aruco': MessageType(
+        'aruco_msgs/msg/MarkerArray',
+        has_poses=True,
+        item=(
+            ('header', 'header'),
+            ('number', 'uint32'),
+            ('pose', 'pose'),
+            ('covariance', 'covariance'),
+            ('confidence', 'float64'),
+        ),
+    ),
+    # Its driver stamps the list when it is sent, and the items with the time of the picture.
+    'aruco_markers': MessageType(
+        'aruco_markers_msgs/msg/MarkerArray',
+        has_poses=True,
+        item=(
+            ('header', 'header'),
+            ('number', 'uint32'),
+            ('pose_header', 'header'),
+            ('pose', 'pose'),
+            ('pixel_x', 'float64'),
+            ('pixel_y', 'float64'),
+        ),
+    ),
+    'aruco_detection': MessageType(
+        'aruco_opencv_msgs/msg/ArucoDetection',
+        has_poses=True,
+        item=(('number', 'uint16'), ('pose', 'pose')),
     ),
 }
 # Those that carry poses of bodies and not markers.

@@ -60,9 +60,9 @@ class Settings:
         'auto',
         kinds.one_of('auto', *MESSAGE_TYPES),
         'Type of the marker messages; auto takes the type that is published. pose_stamped, '
-        'body_poses (a PoseArray with one pose per body), tf, rigid_bodies and named_poses carry '
-        'poses of bodies instead of markers: <body>.markers then names one pose, by its index, '
-        'child_frame_id or name.',
+        'body_poses (a PoseArray with one pose per body), tf, rigid_bodies, named_poses and those '
+        'of aruco carry poses of bodies instead of markers: <body>.markers then names one pose, by '
+        'its index, child_frame_id, name or number.',
         START,
     )
     marker_identity: str = parameter(

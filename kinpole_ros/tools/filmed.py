@@ -10,6 +10,7 @@ if TYPE_CHECKING:
 # Files with these endings are videos.
 _ENDINGS = ('.mp4', '.mov', '.m4v', '.mkv', '.webm', '.avi', '.3gp', '.mts', '.m2ts', '.mjpeg')
 _OPTIONS = 'size', 'ground', 'family', 'camera', 'line_time'
+_OF_DOTS = 'points', 'at', 'ruler'
 
 
 def is_video(path: str | Path) -> bool:
@@ -27,6 +28,6 @@ def film_options(options: Namespace) -> 'FilmOptions':
     """Return the options of a film that are given; the others have their defaults."""
     from kinpole_ros.film import FilmOptions
 
-    given = {name: getattr(options, name) for name in _OPTIONS}
+    given = {name: getattr(options, name, None) for name in _OPTIONS + _OF_DOTS}
     given['ground'] = given['ground'] and tuple(given['ground'])
     return FilmOptions(**{name: value for name, value in given.items() if value is not None})

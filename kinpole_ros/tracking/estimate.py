@@ -51,6 +51,7 @@ from kinpole_ros.tracking.values import (
 )
 
 _Arrays = TypeVar('_Arrays', bound=Vectors | Numbers | FramePoses)
+_Computed = TypeVar('_Computed')
 
 
 class Results(NamedTuple):
@@ -211,6 +212,7 @@ class Estimate:
         self._poles: dict[int, Vectors] = {}
         self._origins: dict[int, np.ndarray] = {}
         self._rates: dict[int, Numbers] = {}
+        self._registered: dict[tuple[Any, ...], Any] = {}
 
     @classmethod
     def of_arrays(
@@ -390,6 +392,14 @@ class Estimate:
                 found[name] = self.pole(POLE_NAMES.index(name) + 1)
             else:
                 found[name] = getattr(self, name)
+        return found
+
+    def once(self, compute: Callable[..., _Computed], *arguments: Any) -> _Computed:
+        """Return `compute` of these arguments and this estimate, computed when first asked for."""
+        key = compute, *arguments
+        if key not in self._registered:
+            self._registered[key] = compute(*arguments, self)
+        found: _Computed = self._registered[key]
         return found
 
     @property

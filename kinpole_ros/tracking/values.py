@@ -68,10 +68,11 @@ def sigma_along(vectors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 class RegisteredQuantity(NamedTuple):
     """
-    A quantity that another package computes from estimates, for the table of topics.
+    A quantity that another package computes from estimates, for topics, tables and `state`.
 
     `kind` is point, vector, number, force or torque; numbers (T,) are along the normal of the
-    plane. It needs derivatives up to `order`, and has the height of a `body`.
+    plane. It needs derivatives up to `order`. One of a `body` has its topic below the name of that,
+    and a field in `state`.
     """
 
     topic: str
@@ -79,7 +80,12 @@ class RegisteredQuantity(NamedTuple):
     order: int
     unit: str
     values: Callable[['Estimate'], Numbers | Vectors]
-    body: int = 0
+    body: int | None = None
+
+    @property
+    def is_vector(self) -> bool:
+        """Whether it has two components in the plane."""
+        return self.kind not in ('number', 'torque')
 
 
 class FramePoses(NamedTuple):

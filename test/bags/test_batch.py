@@ -51,7 +51,8 @@ def process(*words: str) -> Iterator['subprocess.Popen[str]']:
     try:
         yield started
     finally:
-        if started.poll() is None:
+        # Also where it has ended: what it started may have its pipes, and keep them open.
+        with suppress(ProcessLookupError):
             os.killpg(started.pid, signal.SIGKILL)
         started.communicate()
 

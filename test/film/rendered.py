@@ -27,13 +27,19 @@ FAMILY = cv2.aruco.DICT_APRILTAG_36h11
 
 @dataclass(frozen=True)
 class Tag:
-    """A tag on a body: its center (m) and turn (rad) in the frame of the body."""
+    """
+    A tag on a body: its center (m) and turn (rad) in the frame of the body.
+
+    It is `height` m nearer to the camera than the plane of motion. One with a number below 0 is a
+    dark dot, half as wide, on white paper.
+    """
 
     number: int
     body: str
     center: complex
     turn: float = 0.0
     size: float = 0.024
+    height: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -57,31 +63,31 @@ class Camera:
         w, h = self.size
         return np.array([[w, 0, w / 2 - 0.5], [0, w, h / 2 - 0.5], [0, 0, 1.0]])
 
-    @property
-    def homography(self) -> np.ndarray:
-        """The map (3, 3) from the plane, m, to the picture of a perfect lens, pixels."""
+    def homography(self, height: float = 0.0) -> np.ndarray:
+        """The map (3, 3) from a plane, m, to the picture of a perfect lens, pixels."""
         c, s = np.cos(np.radians(self.tilt)), np.sin(np.radians(self.tilt))
         # y of the plane is up, and that of the picture down.
         turn = np.array([[1.0, 0, 0], [0, -c, -s], [0, s, -c]])
         shift = np.array([0, 0, self.width]) - turn[:, :2] @ (self.target.real, self.target.imag)
+        shift += height * np.cross(turn[:, 0], turn[:, 1])
         return self.matrix @ np.column_stack((turn[:, :2], shift))
 
-    def pixels(self, points: np.ndarray) -> np.ndarray:
-        """Return the pixels (..., 2) of points of the plane (...), complex, m."""
+    def pixels(self, points: np.ndarray, height: float = 0.0) -> np.ndarray:
+        """Return the pixels (..., 2) of points of a plane (...), complex, m."""
         flat = np.stack((points.real, points.imag, np.ones(points.shape)), axis=-1)
-        seen = flat @ self.homography.T @ np.linalg.inv(self.matrix).T
+        seen = flat @ self.homography(height).T @ np.linalg.inv(self.matrix).T
         rays = (seen / seen[..., 2:]).reshape(-1, 1, 3)
         drawn, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self.matrix, self.lens)
         return drawn.reshape(*points.shape, 2)
 
-    def plane(self) -> np.ndarray:
-        """Return the points of the plane (h, w, 2), m, under the centers of the pixels."""
+    def plane(self, height: float = 0.0) -> np.ndarray:
+        """Return the points of a plane (h, w, 2), m, under the centers of the pixels."""
         w, h = self.size
         grid = np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1).reshape(-1, 1, 2)
         straight = cv2.undistortPoints(
             grid.astype(np.float64), self.matrix, np.array(self.lens), P=self.matrix
         )
-        back = cv2.perspectiveTransform(straight, np.linalg.inv(self.homography))
+        back = cv2.perspectiveTransform(straight, np.linalg.inv(self.homography(height)))
         return back.reshape(h, w, 2).astype(np.float32)
 
     def write(self, path: Path) -> None:
@@ -149,7 +155,8 @@ class Film:
         square = np.array([-1 + 1j, 1 + 1j, 1 - 1j, -1 - 1j]) / 2
         return {
             tag.number: self.camera.pixels(
-                place[0][..., None] + tag.size * square * np.exp(1j * turn[0])[..., None]
+                place[0][..., None] + tag.size * square * np.exp(1j * turn[0])[..., None],
+                tag.height,
             )
             for tag, (place, turn) in zip(self.tags, self.poses(times).values(), strict=True)
         }
@@ -177,7 +184,8 @@ class Film:
     def pictures(self) -> Iterator[np.ndarray]:
         """Yield the pictures (h, w) uint8."""
         random = np.random.default_rng(0)
-        plane, (w, h) = self.camera.plane(), self.camera.size
+        planes = {tag.height: self.camera.plane(tag.height) for tag in self.tags}
+        w, h = self.camera.size
         wall = cv2.GaussianBlur(random.standard_normal((h, w)).astype(np.float32), (0, 0), 3)
         wall = ((WALL + 60 * wall) * np.linspace(0.9, 1.1, w)).astype(np.uint8)
         # Two fields of noise, of positive and negative values, moved anew for each frame.
@@ -190,7 +198,7 @@ class Film:
             self._draw_bars(picture, k)
             for tag in self.tags:
                 place, turn = poses[tag.number]
-                self._draw_tag(picture, plane, tag, place[:, k], turn[:, k])
+                self._draw_tag(picture, planes[tag.height], tag, place[:, k], turn[:, k])
                 if k in self.hidden.get(tag.number, ()):
                     center = self.camera.pixels(place[:1, k])[0] + (6, 6)
                     cv2.circle(picture, np.rint(center).astype(int).tolist(), 14, 150.0, -1)
@@ -228,7 +236,7 @@ class Film:
         modules = len(code) - 2 * QUIET
         reach = tag.size * len(code) / modules * 0.75 + abs(place[1]) * self.exposure
         around = place[0] + reach * np.array([1 + 1j, 1 - 1j, -1 - 1j, -1 + 1j])
-        corners = self.camera.pixels(around)
+        corners = self.camera.pixels(around, tag.height)
         u0, v0 = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 2, 0)
         u1, v1 = np.ceil(corners.max(axis=0)).astype(int) + 3
         patch = plane[v0:v1, u0:u1]
@@ -267,7 +275,10 @@ class Film:
 
 
 def bits(number: int, family: int) -> np.ndarray:
-    """Return the gray levels of the modules of a tag, with its white margin."""
+    """Return the gray levels of the modules of a tag, with its white margin; below 0 of a dot."""
+    if number < 0:
+        steps = np.arange(-15.5, 16)
+        return np.where(np.hypot(steps, steps[:, None]) > 8, PAPER, INK).astype(np.float32)
     dictionary = cv2.aruco.getPredefinedDictionary(family)
     modules = dictionary.markerSize + 2
     code = cv2.aruco.generateImageMarker(dictionary, number, modules)

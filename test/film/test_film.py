@@ -13,7 +13,8 @@ from rendered import FOUR_BAR, Camera, Film, Tag
 
 from kinpole_ros import replay
 from kinpole_ros.bags import read_frames
-from kinpole_ros.film import FilmError, FilmOptions, LiveTags, film_to_bag, read_film
+from kinpole_ros.film import FilmError, FilmOptions, Lens, LiveTags, film_to_bag, read_film
+from kinpole_ros.film._film import Seen, place_seen
 from kinpole_ros.film._video import Video
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.tools.cli import main
@@ -29,6 +30,7 @@ PARAMETERS = {
         for body, tags in BODIES.items()
     },
 }
+LIMITED = 'timeout', '-k', '2', '60', sys.executable  # s, if it does not end
 SMALL = Camera((1152, 648), width=0.95, target=0.15 + 0.1j)
 
 
@@ -105,6 +107,31 @@ def test_a_lens_and_uneven_stamps_and_a_rolling_shutter_are_corrected(tmp_path: 
     # Without each of them it is worse.
     others = [FilmOptions(size=SIZE, camera=given.camera), FilmOptions(SIZE, line_time=line_time)]
     assert rms(read_film(path, others[0]).corners - exact(film)) > 0.5e-3
+
+
+def test_a_known_camera_places_tags_at_different_heights() -> None:
+    """Links lie on each other: a tag that is nearer looks larger, and is seen farther outside."""
+    heights = {'ground': 0.0, 'crank': 0.008, 'coupler': 0.016, 'rocker': 0.008}
+    tags = tuple(replace(tag, height=heights[tag.body]) for tag in FOUR_BAR)
+    film = Film(times(60), tags, SMALL)
+    noise = 0.07 * np.random.default_rng(0).standard_normal((60, 7, 4, 2))
+    pixels = np.stack(list(film.corners().values()), axis=1) + noise
+    stamps = np.rint(1e9 * (film.times - film.times[0])).astype(int)
+    seen = Seen(list(range(7)), stamps, pixels, np.empty((60, 0, 2)), SMALL.size, '36h11')
+    # A focal length that is 1% wrong, as of a calibration.
+    lens = Lens(SMALL.matrix * [[1.01, 1, 1], [1, 1.01, 1], [1, 1, 1]], np.zeros(5))
+    filmed = place_seen(seen, OPTIONS, lens)
+    assert rms(filmed.corners - exact(film)) < 0.3e-3
+    assert rms(place_seen(seen, OPTIONS).corners - exact(film)) > 1.5e-3
+    assert np.ptp(list(filmed.heights.values())) == pytest.approx(0.016, abs=2e-3)
+    assert 'the heights of tags differ by 1' in filmed.assumed[-1]
+    live = LiveTags(OPTIONS, lens)
+    for row in pixels:
+        _, places = live.place(list(range(7)), row, SMALL.size, '36h11')
+    assert rms(places - exact(film)[-1].ravel()) < 0.3e-3
+    # Tags at one height have no heights of their own.
+    flat = np.stack(list(replace(film, tags=FOUR_BAR).corners().values()), axis=1) + noise
+    assert not any(place_seen(replace(seen, pixels=flat), OPTIONS, lens).heights.values())
 
 
 def test_a_film_of_few_places_is_taken_for_one_from_the_front(tmp_path: Path) -> None:
@@ -223,9 +250,11 @@ def test_tags_of_a_camera_are_placed_after_a_second_and_a_half(
         names, places = live.find(picture.gray)
         assert bool(names) == (k >= 44)
         for name, place in zip(names, places, strict=True):
+            if np.isnan(place):
+                continue
+            seen += 1
             tag, corner = map(int, name.removeprefix('tag').split('_'))
             assert abs(place - whole[k, tag, corner - 1]) < 1.5e-3
-        seen += len(names)
     assert seen > 0.98 * 28 * 16
 
 
@@ -247,7 +276,7 @@ def test_a_camera_publishes_markers(four_bar: tuple[Film, Path]) -> None:
     from kinpole_ros.ros.listener import listen
 
     words = ['-m', 'kinpole_ros.tools.cli', 'camera', str(four_bar[1]), '--size', '24mm']
-    command = [sys.executable, *words, '--topic', '/film/markers']
+    command = [*LIMITED, *words, '--topic', '/film/markers']
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
         try:
             assert process.stdout is not None
@@ -266,7 +295,7 @@ def test_a_camera_publishes_markers(four_bar: tuple[Film, Path]) -> None:
 def test_ctrl_c_ends_a_camera_with_its_count(four_bar: tuple[Film, Path]) -> None:
     pytest.importorskip('rclpy')
     words = ['-m', 'kinpole_ros.tools.cli', 'camera', str(four_bar[1]), '--size', '24mm']
-    command = [sys.executable, *words]
+    command = [*LIMITED, *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
         try:
             assert process.stdout is not None

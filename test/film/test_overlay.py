@@ -128,7 +128,7 @@ def test_the_tutorial_of_films(
     (tmp_path / 'crank.mp4').symlink_to(four_bar[1])
     text = (DOCS / 'film.md').read_text('utf-8')
     lines = ''.join(re.findall(r'```bash\n(.*?)```', text, re.S)).splitlines()
-    assert len(lines) == 7
+    assert len(lines) == 9
     for line in lines:
         assert main(shlex.split(line)[1:]) == 0, line
     printed = capsys.readouterr().out.splitlines()
@@ -136,7 +136,15 @@ def test_the_tutorial_of_films(
     for line in shown.splitlines():
         # Numbers depend on the version of the encoder.
         assert re.sub('[0-9.]+', '#', line) in [re.sub('[0-9.]+', '#', one) for one in printed]
-    for name in 'crank.html', 'poles.mp4', 'crank.csv', 'draft.yaml', 'tags.pdf':
+    for name in (
+        'crank.html',
+        'poles.mp4',
+        'crank.csv',
+        'draft.yaml',
+        'tags.pdf',
+        'first.png',
+        'dots.mcap',
+    ):
         assert (tmp_path / name).stat().st_size > 500
     assert 'film' in data_of(tmp_path / 'crank.html')
     with av.open('poles.mp4') as container:

@@ -229,6 +229,18 @@ start: {rope.angle: -63 deg}
     assert strand.vector == pytest.approx(1j * length * turning * along)
     assert strand.head == pytest.approx(solved.motion.position[1, 1, 0])
     assert (strand.head * along.conjugate()).real == pytest.approx(-0.1 * winding)
+    # Of accelerations both ends have that which turns the strand, and wheels one to the hub more.
+    accelerations = polygon(scene, solved.motion, 2)
+    (strand,) = (side for side in accelerations.sides if side.name == 'rope')
+    assert strand.tail == pytest.approx(accelerations.points['rope on drum'])
+    images = accelerations.points
+    assert strand.head == pytest.approx(next(images[n] for n in images if 'rope on load' in n))
+    faster, second = turning - winding, values[2, names.index('rope.angle')]
+    assert strand.parts['normal'] == pytest.approx(-length * turning**2 * along)
+    assert strand.parts['tangential'] == pytest.approx(1j * length * second * along)
+    to_hubs = 0.1 * faster**2 + 0.04 * turning**2
+    assert strand.parts['winding'] == pytest.approx(1j * to_hubs * along)
+    assert abs(strand.parts['winding']) > 0.05 * abs(strand.vector)
     # The linkage has the strand itself.
     (line,) = (side for side in polygon(scene, solved.motion, 0).sides if side.name == 'rope')
     assert line.vector == pytest.approx(length * along)

@@ -54,19 +54,22 @@ API void kinpole_read_messages(const MessageLayout *layout, const unsigned char 
                                long long count, long long *stamps, double *points);
 
 /* The messages of a topic, of a body, or of `other` with respect to it. A message has `size` bytes, of
-   which the doubles begin behind `head`. `value`, `spread` (T, 2, 2) and `determined` are GIVEN. */
+   which the doubles begin behind `head`. `value`, `spread` (T, 2, 2) and `determined` are GIVEN. In the
+   topic `state`, `added` (T, bodies, `added_count`) follow the quantities of each body. */
 #define ROW_FIELDS(VALUE, BLOCK, ARRAY)  \
     VALUE(long long, kind)               \
     VALUE(long long, what)               \
     VALUE(long long, body)               \
     VALUE(long long, other)              \
     VALUE(long long, is_deviation)       \
+    VALUE(long long, added_count)        \
     VALUE(long long, head)               \
     VALUE(long long, size)               \
     ARRAY(const unsigned char, template) \
     ARRAY(const Number, value)           \
     ARRAY(const double, spread)          \
-    ARRAY(const unsigned char, determined)
+    ARRAY(const unsigned char, determined) \
+    ARRAY(const double, added)
 
 typedef STRUCT(ROW_FIELDS) Row;
 

@@ -284,7 +284,10 @@ write_state_point(const Task *task, long long at, int order, unsigned char *out)
     for (int what = CIRCLE_CENTER; order >= 2 && what <= CIRCLE_DIAMETER; what++)
         next = write_state_quantity(task, at, what, &bit, &point.determined, next);
     memcpy(out, &point, sizeof point);
-    return next;
+    long long count = task->row->added_count;
+    if (count > 0)
+        memcpy(next, task->row->added + at * count, count * sizeof *task->row->added);
+    return next + count * sizeof *task->row->added;
 }
 
 /* Writes a message, and returns whether there is one. */

@@ -16,6 +16,7 @@ _ENDINGS = {
     'a Foxglove layout': ('.json',),
     'a PlotJuggler layout': ('.xml',),
     'a picture': ('.png', '.pdf', '.svg', '.jpg', '.jpeg'),
+    'a PNG picture': ('.png',),
     'a video': ('.mp4',),
     'a sheet of tags': ('.svg', '.pdf'),
     'a pair of pitch curves': ('.csv', '.svg', '.dxf'),
@@ -25,6 +26,7 @@ _ENDINGS = {
 # others is their format. Other kinds accept any ending that is not of another kind.
 _STRICT = (
     'an HTML page',
+    'a PNG picture',
     'a video',
     'a sheet of tags',
     'a pair of pitch curves',

@@ -27,13 +27,20 @@ from kinpole_ros.tools.record.diagnostics_log import DiagnosticsLog
 from kinpole_ros.tools.record.lost import lost_count
 from kinpole_ros.tools.record.record import Columns, MotionRecord, Series, quantity_columns
 from kinpole_ros.tracking.plane import AXES, Plane, as_parameter, plane_along, plane_of, upward
-from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors
+from kinpole_ros.tracking.values import (
+    POLE_NAMES,
+    RATE_NAMES,
+    Numbers,
+    Vectors,
+    quantity_names,
+)
 
 # Files with these endings are bags, even if they cannot be read.
 _BAG_ENDINGS = ('.mcap', '.db3', '.bag')
 ODOMETRY = 'nav_msgs/msg/Odometry'
 _MARKER_ARRAY = 'visualization_msgs/msg/MarkerArray'
 _DIAGNOSTICS = '/diagnostics'
+_OF_BODY = ('position', 'angle', 'velocity', *quantity_names(4))
 # Quantities that may be withheld while the pose is known.
 _WITHHELD = (*POLE_NAMES, 'centrode_curvature', 'inflection_circle')
 # The last drawings that are kept: a body may be missing in some.
@@ -262,7 +269,9 @@ def _fill(
     instants: int,
 ) -> None:
     """Write the quantities of a body of states at the indices `at` (T,) of the record."""
-    for name, values in quantity_columns(quantities, number):
+    # Not those of the points that a scene names, which no page shows.
+    own = {name: quantities[name] for name in _OF_BODY if name in quantities}
+    for name, values in quantity_columns(own, number):
         if (body, name) not in columns:
             columns[body, name] = np.full((instants, *values.shape[1:]), np.nan, values.dtype)
         columns[body, name][at] = values

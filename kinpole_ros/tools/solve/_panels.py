@@ -29,6 +29,7 @@ STYLES: dict[str, tuple[str, float, str, bool]] = {
     'tangential': ('#00785a', 1.4, '6 3', True),
     'Coriolis': ('#7a4fa0', 1.4, '6 3', True),
     'slide': ('#8a6100', 1.4, '6 3', True),
+    'winding': ('#0060a8', 1.4, '6 3', True),
     'fixed': ('#c08a2b', 3.0, '', False),
     'moving': ('#0060a8', 1.5, '6 3', False),
     'inflection': ('#00785a', 1.6, '', False),

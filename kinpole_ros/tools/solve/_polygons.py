@@ -17,7 +17,7 @@ _HEIGHT, _WIDTHS = 620.0, (460.0, 560.0, 560.0)  # px
 _TITLES = ('linkage', 'velocities', 'accelerations')
 _UNITS = ('m', 'm/s', 'm/s²')
 _LETTERS = ('', 'v', 'a')
-_MARKS = {'normal': 'n', 'tangential': 't', 'Coriolis': 'C', 'slide': 's'}
+_MARKS = {'normal': 'n', 'tangential': 't', 'Coriolis': 'C', 'slide': 's', 'winding': 'w'}
 # Vectors shorter than this fraction of the largest one are rounding.
 _ROUNDING = 1e-9
 
