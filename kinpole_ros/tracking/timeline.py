@@ -36,7 +36,7 @@ _MIN_STEP = 1000
 # A frame may be late by this share of the window before the clock is known.
 _MAX_INITIAL_LATENESS = 1 / 4
 # The rate is the same if the counts of this share of the frames agree with those before.
-_SAME_RATE_SHARE = 0.5
+_SAME_RATE_SHARE = 0.9
 _NO_COUNTS = np.zeros(0, np.int64)
 
 

@@ -64,6 +64,8 @@ def errors(stamps, points, rates, skip=1.5, **how):
     tracker, stamp, rate = track(stamps, points, **how)
     place = {s: k for k, s in enumerate(stamps.tolist())}
     off = rate - rates[[place[s] for s in stamp.tolist()]]
+    # The results of two frames with one stamp are not told apart by it.
+    off[np.isin(stamp, stamps[1:][np.diff(stamps) == 0])] = np.nan
     off = off[(stamp - START > skip * 1e9) & np.isfinite(off)]
     return tracker, float(np.sqrt((off**2).mean()))
 
@@ -397,20 +399,33 @@ def test_a_clock_far_finer_than_its_lateness_counts_in_bounded_work(monkeypatch)
     assert (np.diff(sure_with) >= 0).all()
 
 
-@pytest.mark.parametrize('share', [0.0, 0.02])
-@pytest.mark.parametrize(('rate', 'step'), [(60, 1 / 64), (50, 1 / 64), (85, 0.01), (240, 0.004)])
-def test_frames_on_the_grid_of_a_timer_are_at_the_ticks_of_their_camera(rate, step, share):
+GRIDS = [(60, 1 / 64, 0.0), (50, 1 / 64, 0.0), (85, 0.01, 0.0), (240, 0.004, 0.0)]
+
+
+@pytest.mark.parametrize(
+    ('rate', 'step', 'mean', 'share'),
+    [
+        *((*grid, share) for grid in GRIDS for share in (0.0, 0.02)),
+        # Late before their stamps are rounded, and often lost.
+        (60, 1 / 64, 0.002, 0.0),
+        (50, 1 / 64, 0.002, 0.02),
+        (85, 0.01, 0.002, 0.1),
+        (240, 0.004, 0.0005, 0.02),
+    ],
+)
+def test_frames_on_the_grid_of_a_timer_are_at_the_ticks_of_their_camera(rate, step, mean, share):
     """A grid that is hardly finer than the frames: regular empty steps are no losses."""
     kept = frames_kept(20 * rate, share)
     times = kept / rate + 0.4 / rate
     points, rates = record(times)
-    stamps = START + np.rint(np.floor(times / step) * step * 1e9).astype(np.int64)
-    tracker, rms = errors(stamps, points, rates, skip=2.5, block=50)
+    arrived = times + mean * np.random.default_rng(3).exponential(size=len(times))
+    rounded = np.maximum.accumulate(np.floor(arrived / step) * step)
+    tracker, rms = errors(START + np.rint(rounded * 1e9).astype(np.int64), points, rates, skip=2.5)
     _, even = errors(START + np.rint(times * 1e9).astype(np.int64), points, rates, skip=2.5)
     assert tracker.state.timeline.clock.interval == pytest.approx(1e9 / rate, rel=1e-3)
     assert rms < 1.1 * even
     lost = kept[-1] + 1 - len(kept)
-    assert lost - 1 <= tracker.counts['lost'] <= lost
+    assert abs(tracker.counts['lost'] - lost) <= 3
 
 
 def test_losses_after_the_last_update_and_before_the_decision_for_ticks_count() -> None:
