@@ -874,6 +874,7 @@ def test_what_is_turned_moved_scaled_and_slowed_has_derivatives_that_are(
         found.angle_covariance / 100**scale * both,
         found.span / slower,
         found.freedom,
+        found.hub / factor * np.exp(1j * turned),
     )
     same(back, plain, 1e-6)
 

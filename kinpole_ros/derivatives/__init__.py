@@ -16,6 +16,8 @@ instant, the poses of a body in a window around it become one result, which depe
    of theirs, by the root of the evidence, plus the variance between models and event places.
 6. Segments. Free flight between impacts, or turning between stops, is a low polynomial between
    events. Such segments are mixed into the result by their evidence.
+7. Hub. If some point of the body has a polynomial as path, with more evidence than all of these,
+   the position is that of this point.
 
 ==================== =============================================================================
 _models.py           2: processes, spectra, modes, and their derivatives, as tables for the library
@@ -25,7 +27,9 @@ models               tables as the library sees them; columns of samples of low 
 evidence             3: corrections for columns, evidence and probabilities; the formulas
 screens, events      4: the search of steps
 mean                 5: derivatives and covariances; uneven samples move along the estimated motion
+polynomials          orthonormal polynomials of samples, and their derivatives
 segments             6: polynomials between events
+hub                  7: the point of a body whose path is a polynomial
 derive               the order of these for one signal
 _pose_derivatives.py `derive_poses`: arrays to the library and back; keeps the tables
 _event_search.py     `find_event`: reports events some time after them

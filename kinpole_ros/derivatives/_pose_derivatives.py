@@ -52,7 +52,9 @@ class Derivatives(NamedTuple):
 
     Units are rad, m and s. Covariances (K, K, T, B) are between the orders, of the angle and of one
     coordinate. `span` (T, B) is the length of the window, s, and `freedom` (T, B) the effective
-    number of parameters of the motion of the angle, 2 if it is steady.
+    number of parameters of the motion of the angle, 2 if it is steady. The position is that of the
+    point `hub` (T, B) of the body, m from the given one in the frame of the body: 0, or where the
+    body turns about that point.
     """
 
     position: Complex
@@ -61,6 +63,7 @@ class Derivatives(NamedTuple):
     angle_covariance: Real
     span: Real
     freedom: Real
+    hub: Complex
 
 
 class _Tables(NamedTuple):
@@ -99,7 +102,7 @@ def derive_poses(
     """
     _check_arguments(poses, windows, left_out, noise, window, order)
     (instants, bodies), (frames,), orders = noise.shape, poses.time.shape, order + 1
-    results = np.empty((3 * orders + 2 * orders**2 + 2, instants, bodies))
+    results = np.empty((3 * orders + 2 * orders**2 + 4, instants, bodies))
     call = new_call(window, order)
     call.frames, call.bodies, call.instants = frames, bodies, instants
     numbers = {
@@ -124,9 +127,10 @@ def derive_poses(
     third = second + orders * orders
     position = results[:first].reshape(orders, instants, bodies, 2).view(complex)[..., 0]
     of_position = results[second:third].reshape(square)
-    of_angle = results[third:-2].reshape(square)
+    of_angle = results[third:-4].reshape(square)
+    hub = results[-2:].reshape(instants, bodies, 2).view(complex)[..., 0]
     return Derivatives(
-        position, results[first:second], of_position, of_angle, results[-2], results[-1]
+        position, results[first:second], of_position, of_angle, results[-4], results[-3], hub
     )
 
 

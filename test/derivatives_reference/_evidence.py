@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derivatives_reference._models import Modes, Stencils
-from kinpole_ros.planar._plane import Real
+from kinpole_ros.planar._plane import Complex, Real
 
 # The noise as it was measured counts for so many samples.
 KNOWN = 300.0
@@ -30,13 +30,16 @@ class Found(NamedTuple):
     Of S bodies: derivatives `mean` (K, 3, S) of angle and both coordinates.
 
     `covariance` (K, K, 2, S) is that of the angle and of one coordinate, `freedom` (2, S) how many
-    parameters their motions have, and `evidence` (2, S) that of the likeliest model.
+    parameters their motions have, `evidence` (2, S) that of all models, and `best` of the
+    likeliest. `hub` (S,) is where the point is whose position it is, at an angle of 0.
     """
 
     mean: Real
     covariance: Real
     freedom: Real
     evidence: Real
+    best: Real
+    hub: Complex
 
 
 class Lacking(NamedTuple):
@@ -184,7 +187,8 @@ def derive(
     covariance[:, :, 0] += between[:, :, 0]
     covariance[:, :, 1] += (between[:, :, 1] + between[:, :, 2]) / 2
     freedom = (modes.freedom @ likely).reshape(2, bodies)
-    return Found(result, covariance, freedom, best)
+    all_ = best - np.log(likely.max(axis=0)).reshape(2, bodies)
+    return Found(result, covariance, freedom, all_, best, np.zeros(bodies, complex))
 
 
 def move(

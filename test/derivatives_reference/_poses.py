@@ -55,6 +55,7 @@ def derive_poses(
         np.empty(square),
         np.empty(square),
         *np.empty((2, instants, bodies)),
+        np.empty((instants, bodies), complex),
     )
     for first in range(0, instants, step):
         part = slice(first, first + step)
@@ -65,6 +66,8 @@ def derive_poses(
     # What was found is about the poses at the instants.
     result.angle[0] += poses.angle[windows.now]
     result.position[0] += poses.position[windows.now]
+    turned = result.hub != 0
+    result.hub[turned] *= np.exp(-1j * poses.angle[windows.now][turned])
     return result
 
 
@@ -80,6 +83,7 @@ def _derive_all(cells: Cells, window: float, orders: int) -> Derivatives:
         np.empty(square),
         np.empty(square),
         *np.empty((2, len(cells.ahead))),
+        np.empty(len(cells.ahead), complex),
     )
     for array in result:
         array.fill(np.nan)
@@ -114,13 +118,14 @@ def _derive(cells: Cells, group: Group, orders: int) -> Derivatives:
         off = None
     at = (size - 1) / 2 - (ahead - (block - 1) / 2) / block
     window = Window(size, at, block, orders, bool(exact))
+    units = cells.unit[:, which] / less
     if weight is None and off is None:
-        found = derive_even(window, samples, None)
+        found = derive_even(window, samples, None, units[0])
     else:
-        found = _derive_uneven(window, samples, weight, off)
+        found = _derive_uneven(window, samples, weight, off, units[0])
     scale = interval ** -np.arange(float(orders))[:, None]  # (K, S)
-    of_angle, of_position = (cells.unit[:, which] / less)[:, None] * scale
-    mean, covariance, freedom, _ = found
+    of_angle, of_position = units[:, None] * scale
+    mean, covariance, freedom, *_ = found
     return Derivatives(
         complex_of(mean[:, 1] * of_position, mean[:, 2] * of_position),
         mean[:, 0] * of_angle,
@@ -128,6 +133,7 @@ def _derive(cells: Cells, group: Group, orders: int) -> Derivatives:
         covariance[:, :, 0] * of_angle * of_angle[:, None],
         (size - 1) * interval,
         freedom[0],
+        found.hub * units[1],
     )
 
 
@@ -140,7 +146,9 @@ def _longer(cells: Cells, more: int) -> Cells:
     return cells._replace(samples=samples, weight=weight, off=off)
 
 
-def _derive_uneven(window: Window, samples: Real, weight: Real | None, off: Real | None) -> Found:
+def _derive_uneven(
+    window: Window, samples: Real, weight: Real | None, off: Real | None, radians: Real
+) -> Found:
     """The same of samples some of which are lacking, or not in their places."""
     given = samples
     signals = np.arange(samples.shape[2])
@@ -152,7 +160,7 @@ def _derive_uneven(window: Window, samples: Real, weight: Real | None, off: Real
             halves = np.array_split(signals, 2)
             offs = [None if off is None else off[:, some] for some in halves]
             parts = [
-                _derive_uneven(window, samples[..., some], weight[..., some], late)
+                _derive_uneven(window, samples[..., some], weight[..., some], late, radians[some])
                 for some, late in zip(halves, offs, strict=True)
             ]
             return Found(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
@@ -166,21 +174,23 @@ def _derive_uneven(window: Window, samples: Real, weight: Real | None, off: Real
             samples = samples / noise[[0, 1, 1]]
     samples, more = place(window, samples, weight, off)
     more = more * noise
-    found = derive_even(window, samples, weight)
+    found = derive_even(window, samples, weight, radians * more[0])
     mean, covariance = found.mean * more[[0, 1, 1]], found.covariance * more**2
-    found = found._replace(mean=mean, covariance=covariance)
+    found = found._replace(mean=mean, covariance=covariance, hub=found.hub * more[1])
     if window.exact:
         lost = np.flatnonzero(~np.isfinite(found.mean).all(axis=(0, 1)))
         if len(lost):
             late = None if off is None else off[:, lost]
             own = None if weight is None else weight[..., lost]
-            noisy = _derive_as_noisy(window, given[..., lost], own, late)
+            noisy = _derive_as_noisy(window, given[..., lost], own, late, radians[lost])
             for array, part in zip(found, noisy, strict=True):
                 array[..., lost] = part
     return found
 
 
-def _derive_as_noisy(window: Window, samples: Real, weight: Real | None, off: Real | None) -> Found:
+def _derive_as_noisy(
+    window: Window, samples: Real, weight: Real | None, off: Real | None, radians: Real
+) -> Found:
     """
     Differentiate samples as if their noise were the least of a window that is not exact.
 
@@ -191,8 +201,10 @@ def _derive_as_noisy(window: Window, samples: Real, weight: Real | None, off: Re
     least = np.stack((largest[0], np.maximum(largest[1], largest[2]))) / EXACT
     noise = np.maximum(least, 1.0)
     by = noise[[0, 1, 1]]
-    found = _derive_uneven(window._replace(exact=False), samples / by, weight, off)
-    return found._replace(mean=found.mean * by, covariance=found.covariance * noise**2)
+    noisy = window._replace(exact=False)
+    found = _derive_uneven(noisy, samples / by, weight, off, radians * noise[0])
+    mean, covariance = found.mean * by, found.covariance * noise**2
+    return found._replace(mean=mean, covariance=covariance, hub=found.hub * noise[1])
 
 
 def _blocks(

@@ -79,7 +79,8 @@ def add_segments(
     orders = window.orders
     present = np.concatenate(([0], np.cumsum(weight > 0)))
     for c, part in enumerate(_SIGNALS):
-        whole = division.values[c]
+        whole, ahead = division.values[c], division.evidence[c] - found.evidence[c]
+        found.evidence[c] = max(found.evidence[c], division.evidence[c])
         order = np.argsort(-whole, axis=None, kind='stable')[:_KEPT]
         kept = [one for one in order if whole.flat[one] > -_BEHIND]
         if not kept:
@@ -101,7 +102,6 @@ def add_segments(
         off = np.array(means) - mean
         covariance = np.tensordot(share, spreads, 1)
         covariance += np.einsum('n,nkc,njc->kj', share, off, off) / (c + 1)
-        ahead = division.evidence[c] - found.evidence[c]
         probability, by = 1 / (1 + np.exp(-ahead)), 1 / (1 + np.exp(-ahead / 2))
         both = (1 - probability) * found.mean[:, part] + probability * mean
         total = np.zeros((orders, orders))

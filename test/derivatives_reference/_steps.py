@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derivatives_reference._evidence import KNOWN, Found, derive, weights_of
+from derivatives_reference._hub import find_hub, turning_of
 from derivatives_reference._models import FLAT, _layout, modes_of, stencils_of
 from derivatives_reference._samples import Window, seen_of
 from derivatives_reference._segments import (
@@ -101,24 +102,48 @@ class _Candidate(NamedTuple):
     screens: list[_Screen]
 
 
-def derive_even(window: Window, samples: Real, weights: Real | None) -> Found:
+def derive_even(window: Window, samples: Real, weights: Real | None, radians: Real) -> Found:
     """
     The derivatives of `samples` (n, 3, S), with all events there may be in the window.
 
-    With `weights` (n, 2, S) of angle and position unless they are all 1.
+    With `weights` (n, 2, S) of angle and position unless they are all 1. Angles are in units of
+    `radians` (S,).
     """
     modes, stencils = modes_of(*window.models), stencils_of(*window)
     seen, lacking = seen_of(weights, samples)
     whole = derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking)
     if window.exact:
         return whole
-    some = (whole.evidence < -_WORTH * FLAT * np.array((1, 2))[:, None]).any(axis=0).nonzero()[0]
+    some = (whole.best < -_WORTH * FLAT * np.array((1, 2))[:, None]).any(axis=0).nonzero()[0]
     for k in some:
         weight = np.ones((window.size, 2)) if weights is None else weights[..., k]
         found = _derive_signal(window, samples[..., k], weight)
         for all_, part in zip(whole, found, strict=True):
             all_[..., k] = part
+    for k in range(samples.shape[2]):
+        own = None if weights is None else weights[..., [k]]
+        _take_hub(
+            window, samples[..., [k]], own, radians[k], Found(*(one[..., k] for one in whole))
+        )
     return whole
+
+
+def _take_hub(
+    window: Window, samples: Real, weights: Real | None, radians: float, found: Found
+) -> None:
+    """Replace the position in what is `found` of `samples` (n, 3, 1) by that of a hub."""
+    weight = np.ones((window.size, 2)) if weights is None else weights[..., 0]
+    hub = find_hub(window, samples[..., 0], weight, radians, found.evidence[1])
+    if hub is None:
+        return
+    moved = samples.copy()
+    moved[:, 1:, 0] = hub.moved
+    one = derive(modes_of(*window.models), stencils_of(*window), moved, *seen_of(weights, samples))
+    found.mean[:, 1:] = one.mean[:, 1:, 0] * np.sqrt(hub.growth)
+    off = turning_of(found.mean[:, 0], radians) - hub.path
+    of_arm = np.outer(off, off.conj()).real / hub.turning
+    found.covariance[..., 1] = hub.growth * (one.covariance[:, :, 1, 0] + of_arm)
+    found.hub[...] = hub.arm
 
 
 @lru_cache(maxsize=16)
@@ -190,7 +215,7 @@ def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
             covariance[:, :, c] += by.sum() * one.spread[c]
         events = np.array([one.events for one in sets])
         freedom[c] = np.sum(likely[..., 0] * (modes.freedom + events[:, None]))
-    found = Found(mean, covariance, freedom, evidence)
+    found = Found(mean, covariance, freedom, evidence, evidence.copy(), np.zeros((), complex))
     if len(sets) > 1 or window.size <= FEW_SAMPLES:
         add_segments(window, samples, weight.min(axis=1), division, found)
     return found

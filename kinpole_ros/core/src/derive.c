@@ -8,7 +8,7 @@
  *   derive_signal    finds the grid, fills cells and blocks (window.c, samples.c)
  *   derive_uneven    fills missing samples, moves others to the even grid (samples.c, mean.c)
  *   derive_even      evaluates models (evidence.c), searches events (events.c), averages (mean.c),
- *                    mixes segments into the result (segments.c)
+ *                    mixes segments into the result (segments.c), finds hubs (hub.c)
  *   write_results    converts samples to seconds, and deviations of the noise to rad and m
  */
 
@@ -21,6 +21,7 @@
 #include "estimator.h"
 #include "events.h"
 #include "evidence.h"
+#include "hub.h"
 #include "lanes.h"
 #include "mean.h"
 #include "segments.h"
@@ -57,7 +58,8 @@
 typedef struct {
     long long block, orders;
     int exact;
-    double at; /* the instant, samples from the middle */
+    double at;      /* the instant, samples from the middle */
+    double radians; /* the unit of the angle */
 } Window;
 
 /* Return a table; NULL if it has to be made, as `lacking` says then. */
@@ -132,6 +134,25 @@ prepare_window(Call *call, const Models *m, long long orders, const Samples *s, 
     return DONE;
 }
 
+/* Replace the position by that of a hub, if there is one; its path has no events. */
+static int
+derive_hub(Call *call, const Window *window, const Models *m, const Stencils *by, const Samples *s,
+           Work *w, Set *none, Estimate *out)
+{
+    Samples own = *s;
+    Estimate moved;
+    Hub hub;
+    if (find_hub(call, by, window->radians, out->evidence[1], &own, &hub))
+        return NO_MEMORY;
+    if (!hub.growth)
+        return DONE;
+    project_samples(m, &own, w);
+    evaluate_models(m, &own, w, none);
+    differentiate(m, by, w, none, 1, &moved);
+    take_hub(&hub, &moved, window->radians, by->orders, out);
+    return DONE;
+}
+
 /* Differentiate even samples at the instant of a window. Events are searched if the best evidence
    of the angle or of the position is below SEARCH_BELOW log widths of a flat prior a component. */
 static int
@@ -166,6 +187,8 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
         differentiate(&m, &by, &w, sets, number, out);
     if (!code && d.count)
         add_segments(&by, s, &d, out);
+    if (!code && !window->exact)
+        code = derive_hub(call, window, &m, &by, s, &w, sets, out);
     return code;
 }
 
@@ -222,6 +245,7 @@ move_until_settled(Call *call, const Window *window, Samples *s, double *scratch
 static void
 scale_estimate(Estimate *found, const double *by)
 {
+    found->hub *= by[1];
     for (int k = 0; k < MAX_ORDERS; k++) {
         for (int c = 0; c < 3; c++)
             found->mean[c][k] *= by[c > 0];
@@ -261,8 +285,10 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sc
     if (low_weights)
         fill_missing(&s);
     int code = is_uneven ? move_until_settled(call, window, &s, scratch + 6 * n, moving) : DONE;
+    Window in_noise = *window;
+    in_noise.radians *= noise[0] * moving[0];
     if (!code)
-        code = derive_even(call, window, &s, out);
+        code = derive_even(call, &in_noise, &s, out);
     if (code)
         return code;
     for (int c = 0; c < 2; c++)
@@ -280,6 +306,7 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sc
     for (int c = 0; c < 2; c++)
         noise[c] = larger(largest_sample(given, c) / EXACT_RATIO, 1.0);
     divide_samples(given, noise);
+    noisy.radians *= noise[0];
     code = derive_uneven(call, &noisy, given, scratch, out);
     scale_estimate(out, noise);
     return code;
@@ -294,6 +321,10 @@ write_results(const Call *call, long long signal, long long now, const Estimate 
     double *angle = call->results + 2 * orders * all + signal;
     double *of_position = angle + orders * all, *of_angle = of_position + orders * orders * all;
     double *span_and_freedom = of_angle + orders * orders * all;
+    double *hub = span_and_freedom + 2 * all + signal;
+    Number arm = estimate ? estimate->hub * scale[1][0] : NAN;
+    if (arm != 0.0) /* turned into the frame of the body */
+        arm *= cos(call->angle[now]) - I * sin(call->angle[now]);
     for (long long k = 0; k < orders; k++) {
         double base[3] = {call->angle[now], call->position[2 * now], call->position[2 * now + 1]};
         angle[k * all] = estimate ? estimate->mean[0][k] * scale[0][k] + (k ? 0.0 : base[0]) : NAN;
@@ -307,6 +338,7 @@ write_results(const Call *call, long long signal, long long now, const Estimate 
                 estimate ? estimate->covariance[1][k][j] * scale[1][k] * scale[1][j] : NAN;
         }
     }
+    hub[0] = creal(arm), hub[1] = cimag(arm);
     span_and_freedom[0] = span, span_and_freedom[all] = estimate ? estimate->freedom : NAN;
 }
 
@@ -337,7 +369,7 @@ derive_signal(Call *call, long long instant, long long body, const Grid *grid)
         s.x[c] = data + c * size;
     s.weight[0] = data + 3 * size, s.weight[1] = data + 4 * size, s.off = data + 5 * size;
     average_blocks(&cells.samples, block, &s, coarser);
-    Window window = {block, call->orders, cells.exact, 0.0};
+    Window window = {block, call->orders, cells.exact, 0.0, cells.unit[0] * coarser[0]};
     window.at = (size - 1) / 2.0 - (cells.ahead - (block - 1) / 2.0) / block;
     int code = derive_uneven(call, &window, &s, scratch, &estimate);
     if (code)

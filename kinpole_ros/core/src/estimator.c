@@ -13,6 +13,8 @@
 #include "evidence.c"
 #include "mean.c"
 #include "screens.c"
+#include "polynomials.c"
 #include "segments.c"
+#include "hub.c"
 #include "events.c"
 #include "derive.c"

@@ -241,6 +241,13 @@ copy_derivatives(const Frames *f, const Call *call, Results *r)
     }
 }
 
+/* The numbers that `write_results` of derive.c writes of so many bodies. */
+static long long
+size_of_results(long long orders, long long bodies)
+{
+    return (3 * orders + 2 * orders * orders + 4) * bodies;
+}
+
 /* Replaces the angles by those of the headings of tilted bodies, and turns the hubs into their axes. */
 static int
 derive_headings(Call *call, Poses *poses)
@@ -251,8 +258,7 @@ derive_headings(Call *call, Poses *poses)
     for (long long b = 0; b < bodies; b++)
         poses->hub[b] *= isnan(angle[b]) ? 1.0 : unit_at(angle[b]);
     call->angle = poses->heading, call->next = 0;
-    long long size = (3 * call->orders + 2 * call->orders * call->orders + 2) * bodies;
-    call->results = poses->derivatives + size;
+    call->results = poses->derivatives + size_of_results(call->orders, bodies);
     int code = kinpole_derive(call);
     if (code)
         return code;
@@ -291,6 +297,10 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
     int code = kinpole_derive(call);
     if (code)
         return code;
+    const double *of_hubs = poses->derivatives + size_of_results(call->orders, bodies) - 2 * bodies;
+    for (long long b = 0; b < bodies; b++)
+        if (!isnan(of_hubs[2 * b]))
+            poses->hub[b] += of_hubs[2 * b] + I * of_hubs[2 * b + 1];
     if (tilts && (code = derive_headings(call, poses)))
         return code;
     for (long long b = 0; b < bodies; b++) {
@@ -344,8 +354,7 @@ compute_due(Frames *f, Call *call, Results *r)
             history->due = oldest - history->first;
         /* Twice the space for derivatives: bodies that tilt have two angles. */
         long long all = (history->end - oldest) * known->count;
-        long long derivatives =
-            2 * (3 * call->orders + 2 * call->orders * call->orders + 2) * known->count;
+        long long derivatives = 2 * size_of_results(call->orders, known->count);
         Poses poses;
         double *data = kinpole_buffer(
             call, OF_POSES, (6 * all + derivatives + 2 * known->count) * sizeof *data);

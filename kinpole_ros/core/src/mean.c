@@ -101,7 +101,7 @@ differentiate(const Models *m, const Stencils *s, const Work *w, Set *sets, int 
         out->mean[k / orders][k % orders] = sum_of(sums.mean[k]);
     for (int n = 0; n < number; n++)
         add_disagreement(m, orders, sets + n, out, sums.spread);
-    out->freedom = sum_of(sums.freedom);
+    out->freedom = sum_of(sums.freedom), out->hub = 0.0;
     for (int c = 0; c < 2; c++) {
         for (long long k = 0; k < orders; k++)
             for (long long j = 0; j <= k; j++)

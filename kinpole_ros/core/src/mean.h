@@ -11,10 +11,12 @@
 #include "samples.h"
 
 
-/* The result at an instant: derivatives, their covariances, of the angle and of one coordinate, and
-   the effective number of parameters of the motion of the angle. */
+/* The result at an instant: derivatives, their covariances, of the angle and of one coordinate, the
+   effective number of parameters of the motion of the angle, log evidence, and where the point is
+   whose position this is, while the angle is 0 (0 for the given position). */
 typedef struct {
     double mean[3][MAX_ORDERS], covariance[2][MAX_ORDERS][MAX_ORDERS], freedom, evidence[2];
+    Number hub;
 } Estimate;
 
 /* Differentiate samples: the mean over all models with all sets by their probabilities, and its

@@ -9,7 +9,7 @@
 
 #include "../include/call.h"
 
-enum { OF_POSES, OF_GRID, OF_CELLS, OF_WINDOW, OF_MODELS, OF_SETS, OF_SEGMENTS, BUFFERS };
+enum { OF_POSES, OF_GRID, OF_CELLS, OF_WINDOW, OF_MODELS, OF_SETS, OF_SEGMENTS, OF_HUB, BUFFERS };
 
 /* Let an array begin at `data`, and move `data` behind it. */
 #define TAKE(array, size) (array = (void *)data, data += (size) * sizeof *array)

@@ -4,15 +4,12 @@
 #include "segments.h"
 #include "memory.h"
 #include "numbers.h"
+#include "polynomials.h"
 
-/* Highest degree in a segment: that of free flight. The covariance is that of a polynomial
-   MORE_DEGREES higher, because the samples do not show what is below their noise. */
+/* Highest degree in a segment: that of free flight. */
 #define DEGREE 2
-#define MORE_DEGREES 2
 #define COLUMNS MAX_ORDERS
-/* Log evidence that a coefficient costs, about the logarithm of how far it exceeds its noise;
-   and an event, of the number of its places. */
-#define COEFFICIENT_COST 5.0
+/* Log evidence that an event costs, of the number of its places. */
 #define EVENT_COST 12.0
 /* Samples of the shortest segment. */
 #define MIN_LENGTH 3
@@ -251,36 +248,22 @@ static void
 differentiate_segment(const Stencils *by, const Samples *s, const Division *d, int part,
                       const Segment *segment, double *scratch, Piece *out)
 {
-    double factor[COLUMNS][COLUMNS], along[COLUMNS][3], of_degree[COLUMNS] = {0.0}, left = 0.0;
-    double evidence[DEGREE + 1];
+    double of_degree[COLUMNS] = {0.0}, left = 0.0, evidence[DEGREE + 1];
+    double derivatives[MAX_ORDERS][MAX_POLYNOMIALS], *root = d->root + segment->first;
     long long n = segment->end - segment->first, first = segment->first;
-    double length = d->present[segment->end] - d->present[first], *signals = scratch + COLUMNS * n;
+    Polynomials p = {.count = COLUMNS, .length = d->present[segment->end] - d->present[first]};
     for (long long t = 0; t < n; t++) {
-        scratch[t] = d->root[first + t];
-        for (int k = 1; k < COLUMNS; k++)
-            scratch[k * n + t] = scratch[(k - 1) * n + t] * (first + t - by->at) / n;
-        for (int c = part; c <= 2 * part; c++)
-            signals[c * n + t] = d->root[first + t] * s->x[c][first + t];
+        scratch[t] = root[t];
+        for (int j = 0; j <= part; j++)
+            scratch[(COLUMNS + j) * n + t] = root[t] * s->x[part + j][first + t];
     }
-    for (int k = 0; k < COLUMNS; k++) {
-        double *own = scratch + k * n;
-        factor[k][k] = sqrt(dot(own, own, n));
-        for (long long t = 0; t < n; t++)
-            own[t] = k < length ? own[t] / factor[k][k] : 0.0;
-        for (int l = k + 1; l < COLUMNS + 3; l++) {
-            if (l >= COLUMNS && !(l - COLUMNS >= part && l - COLUMNS <= 2 * part))
-                continue;
-            double product = dot(own, scratch + l * n, n);
-            *(l < COLUMNS ? &factor[k][l] : &along[k][l - COLUMNS]) = product;
-            for (long long t = 0; t < n; t++)
-                scratch[l * n + t] -= product * own[t];
-        }
-    }
-    for (int c = part; c <= 2 * part; c++) {
-        left += dot(signals + c * n, signals + c * n, n);
+    fit_polynomials(scratch, n, first - by->at, part + 1, &p);
+    differentiate_polynomials(&p, n, by->orders, derivatives);
+    for (int j = 0; j <= part; j++) {
+        left += p.left[j];
         for (int k = 0; k < COLUMNS; k++) {
-            of_degree[k] += along[k][c] * along[k][c];
-            left += k > DEGREE ? along[k][c] * along[k][c] : 0.0;
+            of_degree[k] += p.along[k][j] * p.along[k][j];
+            left += k > DEGREE ? p.along[k][j] * p.along[k][j] : 0.0;
         }
     }
     *out = (Piece){.degree = 0};
@@ -288,18 +271,12 @@ differentiate_segment(const Stencils *by, const Samples *s, const Division *d, i
     for (int k = 1; k <= highest_degree(n); k++)
         out->degree = evidence[k] > evidence[out->degree] ? k : out->degree;
     for (int o = 0; o < by->orders; o++) {
-        /* The derivative of this order of the powers of time is not zero for one of them only. */
-        double of_power = tgamma(o + 1) * pow(n, -o), basis[COLUMNS];
         out->highest[o] = out->degree + MORE_DEGREES > o ? out->degree + MORE_DEGREES : o;
-        for (int k = 0; k < COLUMNS; k++) {
-            basis[k] = k == o ? of_power : 0.0;
-            for (int l = 0; l < k; l++)
-                basis[k] -= factor[l][k] * basis[l];
-            basis[k] = k < length ? basis[k] / factor[k][k] : 0.0;
-            out->spread[o][k] = k <= out->highest[o] ? basis[k] : 0.0;
-            for (int c = part; c <= (k <= out->degree ? 2 * part : -1); c++)
-                out->mean[c][o] += basis[k] * along[k][c];
-        }
+        for (int k = 0; k <= out->highest[o] && k < COLUMNS; k++)
+            out->spread[o][k] = derivatives[o][k];
+        for (int k = 0; k <= out->degree; k++)
+            for (int j = 0; j <= part; j++)
+                out->mean[part + j][o] += derivatives[o][k] * p.along[k][j];
     }
 }
 
@@ -410,5 +387,6 @@ add_segments(const Stencils *by, const Samples *s, const Division *d, Estimate *
             average_segments(by, s, d, part, estimate->covariance[part], &segments))
             mix(&segments, part, by->orders, 1 / (1 + exp(-ahead)), 1 / (1 + exp(-ahead / 2)),
                 estimate);
+        estimate->evidence[part] = larger(estimate->evidence[part], d->evidence[part]);
     }
 }

@@ -1,0 +1,121 @@
+#include <math.h>
+#include <string.h>
+
+#include "hub.h"
+#include "memory.h"
+#include "numbers.h"
+#include "polynomials.h"
+
+/* Log evidence that a hub has more than all models of the position, at least: what its arm costs. */
+#define ARM_COST 10.0
+/* Turning exceeds that by the noise of the angle so many times. */
+#define MIN_TURNING 16.0
+/* The signals: both coordinates of the position, and cosine and sine of the angle. */
+enum { TURNED = 2 };
+
+static Number
+pair_of(const double *pair)
+{
+    return pair[0] + I * pair[1];
+}
+
+/* Find the likeliest hub; `product` is that of what the powers leave of turning and position. */
+static Hub
+likeliest_hub(const Polynomials *p, Number product, double radians)
+{
+    Hub best = {.value = -INFINITY}, by_degree[MAX_POLYNOMIALS];
+    double path = p->left[0] + p->left[1], turning = p->left[2] + p->left[3];
+    for (int d = MAX_POLYNOMIALS - 1; d >= 0; d--) {
+        Hub *one = by_degree + d, *more = one + MORE_DEGREES;
+        *one = (Hub){.turning = turning, .noise = (p->length - d - 1) * radians * radians};
+        one->arm = -product / (turning - one->noise);
+        one->growth = 1 + square_of(one->arm) * radians * radians;
+        if (d + MORE_DEGREES < MAX_POLYNOMIALS && more->noise > 0.0 &&
+            more->turning > MIN_TURNING * more->noise) {
+            double square = path + 2 * creal(conj(one->arm) * product) +
+                square_of(one->arm) * turning;
+            /* Mean and slope cost nothing, as those of the models. */
+            double value = p->length * (1 - log(one->growth)) - square / one->growth / 2 -
+                2 * d * COEFFICIENT_COST;
+            if (value > best.value)
+                best = *more, best.degree = d, best.value = value;
+        }
+        Number position = pair_of(p->along[d]), turn = pair_of(p->along[d] + TURNED);
+        path += square_of(position), turning += square_of(turn), product += conj(turn) * position;
+    }
+    return best;
+}
+
+PRIVATE int
+find_hub(Call *call, const Stencils *by, double radians, double least, Samples *s, Hub *hub)
+{
+    long long n = s->count;
+    char *data = kinpole_buffer(call, OF_HUB, (MAX_POLYNOMIALS + 6) * n * sizeof(double));
+    double length = 0.0, *root, *signal[4], *moved[2];
+    if (!data)
+        return NO_MEMORY;
+    TAKE(root, MAX_POLYNOMIALS * n);
+    for (int k = 0; k < 4; k++)
+        TAKE(signal[k], n);
+    TAKE(moved[0], n), TAKE(moved[1], n);
+    for (long long t = 0; t < n; t++) {
+        double angle = s->x[0][t] * radians;
+        root[t] = sqrt(smaller(s->weight[0][t], s->weight[1][t])), length += root[t] > 0.0;
+        signal[0][t] = root[t] * s->x[1][t], signal[1][t] = root[t] * s->x[2][t];
+        moved[0][t] = cos(angle), moved[1][t] = sin(angle);
+        signal[2][t] = root[t] * moved[0][t], signal[3][t] = root[t] * moved[1][t];
+    }
+    Polynomials p = {.count = MAX_POLYNOMIALS, .length = length};
+    fit_polynomials(root, n, -by->at, 4, &p);
+    Number product = dot(signal[2], signal[0], n) + dot(signal[3], signal[1], n) +
+        I * (dot(signal[2], signal[1], n) - dot(signal[3], signal[0], n));
+    *hub = likeliest_hub(&p, product, radians);
+    if (!(hub->value > least + ARM_COST)) {
+        hub->growth = 0.0;
+        return DONE;
+    }
+    for (long long t = 0; t < n; t++) {
+        Number z = s->x[1][t] + I * s->x[2][t] + hub->arm * (moved[0][t] + I * moved[1][t]);
+        moved[0][t] = creal(z) / sqrt(hub->growth), moved[1][t] = cimag(z) / sqrt(hub->growth);
+    }
+    s->x[1] = moved[0], s->x[2] = moved[1];
+    double derivatives[MAX_ORDERS][MAX_POLYNOMIALS];
+    differentiate_polynomials(&p, n, by->orders, derivatives);
+    for (int o = 0; o < by->orders; o++)
+        for (int k = 0; k <= hub->degree; k++)
+            hub->path[o] += derivatives[o][k] * pair_of(p.along[k] + TURNED);
+    return DONE;
+}
+
+/* Find exp(i angle) and its derivatives at the instant, of an angle with these derivatives. */
+static void
+differentiate_turn(const double *angle, double radians, long long orders, Number *out)
+{
+    out[0] = cos(angle[0] * radians) + I * sin(angle[0] * radians);
+    for (int n = 1; n < orders; n++) {
+        double choose = 1.0;
+        out[n] = 0.0;
+        for (int k = 1; k <= n; k++) {
+            out[n] += choose * angle[k] * radians * I * out[n - k];
+            choose *= (n - k) / (double)k;
+        }
+    }
+}
+
+PRIVATE void
+take_hub(const Hub *hub, const Estimate *moved, double radians, long long orders,
+         Estimate *estimate)
+{
+    /* The turning that an error of the arm leaves to the hub, less the part that its path takes. */
+    Number off[MAX_ORDERS];
+    differentiate_turn(estimate->mean[0], radians, orders, off);
+    estimate->hub = hub->arm;
+    for (int o = 0; o < orders; o++) {
+        off[o] -= hub->path[o];
+        for (int c = 1; c < 3; c++)
+            estimate->mean[c][o] = moved->mean[c][o] * sqrt(hub->growth);
+        for (int q = 0; q <= o; q++)
+            estimate->covariance[1][o][q] = estimate->covariance[1][q][o] = hub->growth *
+                (moved->covariance[1][o][q] + creal(off[o] * conj(off[q])) / hub->turning);
+    }
+}
