@@ -103,30 +103,33 @@ def state(given: Plane, order: int, registered: Sequence[RegisteredQuantity] = (
     row = Row(STATE_POINTS, order, partial(_template, names), order)
     if added := _added(order, registered):
         first = sum(map(len, state_fields(order).values()))
-        fields = [(one, _added_fields(name, one.is_vector)[0]) for one, name in added]
-        columns = [(one, names.index(field) - first) for one, field in fields]
-        count = len(names) - first
-        row = row._replace(added=partial(_added_values, columns, count), added_count=count)
+        fields = [_added_fields(name, one.is_vector)[0] for one, name in added]
+        columns = [names.index(field) - first for field in fields]
+        quantities = [(one, k) for (one, _), k in zip(added, columns, strict=True)]
+        starts = np.array([*sorted({*columns}), len(names) - first])
+        row = row._replace(
+            added=partial(_added_values, quantities, starts), added_count=len(names) - first
+        )
     return Rows([row], given)
 
 
 def _added_values(
-    columns: Sequence[tuple[RegisteredQuantity, int]], count: int, estimate: Estimate
+    quantities: Sequence[tuple[RegisteredQuantity, int]], starts: np.ndarray, estimate: Estimate
 ) -> np.ndarray:
-    """Return the fields (T, B, count) of registered quantities, each from its column on."""
-    added = np.zeros((len(estimate), len(estimate.bodies), count))
-    for quantity, first in columns:
+    """Return the fields (T, B, n) of registered quantities, each from its column in `starts` on."""
+    added = np.zeros((len(estimate), len(estimate.bodies), starts[-1]))
+    for quantity, first in quantities:
         value, spread, determined = quantity.values(estimate)
         if quantity.is_vector:
             spreads = (spread[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
             parts = [value.real, value.imag, *spreads, determined]
         else:
             parts = [value.real, np.sqrt(np.maximum(spread, 0.0)), determined]
-        own = added[:, quantity.body, first : first + len(parts)]
-        for k, part in enumerate(parts):
-            own[:, k] = part
-        own[~(determined & np.isfinite(own).all(axis=1))] = 0.0
-    return added
+        for k, part in enumerate(parts, first):
+            added[:, quantity.body, k] = part
+    is_known = np.logical_and.reduceat(np.isfinite(added), starts[:-1], axis=-1)
+    is_known &= added[..., starts[1:] - 1] != 0
+    return np.where(np.repeat(is_known, np.diff(starts), axis=-1), added, 0.0)
 
 
 def _template(names: Sequence[str], frame_id: str, bodies: int) -> tuple[bytes, int]:
