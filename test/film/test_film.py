@@ -16,8 +16,9 @@ from rendered import FOUR_BAR, Camera, Film, Tag
 from kinpole_ros import replay
 from kinpole_ros.bags import read_frames
 from kinpole_ros.film import FilmError, FilmOptions, Lens, LiveTags, film_to_bag, read_film
-from kinpole_ros.film._film import Seen, place_seen
+from kinpole_ros.film._filmed import Seen
 from kinpole_ros.film._live_tags import newest
+from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._video import Picture, Video
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.tools.cli import main
