@@ -10,9 +10,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from kinpole_ros.film._film import Filmed, FilmOptions, gather, marker_names, place_seen
+from kinpole_ros.film._film import gather
+from kinpole_ros.film._filmed import Filmed, FilmOptions, marker_names
 from kinpole_ros.film._ground import off_square
 from kinpole_ros.film._lens import Lens
+from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._tags import TagFinder
 from kinpole_ros.film._video import FilmError, Picture, Video, put, taken
 

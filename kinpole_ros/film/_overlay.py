@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 
 from kinpole_ros.files import whole_file
-from kinpole_ros.film._film import SAME_STAMP, Filmed
+from kinpole_ros.film._film import SAME_STAMP
+from kinpole_ros.film._filmed import Filmed
 from kinpole_ros.film._video import FilmError, Progress, Video, upright
 
 _TICKS = 90_000  # of a second, in which stamps are written

@@ -16,8 +16,9 @@ from rendered import FOUR_BAR, Camera, Film, Tag
 from kinpole_ros import replay
 from kinpole_ros.bags import read_frames
 from kinpole_ros.film import FilmError, FilmOptions, Lens, LiveTags, film_to_bag, read_film
-from kinpole_ros.film._film import Seen, place_seen
+from kinpole_ros.film._filmed import Seen
 from kinpole_ros.film._live_tags import newest
+from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._video import Picture, Video
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.tools.cli import main
@@ -283,13 +284,12 @@ def test_pictures_of_a_camera_that_come_too_fast_are_left_out() -> None:
 
 def test_a_live_camera_has_to_stand_still(tmp_path: Path) -> None:
     t = times(46)
-    shake = np.stack((8 * np.sin(5 * t), 6 * np.cos(4 * t), 0 * t), axis=-1)
-    small = Camera((640, 360), width=0.6, target=0j)
-    film = Film(t, (Tag(0, 'ground', -0.1 + 0j, size=0.04),), small, shake=shake)
-    live = LiveTags(FilmOptions())
+    shake = np.stack((8 * np.sin(5 * t), 6 * np.cos(4 * t)), axis=-1)
+    corners = Film(t, FOUR_BAR[:1], SMALL).corners()[0] + shake[:, None]
+    live = LiveTags(OPTIONS)
     with pytest.raises(FilmError, match=r'the camera moves by .* live it has to stand still'):
-        for picture in film.pictures():
-            live.find(picture)
+        for places in corners:
+            live.place([0], places[None], SMALL.size, '36h11')
     with pytest.raises(FilmError, match='--line-time is for videos'):
         LiveTags(FilmOptions(line_time=1e-5))
 
