@@ -14,7 +14,7 @@ import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.planar._plane import Real
-from kinpole_ros.tracking.stamp_grid import rounding_nats
+from kinpole_ros.tracking.stamp_grid import count_on_grid, rounding_nats
 
 # Frames that the clock is estimated from: 10 s at 200 Hz.
 MEMORY = 2000
@@ -22,8 +22,6 @@ MEMORY = 2000
 SEARCHED = 128
 # Number of intervals of the search that are refined.
 MAX_REFINED = 16
-# Frames in which one comes near its tick, on a grid of a timer that is 3% faster.
-MOST_PER_BEAT = 32
 # The fit leaves out so many of the newest frames and after each loss: their counts may change.
 UNSETTLED = 4
 # Most frames that wait until their count is certain: the usual lag at 200 Hz.
@@ -33,10 +31,9 @@ LOSS_NATS = math.log(50)
 # The rate has changed if another one is likelier by so many nats.
 CHANGE_NATS = 20.0
 # An exactly even clock with losses is a clock of its own, on a grid, if that is likelier by so many
-# nats. With 10, one of 300 recordings of even stamps with random losses of 1 to 20% is taken for
-# another clock, with 8 one of 14; 60 Hz on steps of 15.6 ms is recognized in 51 frames, with 12 in
-# 97.
-GRID_NATS = 10.0
+# nats. With 12, one of 300 recordings of even stamps with random losses of 1 to 20% is taken for
+# another clock for a while, with 10 nine; 60 Hz on steps of 15.6 ms is recognized in 64 frames.
+GRID_NATS = 12.0
 # The motion decides between stamps and ticks by so many nats.
 DECISIVE_NATS = 6.0
 # Half-life of the evidence of the motion, windows: 1 s for windows of 0.3 s.
@@ -141,6 +138,9 @@ def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.
             break
         number, counts, intervals = longer, longer_counts, refined
         newest = since[-number:]
+    if _is_grid_coarse(newest, resolution):
+        likeliest = _counts_on_grid(newest, counts[0], resolution)
+        return _fit_clock(origin, newest, likeliest, resolution), likeliest
     clock = _fit_clock(origin, newest, counts[0], resolution)
     return clock, count_frames(stamps[-number:], clock)
 
@@ -169,6 +169,16 @@ def _rate_has_changed(
     late = since - counts[0] * intervals[0]
     late -= late.min()
     return bool(late[:-number].mean() > 2 * (late[-number:].mean() + resolution))
+
+
+def _counts_on_grid(since: Real, counts: np.ndarray, resolution: float) -> np.ndarray:
+    """Counts (N,) of frames `since` the first, ns, or those of a driver that only rounds."""
+    on_grid = count_on_grid(np.rint(since / resolution).astype(np.int64))
+    if on_grid is None:
+        return counts
+    both = np.array([counts, on_grid])
+    intervals = np.array([_interval(since, each, resolution) for each in both])
+    return np.asarray(both[_costs(since, both, intervals, resolution).argmin()])
 
 
 def _loss_nats(lost: np.ndarray, frames: int) -> Real:
@@ -330,13 +340,7 @@ def _counts_by(since: Real, intervals: Real, resolution: float) -> np.ndarray:
     edge = (steps * number / len(since) - late).argmin(axis=1)
     phase = late[np.arange(len(late)), edge][:, None]
     least = np.minimum.accumulate(offset[:, ::-1], axis=1)[:, ::-1]
-    if _is_grid_coarse(since, resolution):
-        # Lateness fills the interval: only the edge, with all later frames after it, tells counts.
-        settled = least[:, : -min(MOST_PER_BEAT, len(since) // 2)]
-        phase = phase + ((settled - phase + steps / 2) % steps - steps / 2).min(axis=1)[:, None]
-        early = np.clip((steps - resolution) / 2, 0.01 * steps, TOLERANCE * steps)
-    else:
-        early = np.minimum(TOLERANCE * steps + resolution, steps / 2)
+    early = np.minimum(TOLERANCE * steps + resolution, steps / 2)
     lost = np.floor((least - phase + early) / steps)
     lost = np.maximum.accumulate(lost, axis=1).astype(np.int64)
     return np.asarray(number + lost - lost[:, :1])
