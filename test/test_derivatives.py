@@ -599,6 +599,28 @@ def test_between_rebounds_a_body_in_free_flight_is_as_a_parabola() -> None:
     assert (np.abs(off) < 4 * deviation[1:]).all()
 
 
+def test_flights_of_four_samples_between_rebounds_are_parabolas() -> None:
+    """As a hammer at 60 Hz; without short segments α is off by 74, and 46% are within 2 sigma."""
+    noise, time, speed, begin = 1e-4, stamps(900, 16_666_667), 3.2, -0.1
+    since, lifted = np.zeros(900), np.zeros(900)
+    while begin < 15.0:
+        since, lifted = (
+            np.where(time * 1e-9 >= begin, one, old)
+            for one, old in ((time * 1e-9 - begin, since), (speed, lifted))
+        )
+        begin, speed = begin + speed / 15, speed * 0.72 if speed > 1.1 else 3.2
+    due = np.array((lifted - 30 * since, np.full(900, -30.0)))
+    rng = np.random.default_rng(5)
+    turned, x, y = noise * rng.normal(size=(3, 900, 1))
+    angle = turned + (lifted * since - 15 * since**2)[:, None]
+    now = np.arange(40, 880)
+    found = derive(time, angle, x + 1j * y, noise, now, order=3, count=31, ahead=6)
+    off = np.abs(found.angle[1:3, :, 0] - due[:, now])
+    deviation = np.sqrt(np.einsum('kktb->ktb', found.angle_covariance))[1:3, :, 0]
+    below(np.sqrt((off**2).mean(axis=1)), (0.3, 2.0))
+    assert (off < 2 * deviation).mean(axis=1).min() > 0.93
+
+
 # --- stamps, gaps, and what is missing ----------------------------------------------------------
 
 

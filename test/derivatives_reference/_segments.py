@@ -20,9 +20,11 @@ FEW_SAMPLES = 48
 _DEGREE, _MORE = 2, 2
 # Evidence that a coefficient and an event cost.
 _COEFFICIENT, _EVENT = 5.0, 12.0
-_SHORTEST = 3
+_SHORTEST = 2
 # How many segments count, and how far they are behind the best.
-_KEPT, _BEHIND = 8, 10.0
+_KEPT, _BEHIND = 8, 20.0
+# The power of the evidence in the covariance.
+_POWER = 0.25
 # Evidence over that of models without events, with which events between segments are taken.
 _CLEAR = 10.0
 _SIGNALS = (slice(0, 1), slice(1, 3))
@@ -33,25 +35,31 @@ class Division(NamedTuple):
     The best divisions by angle and position, each with a segment around the instant.
 
     `values` (2, n + 1, n + 1) is their evidence by the first and last + 1 of this segment, less
-    that of the best. `evidence` (2,) is that of the best, over that of noise alone.
+    that of the best. `evidence` (2,) is that of the best, over that of noise alone. `excess` (2,)
+    is what a coefficient costs more where there are as many as samples.
     """
 
     values: Real
     evidence: Real
+    excess: Real
 
 
 def divide(window: Window, samples: Real, weight: Real) -> Division:
     """Divide `samples` (n, 3) with a `weight` (n,) into segments."""
     count = len(samples)
     at = window.at + (count - 1) / 2
-    values, evidence = _values(samples, weight), np.empty(2)
+    square = weight[:, None] * samples**2
+    largest = np.array((square[:, 0].mean(), square[:, 1:].mean()))
+    with np.errstate(divide='ignore'):
+        excess = np.maximum(np.log(largest) / 2 - _COEFFICIENT, 0.0) * (1, 2)
+    values, evidence = _values(samples, weight, excess), np.empty(2)
     first, end = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing='ij')
     around = (first - 0.5 <= at) & (end - 0.5 > at)
     for c in range(2):
         before, after = _divide(values[c], c + 1)
         evidence[c] = before[count] + np.count_nonzero(weight) * (c + 1) / 2
         values[c] = np.where(around, before[:, None] + values[c] + after - before[count], -np.inf)
-    return Division(values, evidence)
+    return Division(values, evidence, excess)
 
 
 def nearest_event(window: Window, division: Division, none: Real) -> int:
@@ -86,15 +94,19 @@ def add_segments(
         if not kept:
             continue
         value = whole.flat[kept]
-        likely, share = np.exp(value - value[0]), np.exp((value - value[0]) / 2)
+        likely, share = np.exp(value - value[0]), np.exp(_POWER * (value - value[0]))
         likely, share = likely / likely.sum(), share / share.sum()
         means, spreads, freedom = [], [], []
         for one in kept:
             rows = slice(*np.unravel_index(one, whole.shape))
-            mean, spread, degree = _derive(window, samples[rows, part], weight[rows], rows.start)
+            own = samples[rows, part]
+            mean, spread, degree = _derive(
+                window, own, weight[rows], rows.start, division.excess[c]
+            )
             length = present[rows.stop] - present[rows.start]
             unknown = np.maximum(degree + _MORE, np.arange(orders)) >= length
-            spread = spread + np.diag(unknown * np.diag(found.covariance[..., c]))
+            other = ((found.mean[:, part] - mean) ** 2).mean(axis=1)
+            spread = spread + np.diag(unknown * (np.diag(found.covariance[..., c]) + other))
             means.append(mean)
             spreads.append(spread)
             freedom.append(degree + 1)
@@ -102,7 +114,7 @@ def add_segments(
         off = np.array(means) - mean
         covariance = np.tensordot(share, spreads, 1)
         covariance += np.einsum('n,nkc,njc->kj', share, off, off) / (c + 1)
-        probability, by = 1 / (1 + np.exp(-ahead)), 1 / (1 + np.exp(-ahead / 2))
+        probability, by = 1 / (1 + np.exp(-ahead)), 1 / (1 + np.exp(-_POWER * ahead))
         both = (1 - probability) * found.mean[:, part] + probability * mean
         total = np.zeros((orders, orders))
         pairs = ((1 - by, found.mean[:, part], found.covariance[..., c]), (by, mean, covariance))
@@ -112,7 +124,7 @@ def add_segments(
         found.freedom[c] += probability * (likely @ freedom - found.freedom[c])
 
 
-def _values(samples: Real, weight: Real) -> Real:
+def _values(samples: Real, weight: Real, excess: Real) -> Real:
     """Evidence (2, n + 1, n + 1) of segments of angle and position, by their first and last + 1."""
     count = len(samples)
     values = np.full((2, count + 1, count + 1), -np.inf)
@@ -120,7 +132,8 @@ def _values(samples: Real, weight: Real) -> Real:
         first = np.arange(count - length + 1)
         rows = first[:, None] + np.arange(length)
         root = np.sqrt(weight[rows])[..., None]
-        basis, _ = np.linalg.qr(root * (np.arange(length) / length)[:, None] ** range(_DEGREE + 1))
+        degrees = range(min(_DEGREE + 1, length))
+        basis, _ = np.linalg.qr(root * (np.arange(length) / length)[:, None] ** degrees)
         own = root * samples[rows]
         along = basis.swapaxes(1, 2) @ own
         squares = ((own - basis @ along) ** 2).sum(axis=1)
@@ -128,20 +141,26 @@ def _values(samples: Real, weight: Real) -> Real:
             best, _ = _best(
                 (along[..., part] ** 2).sum(axis=-1),
                 squares[:, part].sum(axis=-1),
-                length,
+                np.count_nonzero(root, axis=(1, 2)),
                 c + 1,
+                excess[c],
             )
             values[c, first, first + length] = best
     return values
 
 
-def _best(of_degree: Real, squares: Real, length: int, signals: int) -> tuple[Real, Real]:
+def _best(
+    of_degree: Real, squares: Real, length: np.ndarray, signals: int, excess: float
+) -> tuple[Real, Real]:
     """Evidence (B,) of the best degree, and that degree, by the squares (B, K) of coefficients."""
+    of_degree = np.pad(of_degree, ((0, 0), (0, _DEGREE + 1 - of_degree.shape[1])))
     after = np.cumsum(of_degree[:, ::-1], axis=1)[:, ::-1]
     left = squares[:, None] + np.pad(after, ((0, 0), (0, 1)))[:, 1:]
     degrees = np.arange(_DEGREE + 1)
     value = -left / 2 - _COEFFICIENT * signals * (degrees + 1) - _EVENT
-    value[:, degrees + 2 > length] = -np.inf
+    length = length[:, None]
+    value -= np.where(degrees + 1 == length, length * excess, 0.0)
+    value[(degrees + 1 > length) | (length < _SHORTEST)] = -np.inf
     return value.max(axis=1), value.argmax(axis=1)
 
 
@@ -157,7 +176,9 @@ def _divide(value: Real, signals: int) -> tuple[Real, Real]:
     return before, after
 
 
-def _derive(window: Window, own: Real, weight: Real, first: int) -> tuple[Real, Real, int]:
+def _derive(
+    window: Window, own: Real, weight: Real, first: int, excess: float
+) -> tuple[Real, Real, int]:
     """Derivatives (K, c) of a segment at the instant, their covariance (K, K), and the degree."""
     size, orders = window.size, window.orders
     time = (np.arange(first, first + len(own)) - window.at - (size - 1) / 2) / len(own)
@@ -170,7 +191,8 @@ def _derive(window: Window, own: Real, weight: Real, first: int) -> tuple[Real, 
     squares = ((root * own - low @ along[: _DEGREE + 1]) ** 2).sum()
     of_degree = (along[None, : _DEGREE + 1] ** 2).sum(axis=2)
     signals = own.shape[1]
-    degree = int(_best(of_degree, squares[None], len(own), signals)[1][0])
+    seen = np.array([present])
+    degree = int(_best(of_degree, squares[None], seen, signals, excess)[1][0])
     powers = np.zeros((orders, columns))
     for order in range(min(orders, columns)):
         powers[order, order] = factorial(order) / float(len(own)) ** order

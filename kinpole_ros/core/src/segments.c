@@ -11,12 +11,14 @@
 #define COLUMNS MAX_ORDERS
 /* Log evidence that an event costs, of the number of its places. */
 #define EVENT_COST 12.0
-/* Samples of the shortest segment. */
-#define MIN_LENGTH 3
+/* Samples that are not missing of the shortest segment. */
+#define MIN_LENGTH 2
 /* Segments around the instant that count, and the log evidence by which others may be behind the
    best. */
 #define MAX_KEPT 8
-#define MAX_BEHIND 10.0
+#define MAX_BEHIND 20.0
+/* Power of the evidence by which segments count in the covariance, as other places of an event do. */
+#define COVARIANCE_POWER 0.25
 /* Log evidence behind the models with which segments have no weight, whatever their covariance. */
 #define NEGLIGIBLE 60.0
 /* Log evidence more than that of models without events, with which the events between segments
@@ -86,32 +88,30 @@ extend_signal(const double *restrict sample, const double *restrict root, long l
 }
 
 /* Find the log evidence of a segment by its degree, from the `squares` that the highest degree
-   leaves and those of each coefficient, both summed over the signals of a part. */
+   leaves and those of each coefficient, both summed over the signals of a part. It has no more
+   coefficients than its `length`, the samples that are not missing. Where it has as many, nothing
+   but their cost bounds them, so each costs `excess` more. */
 static inline void
-evidence_of_degrees(int part, double squares, const double *of_degree, double *evidence)
+evidence_of_degrees(int part, double length, double excess, double squares,
+                    const double *of_degree, double *evidence)
 {
     double cost = COEFFICIENT_COST * (part + 1);
     evidence[DEGREE] = -squares / 2 - (DEGREE + 1) * cost - EVENT_COST;
     for (int k = DEGREE; k > 0; k--)
         evidence[k - 1] = evidence[k] + cost - of_degree[k] / 2;
+    for (int k = 0; k <= DEGREE; k++) {
+        evidence[k] -= k + 1 == length ? (k + 1) * excess : 0.0;
+        evidence[k] = length < MIN_LENGTH || k >= length ? -INFINITY : evidence[k];
+    }
 }
 
-/* Return the highest degree of a segment of this length, or -1. */
-static inline int
-highest_degree(long long length)
-{
-    return length < MIN_LENGTH ? -1 : length < DEGREE + 2 ? (int)(length - 2) : DEGREE;
-}
-
-/* Find the evidence of all segments of a length, up to a degree. */
+/* Find the evidence of all segments of a length. */
 static void
-find_values(const Division *d, int part, long long last, int highest, const Fits *f)
+find_values(const Division *d, int part, long long last, const Fits *f)
 {
     double *restrict value = d->value[part] + last * d->count;
     const double *restrict z[DEGREE + 1][2], *restrict squares[2];
-    double none[DEGREE + 1];
-    for (int k = 0; k <= DEGREE; k++)
-        none[k] = k <= highest ? 0.0 : INFINITY;
+    const double *restrict present = d->present, *restrict end = d->present + last + 1;
     for (int j = 0; j < 2; j++) {
         squares[j] = f->squares[part + part * j];
         for (int k = 0; k <= DEGREE; k++)
@@ -121,9 +121,10 @@ find_values(const Division *d, int part, long long last, int highest, const Fits
         double of_degree[DEGREE + 1], evidence[DEGREE + 1], best = -INFINITY;
         for (int k = 0; k <= DEGREE; k++)
             of_degree[k] = z[k][0][i] * z[k][0][i] + part * (z[k][1][i] * z[k][1][i]);
-        evidence_of_degrees(part, squares[0][i] + part * squares[1][i], of_degree, evidence);
+        evidence_of_degrees(part, end[i] - present[i], d->excess[part],
+                            squares[0][i] + part * squares[1][i], of_degree, evidence);
         for (int k = 0; k <= DEGREE; k++)
-            best = larger(best, evidence[k] - none[k]);
+            best = larger(best, evidence[k]);
         value[i] = best;
     }
 }
@@ -160,13 +161,21 @@ evaluate_segments(Call *call, const Samples *s, Division *d)
         d->present[t + 1] = d->present[t] + (d->root[t] > 0.0);
         is_even &= d->root[t] == 1.0;
     }
+    for (int part = 0; part < 2; part++) {
+        double square = 0.0, number = n * (part + 1);
+        for (int c = part; c <= 2 * part; c++)
+            for (long long t = 0; t < n; t++)
+                square += d->root[t] * d->root[t] * s->x[c][t] * s->x[c][t];
+        d->excess[part] =
+            (part + 1) * larger(log(square / number) / 2 - COEFFICIENT_COST, 0.0);
+    }
     for (long long last = 0; last < n; last++) {
         long long distinct = is_even ? 1 : n - last;
         extend_factors(d, distinct, last, &f);
         for (int c = 0; c < 3; c++)
             extend_signal(s->x[c] + last, d->root + last, n - last, distinct, &f, c);
         for (int part = 0; part < 2; part++)
-            find_values(d, part, last, highest_degree(last + 1), &f);
+            find_values(d, part, last, &f);
     }
     return DONE;
 }
@@ -267,8 +276,8 @@ differentiate_segment(const Stencils *by, const Samples *s, const Division *d, i
         }
     }
     *out = (Piece){.degree = 0};
-    evidence_of_degrees(part, left, of_degree, evidence);
-    for (int k = 1; k <= highest_degree(n); k++)
+    evidence_of_degrees(part, p.length, d->excess[part], left, of_degree, evidence);
+    for (int k = 1; k <= DEGREE; k++)
         out->degree = evidence[k] > evidence[out->degree] ? k : out->degree;
     for (int o = 0; o < by->orders; o++) {
         out->highest[o] = out->degree + MORE_DEGREES > o ? out->degree + MORE_DEGREES : o;
@@ -286,21 +295,21 @@ typedef struct {
     double mean[3][MAX_ORDERS], covariance[MAX_ORDERS][MAX_ORDERS], freedom;
 } Average;
 
-/* Average the best segments of one part by their evidence, and its square root in the
-   covariance. A segment that is too short to show a derivative has the `unknown` variance of it.
-   Returns how many segments there are. */
+/* Average the best segments of one part by their evidence, and by a power of it in the covariance.
+   Where a segment is too short to show a derivative, it is that of the `models`, or another. Returns
+   how many segments there are. */
 static int
 average_segments(const Stencils *by, const Samples *s, const Division *d, int part,
-                 const double (*unknown)[MAX_ORDERS], Average *out)
+                 const Estimate *models, Average *out)
 {
     Segment kept[MAX_KEPT];
     Piece piece[MAX_KEPT];
     int number = keep_segments(d, part, by->at, kept);
-    double total = 0.0, root_total = 0.0;
+    double total = 0.0, power_total = 0.0;
     memset(out, 0, sizeof *out);
     for (int k = 0; k < number; k++)
         total += exp(kept[k].value - kept->value),
-            root_total += exp((kept[k].value - kept->value) / 2);
+            power_total += exp(COVARIANCE_POWER * (kept[k].value - kept->value));
     for (int k = 0; k < number; k++) {
         double probability = exp(kept[k].value - kept->value) / total;
         differentiate_segment(by, s, d, part, kept + k, d->scratch, piece + k);
@@ -310,11 +319,14 @@ average_segments(const Stencils *by, const Samples *s, const Division *d, int pa
                 out->mean[c][o] += probability * piece[k].mean[c][o];
     }
     for (int k = 0; k < number; k++) {
-        double weight = exp((kept[k].value - kept->value) / 2) / root_total;
+        double weight = exp(COVARIANCE_POWER * (kept[k].value - kept->value)) / power_total;
         double length = d->present[kept[k].end] - d->present[kept[k].first];
         for (int o = 0; o < by->orders; o++) {
-            if (piece[k].highest[o] >= length)
-                out->covariance[o][o] += weight * unknown[o][o];
+            for (int c = part; c <= (piece[k].highest[o] < length ? -1 : 2 * part); c++) {
+                double off = models->mean[c][o] - piece[k].mean[c][o];
+                out->covariance[o][o] +=
+                    weight * (models->covariance[part][o][o] + off * off) / (part + 1);
+            }
             for (int p = 0; p <= o; p++) {
                 double sum = dot(piece[k].spread[o], piece[k].spread[p], COLUMNS);
                 for (int c = part; c <= 2 * part; c++)
@@ -384,9 +396,9 @@ add_segments(const Stencils *by, const Samples *s, const Division *d, Estimate *
         Average segments;
         double ahead = d->evidence[part] - estimate->evidence[part];
         if (ahead > -NEGLIGIBLE &&
-            average_segments(by, s, d, part, estimate->covariance[part], &segments))
-            mix(&segments, part, by->orders, 1 / (1 + exp(-ahead)), 1 / (1 + exp(-ahead / 2)),
-                estimate);
+            average_segments(by, s, d, part, estimate, &segments))
+            mix(&segments, part, by->orders, 1 / (1 + exp(-ahead)),
+                1 / (1 + exp(-COVARIANCE_POWER * ahead)), estimate);
         estimate->evidence[part] = larger(estimate->evidence[part], d->evidence[part]);
     }
 }

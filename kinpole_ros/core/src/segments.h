@@ -31,6 +31,7 @@ typedef struct {
     double *root;    /* (count): of the weights */
     double *present; /* (count + 1): how many samples before each one are not missing */
     double *value[2], *before[2], *after[2];
+    double excess[2];   /* log size of the samples, over COEFFICIENT_COST, if this is more */
     double evidence[2]; /* of the best division, over that of noise alone */
     double *scratch; /* at least (COLUMNS + 3, count) */
 } Division;
