@@ -54,6 +54,7 @@ def _place_tags(
     views, columns = different_views(pixels)
     matrix = lens.matrix if lens is not None else None
     plane, heights = fit_plane(views, columns, options.size, seen.picture, matrix)
+    heights = np.append(heights, np.zeros(len(seen.tags) - len(heights)))  # of tags never whole
     corners = plane.to_plane(pixels, heights[:, None])
     pixel = options.size / np.median(np.linalg.norm(np.diff(views, axis=1), axis=-1))
     _leave_out_hidden(corners, options.size, plane.residual, pixel)

@@ -184,7 +184,7 @@ class Film:
     def pictures(self) -> Iterator[np.ndarray]:
         """Yield the pictures (h, w) uint8."""
         random = np.random.default_rng(0)
-        planes = {tag.height: self.camera.plane(tag.height) for tag in self.tags}
+        planes = {height: self.camera.plane(height) for height in {t.height for t in self.tags}}
         w, h = self.camera.size
         wall = cv2.GaussianBlur(random.standard_normal((h, w)).astype(np.float32), (0, 0), 3)
         wall = ((WALL + 60 * wall) * np.linspace(0.9, 1.1, w)).astype(np.uint8)
@@ -195,7 +195,7 @@ class Film:
         poses = self.poses(self.times)
         for k in range(len(self.times)):
             picture = wall.copy()
-            self._draw_bars(picture, k)
+            self._draw_bars(picture, {tag: place[0, k] for tag, (place, _) in poses.items()})
             for tag in self.tags:
                 place, turn = poses[tag.number]
                 self._draw_tag(picture, planes[tag.height], tag, place[:, k], turn[:, k])
@@ -212,11 +212,10 @@ class Film:
                 picture = apply(picture, np.roll(field_of_noise, shift, axis=(0, 1)))
             yield picture
 
-    def _draw_bars(self, picture: np.ndarray, k: int) -> None:
+    def _draw_bars(self, picture: np.ndarray, places: dict[int, complex]) -> None:
         """Draw the links as bars between their first and last tag."""
-        poses = self.poses(self.times[k : k + 1])
         for body in dict.fromkeys(tag.body for tag in self.tags if tag.body != 'ground'):
-            ends = np.array([poses[t.number][0][0, 0] for t in self.tags if t.body == body])
+            ends = np.array([places[t.number] for t in self.tags if t.body == body])
             first, last = self.camera.pixels(ends[[0, -1]]) * 16
             cv2.line(
                 picture,

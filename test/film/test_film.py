@@ -133,6 +133,9 @@ def test_a_known_camera_places_tags_at_different_heights() -> None:
     for row in pixels:
         _, places = live.place(list(range(7)), row, SMALL.size, '36h11')
     assert rms(places - exact(film)[-1].ravel()) < 0.3e-3
+    # One that is never whole has no height.
+    broken = np.where(np.arange(7)[:, None, None] == 6, np.nan, pixels)
+    assert place_seen(replace(seen, pixels=broken), OPTIONS, lens).heights[6] == 0
     # Tags at one height have no heights of their own.
     flat = np.stack(list(replace(film, tags=FOUR_BAR).corners().values()), axis=1) + noise
     assert not any(place_seen(replace(seen, pixels=flat), OPTIONS, lens).heights.values())

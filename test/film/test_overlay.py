@@ -12,9 +12,11 @@ import pytest
 from conftest import data_of
 from rendered import Camera, Film, Tag
 
-from kinpole_ros.film import FilmOptions, read_film
+from kinpole_ros.film import FilmOptions
 from kinpole_ros.film._edges import refine_corners
+from kinpole_ros.film._filmed import Seen
 from kinpole_ros.film._overlay import Shape, draw_shape
+from kinpole_ros.film._placing import place_seen
 from kinpole_ros.tools.cli import main
 
 DOCS = Path(__file__).parents[2] / 'docs'
@@ -163,8 +165,12 @@ def test_lines_are_broken_where_the_plane_is_behind_the_camera() -> None:
     assert picture[10, 40].all() and picture[50, 40].all() and not picture[30].any()
 
 
-def test_points_behind_the_camera_have_no_pixels(four_bar: tuple[Film, Path]) -> None:
-    filmed = read_film(four_bar[1], FilmOptions())
+def test_points_behind_the_camera_have_no_pixels() -> None:
+    film = Film(0.1 + np.arange(20) / 30, TAGS, CAMERA)
+    corners = np.stack(list(film.corners().values()), axis=1)
+    no_dots = np.empty((20, 0, 2))
+    seen = Seen(list(range(7)), np.arange(20), corners, no_dots, CAMERA.size, '36h11')
+    filmed = place_seen(seen, FilmOptions())
     pixels = filmed.to_pixels(np.array([0j, 50 - 50j, 50j]), 0)
     assert np.isfinite(pixels[0]).all()
     assert np.isnan(pixels).any()

@@ -68,7 +68,7 @@ def film_of_sheet(path: Path, page: np.ndarray, matrix: np.ndarray, lens: np.nda
     grid = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1)
     rays = cv2.undistortPoints(grid.reshape(-1, 1, 2).astype(float), matrix, lens).reshape(-1, 2)
     rays = np.column_stack((rays, np.ones(len(rays))))
-    random = np.random.default_rng(0)
+    soft, random = cv2.GaussianBlur(page, (0, 0), 3), np.random.default_rng(0)
     with av.open(str(path), 'w') as container:
         stream = container.add_stream('libx264', rate=30)
         stream.width, stream.height, stream.pix_fmt = *size, 'yuv420p'
@@ -83,7 +83,6 @@ def film_of_sheet(path: Path, page: np.ndarray, matrix: np.ndarray, lens: np.nda
             on_page = rays @ to_page.T
             at = on_page[:, :2] / on_page[:, 2:] * 1000 * DOTS + (105 * DOTS, 148.5 * DOTS) - 0.5
             at = at.reshape(size[1], size[0], 2).astype(np.float32)
-            soft = cv2.GaussianBlur(page, (0, 0), 3)
             view = cv2.remap(soft, at, None, cv2.INTER_LINEAR, borderValue=120)
             gray = np.concatenate((view, np.full((size[1] // 2, size[0]), 128, np.uint8)))
             frame = av.VideoFrame.from_ndarray(gray, 'yuv420p')
