@@ -30,11 +30,10 @@ reversing drive). An entry has the error over that of the best fixed window and 
 (median, 90th percentile of the cells); the share within 95% intervals; the share beyond 10 standard
 deviations. Poles whose standard deviation exceeds half the body size are left out.""",
             *(_rates_table(cells, kind) for kind in kinds),
-            f"""## Other methods that set themselves
+            """## Other methods that set themselves
 
 Their error over ours, geometric mean; above 1 ours is better. Each has the poses of the same
-windows and sets itself by them alone. Segments and total variation are given the true noise.
-{', '.join(f'{rate} Hz' for rate in RIVALED)}.""",
+windows and sets itself by them alone. Segments and total variation are given the true noise.""",
             *(_rivals_table(cells, kind) for kind in kinds),
             """## Near events
 
