@@ -25,8 +25,6 @@ _SHORTEST = 2
 _KEPT, _BEHIND = 8, 20.0
 # The power of the evidence in the covariance.
 _POWER = 0.25
-# Evidence over that of models without events, with which events between segments are taken.
-_CLEAR = 10.0
 _SIGNALS = (slice(0, 1), slice(1, 3))
 
 
@@ -66,12 +64,12 @@ def nearest_event(window: Window, division: Division, none: Real) -> int:
     """
     The sample after the event nearest to the instant, or -1.
 
-    In the best division, that of the angle or of the position, if its evidence is clearly more than
+    In the best division, that of the angle or of the position, if its evidence is more than
     that of models without events, `none` (2,).
     """
     count, gain = window.size, division.evidence - none
     values = division.values[int(gain[1] > gain[0])]
-    if not (gain.max() > _CLEAR and values.max() > -_BEHIND):
+    if not (gain.max() > 0 and values.max() > -_BEHIND):
         return -1
     first, end = np.unravel_index(values.argmax(), values.shape)
     at = window.at + (count - 1) / 2

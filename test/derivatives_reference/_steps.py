@@ -41,8 +41,8 @@ _GAIN, _BEHIND, _SURE_GAIN = 8.0, 3.0, 25.0
 _DROP = 8.0
 # Samples on either side of an event.
 _EDGE = 3
-# Standard deviation of the place of an event, samples, at least and at most.
-_PLACE = 0.5, 3.0
+# Standard deviation of the place of an event, samples.
+_PLACE = 0.5
 # Steps are screened with the likeliest of the slowest processes of each spectrum, too.
 _SLOWEST = 2
 # The power of the evidence of other places, the logarithm of the least chance, and how near to the
@@ -470,9 +470,7 @@ def _extended(
                 square = ((column @ left @ own) ** 2).sum() / (c + 1)
                 roots[c, k] = np.sqrt(max(square, some)) / some
             elif each == order - 1:
-                known = roots[c, 0] * np.sqrt((c + 1) * max(some, 0.0))
-                off = min(max(1 / known, _PLACE[0]), _PLACE[1]) if known > 0 else _PLACE[0]
-                roots[c, k] = roots[c, 0] * off
+                roots[c, k] = roots[c, 0] * _PLACE
             left = _removed(left, column, roots[c, k], 1.0)
     prior = base.prior + np.log(_PRIOR / (1 - _PRIOR) / (len(_ORDERS) * window.size)) - _SIZE_COST
     return _evaluate(

@@ -6,7 +6,7 @@
 #include "numbers.h"
 #include "polynomials.h"
 
-/* Log evidence that a hub has more than all models of the position, at least: what its arm costs. */
+/* Log evidence that a hub has more than all models of the position: what its arm costs. */
 #define ARM_COST 10.0
 /* Turning exceeds that by the noise of the angle so many times. */
 #define MIN_TURNING 16.0

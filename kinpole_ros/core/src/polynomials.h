@@ -11,8 +11,8 @@
 #include "models.h"
 #include "private.h"
 
-/* The covariance is that of a polynomial so many degrees higher, because the samples do not show what
-   is below their noise. */
+/* The covariance is that of a polynomial so many degrees higher, because the samples do not show
+   what is below their noise. */
 #define MORE_DEGREES 2
 /* Log evidence that a coefficient costs, about the logarithm of how far it exceeds its noise. */
 #define COEFFICIENT_COST 5.0

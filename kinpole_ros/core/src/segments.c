@@ -17,13 +17,10 @@
    best. */
 #define MAX_KEPT 8
 #define MAX_BEHIND 20.0
-/* Power of the evidence by which segments count in the covariance, as other places of an event do. */
+/* Power of the evidence by which segments count in the covariance, as other places of an event. */
 #define COVARIANCE_POWER 0.25
 /* Log evidence behind the models with which segments have no weight, whatever their covariance. */
 #define NEGLIGIBLE 60.0
-/* Log evidence more than that of models without events, with which the events between segments
-   are taken. */
-#define CLEAR_GAIN 10.0
 
 /* The polynomials of all segments of one length, by their first sample (count). */
 typedef struct {
@@ -166,8 +163,7 @@ evaluate_segments(Call *call, const Samples *s, Division *d)
         for (int c = part; c <= 2 * part; c++)
             for (long long t = 0; t < n; t++)
                 square += d->root[t] * d->root[t] * s->x[c][t] * s->x[c][t];
-        d->excess[part] =
-            (part + 1) * larger(log(square / number) / 2 - COEFFICIENT_COST, 0.0);
+        d->excess[part] = (part + 1) * larger(log(square / number) / 2 - COEFFICIENT_COST, 0.0);
     }
     for (long long last = 0; last < n; last++) {
         long long distinct = is_even ? 1 : n - last;
@@ -296,8 +292,8 @@ typedef struct {
 } Average;
 
 /* Average the best segments of one part by their evidence, and by a power of it in the covariance.
-   Where a segment is too short to show a derivative, it is that of the `models`, or another. Returns
-   how many segments there are. */
+   Where a segment is too short to show a derivative, it is that of the `models`, or another.
+   Returns how many segments there are. */
 static int
 average_segments(const Stencils *by, const Samples *s, const Division *d, int part,
                  const Estimate *models, Average *out)
@@ -306,7 +302,7 @@ average_segments(const Stencils *by, const Samples *s, const Division *d, int pa
     Piece piece[MAX_KEPT];
     int number = keep_segments(d, part, by->at, kept);
     double total = 0.0, power_total = 0.0;
-    memset(out, 0, sizeof *out);
+    *out = (Average){.freedom = 0.0};
     for (int k = 0; k < number; k++)
         total += exp(kept[k].value - kept->value),
             power_total += exp(COVARIANCE_POWER * (kept[k].value - kept->value));
@@ -382,7 +378,7 @@ nearest_event(const Division *d, const Set *none, double at)
     for (int part = 0; part < 2; part++)
         gain[part] = d->evidence[part] - none->best_evidence[part];
     int part = gain[1] > gain[0];
-    if (!(gain[part] > CLEAR_GAIN) || !keep_segments(d, part, at, kept))
+    if (!(gain[part] > 0.0) || !keep_segments(d, part, at, kept))
         return -1;
     int is_before = kept->end == d->count || at - kept->first < kept->end - at;
     long long place = kept->first > 0 && is_before ? kept->first : kept->end;

@@ -40,8 +40,8 @@ typedef struct {
 PRIVATE int divide_window(Call *call, const Samples *s, Division *d);
 
 /* Return the sample after the event that is nearest to the instant in the best division, that of
-   the angle or of the position, if its evidence is clearly more than that of models without
-   events (`none`); -1 otherwise. */
+   the angle or of the position, if its evidence is more than that of models without events
+   (`none`); -1 otherwise. */
 PRIVATE long long nearest_event(const Division *d, const Set *none, double at);
 
 /* Estimate the derivatives by segments, and mix them into those of the models, by the evidence
