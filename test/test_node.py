@@ -195,8 +195,10 @@ def process(*words: str | Path, log: Path, limit: int = 60) -> Iterator['subproc
 
 
 def complaints(log: Path) -> list[str]:
-    """Lines of a node's log that are more than information, but that this machine is too busy."""
-    return [line for line in warnings_of(log) if TOO_SLOW not in line]
+    """Lines of a node's log that are more than information, but of a machine that is too busy."""
+    # rclpy gives up an answer, in two lines, if the reader of the client is not met in time.
+    busy = TOO_SLOW, 'failed to send response (timeout)', 'service_send_response(response'
+    return [line for line in warnings_of(log) if not any(words in line for words in busy)]
 
 
 def warnings_of(log: Path) -> list[str]:

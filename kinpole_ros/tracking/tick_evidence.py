@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.planar._plane import Real
+from kinpole_ros.planar._plane import ROUNDING, Real
 from kinpole_ros.tracking.clock import CHANGE_NATS, DECISIVE_NATS, UNSETTLED
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.thresholds import N_SIGMA
@@ -84,8 +84,12 @@ def _signals(history: History, rows: slice, noise: Real) -> tuple[Real, Real]:
     level = np.where(np.isfinite(noise), noise, 0.0)
     with np.errstate(divide='ignore'):
         inverse = np.where(information > 0, 1 / information, np.nan)
-    # While the noise is not known, `_evidence` scales by the residuals.
-    square = np.maximum(level, 1e-9) ** 2
+    # While the noise is not known, `_evidence` scales by the residuals. It is no less than rounding
+    # of the places and arms of markers.
+    arms = np.sqrt(information[:, 0] * inverse[:, 1])
+    sizes = np.concatenate((np.abs(position), arms))
+    size = np.max(sizes, initial=0.0, where=np.isfinite(sizes))
+    square = np.maximum(level, ROUNDING * size) ** 2
     of_angle, even = inverse[:, 0] * square, inverse[:, 1] * square
     return signals, np.concatenate((of_angle, even, even), axis=1)
 

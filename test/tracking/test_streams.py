@@ -599,6 +599,10 @@ def test_any_partition_of_any_stream_gives_the_same(
     [Fault('gap', 12, 1, 0)],
     *(0.0, 0j, 1e-3, 0.2, False, list(range(8)), False),
 )
+@example(  # stamps of which the motion decides, with noise below a nanometer
+    [Fault('twice', 14, 1, 0)],
+    *(0.0, 0j, 1e-6, 0.2, False, list(range(8)), False),
+)
 @example(  # weights that are made orthonormal anew for the angle of a body, not for its position
     [
         Fault('noise', 75, 12, 1),
