@@ -90,9 +90,8 @@ def polygon(scene: Scene, motion: Motion, order: int) -> Polygon:
 
     """
     assembly = scene.mechanism.assembly
-    position, angle, values = (
-        part[:3, :, 0] for part in (motion.position, motion.angle, motion.values)
-    )
+    parts = motion.position, motion.angle, motion.values
+    position, angle, values = (part[:3, :, 0] for part in parts)
     turn = rotation_derivatives(angle)
 
     def image(body: str, point: complex, at: int = order) -> complex:

@@ -425,7 +425,7 @@ def test_frames_on_the_grid_of_a_timer_are_at_the_ticks_of_their_camera(rate, st
     assert tracker.state.timeline.clock.interval == pytest.approx(1e9 / rate, rel=1e-3)
     assert rms < 1.1 * even
     lost = kept[-1] + 1 - len(kept)
-    assert abs(tracker.counts['lost'] - lost) <= 3
+    assert lost - 3 <= tracker.counts['lost'] <= lost + (mean > 0)
 
 
 def test_losses_after_the_last_update_and_before_the_decision_for_ticks_count() -> None:
