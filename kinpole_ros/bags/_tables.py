@@ -1,6 +1,7 @@
 """Results as tables, CSV or Parquet: a row for each instant, empty where undetermined."""
 
 import csv
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -43,7 +44,8 @@ def column_names(
     relative rate and center; of every quantity that is `registered` with a topic, the name of that
     with _ for /. Last come the EVENT_COLUMNS of every body. SI units, sigma is one
     standard deviation. x and y are along the axes of the plane: those of the frame in xy, yz and
-    zx, else those of `messages.faults.plane_words`.
+    zx, else those of `messages.faults.plane_words`. Raises BagError where two have one name, as
+    those of the bodies `rod` and `rod_icr`.
     """
     quantities = quantity_names(order)
     numbers, vectors = (
@@ -61,7 +63,13 @@ def column_names(
     for quantity in _up_to(order, registered):
         ends = ('_x', '_y', '_x_sigma', '_y_sigma') if quantity.is_vector else ('', '_sigma')
         names += [quantity.topic.replace('/', '_') + end for end in ends]
-    return names + [f'{body}_{name}' for body in bodies for name in EVENT_COLUMNS]
+    names += [f'{body}_{name}' for body in bodies for name in EVENT_COLUMNS]
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise BagError(
+            f'two quantities would have the column {twice[0]}; fix: rename the body, or the point '
+            'of the scene, whose name continues that of another'
+        )
+    return names
 
 
 def _up_to(order: int, registered: Sequence[RegisteredQuantity]) -> list[RegisteredQuantity]:
@@ -146,9 +154,9 @@ def csv_table(
     messages, where that is not its path. Raises BagError when it cannot be written.
     """
     order, named = settings.highest_order, name or path
+    names = column_names(tuple(settings.bodies), order, registered)
     with write_errors(named), open(path, 'w', newline='', encoding='utf-8') as file:
         table = csv.writer(file)
-        names = column_names(tuple(settings.bodies), order, registered)
         table.writerow(['t', *map(as_cell, names)])
 
         def add(estimate: Estimate) -> None:

@@ -109,6 +109,19 @@ def test_there_is_a_name_for_every_figure(order: int) -> None:
         assert len(set(names)) == len(names)
 
 
+@pytest.mark.parametrize('table', [csv_table, parquet_table])
+def test_two_quantities_with_one_column_are_refused_before_the_file(
+    tmp_path: Path, table: Any
+) -> None:
+    if table is parquet_table:
+        pytest.importorskip('pyarrow')
+    settings = Settings(bodies={'rod': (), 'rod_icr': ()})
+    fault = 'two quantities would have the column rod_icr_x; fix: rename the body'
+    with pytest.raises(BagError, match=fault), table(tmp_path / 'out', settings):
+        pass
+    assert not (tmp_path / 'out').exists()
+
+
 def test_parquet_and_csv_hold_the_same_figures(simulated: Simulated, tmp_path: Path) -> None:
     parquet = pytest.importorskip('pyarrow.parquet')
     bag = simulated('four_bar', rate=100, duration=1.5, noise=2e-4, dropout=0.3)
