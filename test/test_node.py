@@ -889,7 +889,7 @@ def test_told_to_stop_node_and_recorder_end_at_once_and_the_recording_is_whole(
             told.send_signal(sign)
         gone = lambda: drawn[-1].markers[0].action == Marker.DELETEALL  # noqa: E731
         peer.until(gone, 'the end of what was drawn')
-        assert [told.wait(2) for told in (node, recorder)] == [0, 0]
+        assert [told.wait(LIMIT) for told in (node, recorder)] == [0, 0]
     assert [complaints(log) for log in logs] == [[], []]
     recorded = decoded(recording)
     assert len(recorded[topic]) >= 25
