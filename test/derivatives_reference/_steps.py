@@ -34,9 +34,8 @@ _WORTH = 3
 _PRIOR, _SIZE_COST = 0.05, 2.4
 # Events in a window at most.
 _MOST_EVENTS = 2
-# Evidence that a candidate gains, by which it is at most behind another, and with which another
-# event makes the set without it not count.
-_GAIN, _BEHIND, _SURE_GAIN = 8.0, 3.0, 25.0
+# Evidence that a candidate gains, and by which it is at most behind another.
+_GAIN, _BEHIND = 8.0, 3.0
 # Evidence after the loss of which shorter lengths of a spectrum are left out.
 _DROP = 8.0
 # Samples on either side of an event.
@@ -341,8 +340,6 @@ def _sets(
         another = max(others, key=lambda order: others[order].value)
         if others[another].gain < _GAIN:
             break
-        if others[another].gain < _SURE_GAIN:
-            all_.append(best)
         best = _extended(window, samples, seen, lacking, best, another, others[another])
     return [*all_, best]
 

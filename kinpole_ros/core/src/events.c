@@ -20,8 +20,6 @@
 #define MIN_GAIN 8.0
 /* Log evidence by which a candidate of another order may be behind the best one. */
 #define MAX_EVIDENCE_BEHIND 3.0
-/* Log evidence of another event above which the set without it has no weight. */
-#define CERTAIN_GAIN 25.0
 /* Standard deviation of an event's place, samples: an event lies between two samples. By how well
    the samples show the place, up to 3, errors and coverage are the same. */
 #define PLACE_SIGMA 0.5
@@ -283,7 +281,6 @@ search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
         else
             evaluate_models(m, s, w, set);
     }
-    /* Another event is screened before the evaluation of those before, which may be unnecessary. */
     for (Screens *of = first->screens; one->events < MAX_EVENTS;) {
         for (int c = 0; c < 2; c++)
             screen_steps(m, s, w, one, scratch, of->signal + c);
@@ -295,16 +292,10 @@ search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
         const Candidate *another = best_candidate(next);
         if (!(another->gain >= MIN_GAIN))
             break;
-        Set *more = sets + (*number)++;
+        Set *more = sets + *number;
         data = add_event(m, one, another, orders, block, data, more);
         add_place_covariance(m, by, one, another, w->column_products, scratch, more);
-        if (another->gain < CERTAIN_GAIN) {
-            evaluate_models(m, s, w, one);
-            one = more;
-        } else {
-            *one = *more;
-            --*number;
-        }
+        *one = *more;
     }
     evaluate_models(m, s, w, one);
     return DONE;

@@ -11,7 +11,8 @@
  *    shift in time, and a step of the next derivative. All models are evaluated with them
  *    (`add_event`, `evaluate_models`).
  *    If segments (segments.c) show an event near the instant, it is one more candidate.
- * 3. Another event is screened with those before in place, and then evaluated, up to MAX_EVENTS.
+ * 3. Another event is screened with those before in place, up to MAX_EVENTS. The set with it takes
+ *    the place of that without.
  * 4. Other places of an event, by their evidence, add to the covariance (`add_place_covariance`).
  *
  * `search_events` returns the sets, and `differentiate` averages all models with all of them. The
