@@ -82,13 +82,13 @@ def _views(
         if len(rows) < _LEAST_TAGS:
             continue
         own = [tags[k] for k in rows]
-        center = corners.places[rows].mean(axis=1)
+        center = corners[rows].mean(axis=1)
         if np.median(np.abs(center - last[own])) < _APART * picture[0]:
             continue
         last[own] = center
         flat = (places[own][:, None] + square).reshape(-1, 2)
         objects.append(np.column_stack((flat, np.zeros(len(flat)))).astype(np.float32))
-        images.append(corners.places[rows].reshape(-1, 2).astype(np.float32))
+        images.append(corners[rows].reshape(-1, 2).astype(np.float32))
     step = max(1, -(-len(objects) // _MOST_VIEWS))
     return objects[::step], images[::step], picture
 

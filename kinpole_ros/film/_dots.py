@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from kinpole_ros.film._edges import bilinear
+from kinpole_ros.film._corners import brightness_at
 from kinpole_ros.film._video import FilmError
 
 _HALVES = (5.0, 7.0, 10.0, 14.0, 20.0, 28.0)  # pixels from a dot to the edge of its patch
@@ -76,7 +76,7 @@ class _Patches(NamedTuple):
         for _ in range(_ROUNDS):
             turn = np.exp(scales + 1j * turns)[:, None]
             at = places[:, None] + _as_pixels(turn * radius)
-            seen, _ = _standard(bilinear(soft, at))
+            seen, _ = _standard(brightness_at(soft, at))
             match = (_WEIGHT * seen * self.wanted).sum(axis=-1)
             step = (self.gains @ (seen - self.wanted)[..., None])[..., 0]
             places -= _as_pixels(turn[:, 0] * (step[:, :2] @ (1, 1j)))
@@ -91,7 +91,7 @@ class _Patches(NamedTuple):
 def _patches(soft: np.ndarray, names: list[str], places: np.ndarray) -> _Patches:
     """Return the patches of dots; raises FilmError for one without contrast."""
     halves = np.array([_half(soft, *one) for one in zip(names, places, strict=True)])
-    wanted, spread = _standard(bilinear(soft, places[:, None] + halves[:, None, None] * _DISK))
+    wanted, spread = _standard(brightness_at(soft, places[:, None] + halves[:, None, None] * _DISK))
     slopes = _slopes(soft, places, halves)
     x, y = np.moveaxis(halves[:, None, None] * _DISK, -1, 0)
     turned, stretched = -y * slopes[..., 0] + x * slopes[..., 1], x * slopes[..., 0]
@@ -201,7 +201,7 @@ class Dots:
         """Return the chosen patch of a dot, turned, and 0 outside of its disk."""
         steps = step * np.arange(-radius, radius + 1)
         grid = steps + 1j * steps[:, None]
-        patch = bilinear(self._soft, self.places[k] + _as_pixels(grid * np.exp(-1j * turn)))
+        patch = brightness_at(self._soft, self.places[k] + _as_pixels(grid * np.exp(-1j * turn)))
         is_inside = np.abs(grid) <= step * radius
         return np.where(is_inside, patch - patch[is_inside].mean(), 0).astype(np.float32)
 
@@ -264,7 +264,11 @@ def _slopes(soft: np.ndarray, places: np.ndarray, halves: np.ndarray) -> np.ndar
     """Return the slopes (m, P, 2) of the brightness in patches."""
     at = places[:, None] + halves[:, None, None] * _DISK
     return np.stack(
-        [(bilinear(soft, at + step) - bilinear(soft, at - step)) for step in np.eye(2) / 2], axis=-1
+        [
+            (brightness_at(soft, at + step) - brightness_at(soft, at - step))
+            for step in np.eye(2) / 2
+        ],
+        axis=-1,
     )
 
 

@@ -95,7 +95,7 @@ def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Se
         picture = width, height
         tags, corners = finder.find(gray) if finder is not None else NO_TAGS
         stamps.append(stamp)
-        found.append((tags, corners.places.astype(np.float32)))
+        found.append((tags, corners.astype(np.float32)))
         if dots is not None:
             places.append(dots.follow(gray))
         elif options.points and stamp >= options.at * 1e9 - SAME_STAMP:

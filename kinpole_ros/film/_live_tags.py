@@ -49,7 +49,7 @@ class LiveTags:
 
         A tag has its columns from its first picture on, with NaN where it is hidden.
         """
-        tags, (places, _) = self._finder.find(gray)
+        tags, places = self._finder.find(gray)
         height, width = gray.shape
         return self.place(tags, places, (width, height), self._finder.family)
 

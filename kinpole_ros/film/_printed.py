@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from kinpole_ros.files import whole_file
-from kinpole_ros.film._tags import FAMILIES, family_of
+from kinpole_ros.film._tags import FAMILIES, codes, family_of
 from kinpole_ros.film._video import FilmError
 
 _PAGE = (210.0, 297.0)  # mm
@@ -55,10 +54,9 @@ def print_sheet(path: str | Path, size: float, family: str = 'auto') -> int:
 
     """
     family = family_of(family) or next(iter(FAMILIES))
-    dictionary = cv2.aruco.getPredefinedDictionary(FAMILIES[family])
-    modules = dictionary.markerSize + 2
-    module, marks = size * 1e3 / modules, _header(size, family)
-    places = sheet_places(size)
+    marks, places = _header(size, family), sheet_places(size)
+    drawn = codes(family, range(len(places)))
+    module = size * 1e3 / len(drawn[0])
     half_cell = _cell(size) / 2
     for number, (x, y) in enumerate(places):
         name = 'ground' if number == 0 else f'link {(number + 1) // 2}'
@@ -67,8 +65,7 @@ def print_sheet(path: str | Path, size: float, family: str = 'auto') -> int:
             marks.append(_Mark(x - half_cell, y + side, 2 * half_cell, 0.1, _CUT))
         left, top = x - size * 500, y - size * 500
         marks.append(_Mark(left, top + size * 1e3 + _LABEL, text=f'{number}  {name}'))
-        code = cv2.aruco.generateImageMarker(dictionary, number, modules)
-        for row, column, length in _runs(code == 0):
+        for row, column, length in _runs(drawn[number] == 0):
             mark = left + column * module, top + row * module, length * module, module + _SEAM
             marks.append(_Mark(*mark))
     text = _pdf(marks) if Path(path).suffix.lower() == '.pdf' else _svg(marks).encode()

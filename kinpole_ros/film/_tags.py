@@ -1,15 +1,16 @@
 """
 Tags in the pictures of a film: near their last places in each picture, anywhere now and then.
 
-OpenCV reads the codes. Corners are then fitted to the edges.
+OpenCV reads the codes. The corners are then those by which a code fits the picture.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from kinpole_ros.film._edges import Corners, refine_corners
+from kinpole_ros.film._corners import refine_corners
 from kinpole_ros.film._video import FilmError
 
 # The first family of which tags are seen is taken: one with longer codes is mistaken less.
@@ -44,7 +45,7 @@ class _Track(NamedTuple):
     velocity: np.ndarray
 
 
-NO_TAGS: tuple[list[int], Corners] = [], Corners(np.empty((0, 4, 2)), np.empty(0))
+NO_TAGS: tuple[list[int], np.ndarray] = [], np.empty((0, 4, 2))
 
 
 class TagFinder:
@@ -60,13 +61,8 @@ class TagFinder:
         self._tracks: dict[int, _Track] = {}
         self._searched = -_SEARCH_STEP
 
-    @property
-    def modules(self) -> int:
-        """The modules along the side of a tag, its black border included."""
-        return int(self._detectors[self.family].getDictionary().markerSize) + 2
-
-    def find(self, gray: np.ndarray) -> tuple[list[int], Corners]:
-        """Return the numbers of the n tags in the next picture, and their corners."""
+    def find(self, gray: np.ndarray) -> tuple[list[int], np.ndarray]:
+        """Return the numbers of the n tags in the next picture, and their corners (n, 4, 2)."""
         self._number += 1
         if not self.family and not self._find_family(gray):
             return NO_TAGS
@@ -127,18 +123,20 @@ class TagFinder:
         quads = _read(self._detectors[self.family], gray)
         return {tag: (quad + 0.5) / shrink - 0.5 for tag, quad in quads.items()}
 
-    def _refined(self, gray: np.ndarray, seen: dict[int, np.ndarray]) -> tuple[list[int], Corners]:
+    def _refined(
+        self, gray: np.ndarray, seen: dict[int, np.ndarray]
+    ) -> tuple[list[int], np.ndarray]:
         """Refine the quads of tags, and keep their places for the next picture."""
         if not seen:
             return NO_TAGS
         quads = np.stack(list(seen.values()))
-        refined = refine_corners(gray, quads, self.modules)
+        corners = refine_corners(gray, quads, codes(self.family, list(seen)))
         side = np.linalg.norm(quads[:, 1] - quads[:, 0], axis=-1)
-        moved = np.abs(refined.places - quads).max(axis=(1, 2))
-        good = np.isfinite(refined.sigma) & (moved < _JUMP * side) & (side > _LEAST_SIDE)
+        moved = np.abs(corners - quads).max(axis=(1, 2))
+        good = (moved < _JUMP * side) & (side > _LEAST_SIDE)
         tags = [tag for tag, is_good in zip(seen, good, strict=True) if is_good]
-        corners = Corners(refined.places[good], refined.sigma[good])
-        for tag, places in zip(tags, corners.places, strict=True):
+        corners = corners[good]
+        for tag, places in zip(tags, corners, strict=True):
             last = self._tracks.get(tag)
             velocity = np.zeros(2)
             if last is not None and self._number - last.number <= _KEPT:
@@ -154,6 +152,14 @@ def family_of(name: str) -> str:
         known = ', '.join(FAMILIES)
         raise FilmError(f'--family is {name!r}; it must be auto or one of {known}')
     return '' if name == 'auto' else name
+
+
+def codes(family: str, tags: Sequence[int]) -> np.ndarray:
+    """Return the modules (n, M, M) of tags, black border included: 1 for white, 0 for black."""
+    dictionary = cv2.aruco.getPredefinedDictionary(FAMILIES[family])
+    modules = dictionary.markerSize + 2
+    drawn = [cv2.aruco.generateImageMarker(dictionary, tag, modules) for tag in tags]
+    return np.stack(drawn) / 255
 
 
 def _detector(family: str, least: float = _LEAST_OF_WHOLE) -> 'cv2.aruco.ArucoDetector':

@@ -19,6 +19,7 @@ from kinpole_ros.film import FilmError, FilmOptions, Lens, LiveTags, film_to_bag
 from kinpole_ros.film._filmed import Seen
 from kinpole_ros.film._live_tags import newest
 from kinpole_ros.film._placing import place_seen
+from kinpole_ros.film._tags import TagFinder
 from kinpole_ros.film._video import Picture, Video
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.tools.cli import main
@@ -70,13 +71,26 @@ def test_corners_are_where_the_tags_are(four_bar: tuple[Film, Path]) -> None:
     filmed = read_film(path, OPTIONS)
     assert filmed.tags == tuple(range(7))
     assert np.isfinite(filmed.corners).mean() > 0.99
-    # 0.1 pixels are 0.08 mm.
-    assert rms(filmed.corners - exact(film)) < 0.2e-3
+    # One tag of the ground tells the direction of x less well: 0.1 pixels are 0.08 mm.
+    turn = np.nanmean(filmed.corners * np.conj(exact(film)))
+    turn /= abs(turn)
+    assert abs(np.angle(turn)) < 1.5e-3
+    assert rms(filmed.corners * np.conj(turn) - exact(film)) < 0.08e-3
     assert np.abs(np.diff(filmed.stamps) - 1e9 / 30).max() < 1e5
     pixels = np.stack(list(film.corners().values()), axis=1)
     shown = np.stack([filmed.to_pixels(row, k) for k, row in enumerate(filmed.corners)])
     assert np.nanmax(np.abs(shown - pixels)) < 1.5
     assert len(filmed.assumed) == 3
+
+
+def test_blur_moves_no_corner() -> None:
+    """Edges that are blurred mix with their neighbors, and move by parts of a pixel."""
+    film = Film(times(8), (FOUR_BAR[2],), exposure=7e-3)
+    finder = TagFinder('36h11')
+    found = [finder.find(gray) for gray in film.pictures()]
+    assert [tags for tags, _ in found] == [[2]] * 8
+    off = np.concatenate([corners for _, corners in found]) - film.corners()[2]
+    assert np.sqrt(np.mean(off**2)) < 0.1
 
 
 def test_rates_and_poles_of_the_bag_are_those_of_the_motion(

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from kinpole_ros.film import FilmError, calibrate, print_sheet
-from kinpole_ros.film._edges import refine_corners
+from kinpole_ros.film._corners import refine_corners
 from kinpole_ros.film._lens import read_lens
+from kinpole_ros.film._tags import FAMILIES, codes
 from kinpole_ros.tools.cli import main
 
 DOTS = 6  # a mm
@@ -35,18 +36,19 @@ def drawn(path: Path) -> np.ndarray:
     return page
 
 
-def tags_on(page: np.ndarray, family: int) -> dict[int, np.ndarray]:
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(family))
+def tags_on(page: np.ndarray, family: str) -> dict[int, np.ndarray]:
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(FAMILIES[family]))
     quads, numbers, _ = detector.detectMarkers(page)
-    places = refine_corners(page, np.array(quads).reshape(-1, 4, 2), 8).places
-    return dict(zip(numbers.ravel().tolist(), places, strict=True))
+    tags = numbers.ravel().tolist()
+    places = refine_corners(page, np.array(quads).reshape(-1, 4, 2), codes(family, tags))
+    return dict(zip(tags, places, strict=True))
 
 
 @pytest.mark.parametrize('ending', ['svg', 'pdf'])
 def test_tags_are_printed_to_scale(ending: str, tmp_path: Path) -> None:
     path = tmp_path / f'tags.{ending}'
     assert main(['film', '--print', str(path), '--size', '40mm']) == 0
-    tags = tags_on(drawn(path), cv2.aruco.DICT_APRILTAG_36h11)
+    tags = tags_on(drawn(path), '36h11')
     assert sorted(tags) == list(range(len(tags))) and len(tags) % 2 == 1 and len(tags) >= 7
     sides = [np.linalg.norm(np.diff(quad, axis=0), axis=1) / DOTS for quad in tags.values()]
     assert np.abs(np.array(sides) - 40).max() < 0.1
@@ -56,7 +58,7 @@ def test_tags_are_printed_to_scale(ending: str, tmp_path: Path) -> None:
 
 def test_another_family_and_another_size(tmp_path: Path) -> None:
     assert print_sheet(tmp_path / 'tags.svg', 0.02, '6x6_250') > 20
-    assert len(tags_on(drawn(tmp_path / 'tags.svg'), cv2.aruco.DICT_6X6_250)) > 20
+    assert len(tags_on(drawn(tmp_path / 'tags.svg'), '6x6_250')) > 20
     with pytest.raises(FilmError, match='three tags must fit on A4'):
         print_sheet(tmp_path / 'large.svg', 0.15)
     assert not (tmp_path / 'large.svg').exists()

@@ -1,0 +1,143 @@
+"""
+Corners of tags to parts of a pixel: the known code of a tag, blurred, is laid over the picture.
+
+The whole code tells where a tag is, and not its outline alone. Its blur is fitted, too: motion and
+focus mix each edge with its neighbors, which moves the edges of a sharp code.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+# Steps are those of a grid over a tag.
+_STEPS = 3  # a module
+_DRAWN, _MATCHED = 6, 2  # steps of white around a tag that are drawn, and that are matched
+_ROUNDS = 3
+_SOFT = 1.0  # pixels, the blur (standard deviation) of the first round
+_LEAST_BLUR, _MOST_BLUR = 0.4, 3.0  # steps: sharper ones ring, and of wider ones no code is read
+_MOST_FINE = 8  # samples of a step each way, in pictures that are finer
+_MOST_MOVED = 0.1  # of the side, in a round
+_LEAST_MATCH = 0.8  # of the variance of a tag that its code explains
+
+
+class _Grid(NamedTuple):
+    """
+    The grid over tags of a number of modules.
+
+    `corners` (4, 2) are those of a tag, in steps. `shade` (2, P) leads from -0.5 to 0.5 along its
+    sides, and `shares` (4, P) are those of the corners in how a point moves. The transform of a
+    code times `waves` (6, ...) is that of the code, its slopes, and its changes by blur.
+    """
+
+    corners: np.ndarray
+    shade: np.ndarray
+    shares: np.ndarray
+    waves: np.ndarray
+
+
+@lru_cache(maxsize=8)
+def _grid(modules: int) -> _Grid:
+    side = modules * _STEPS
+    corners = side * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) + _MATCHED - 0.5
+    steps = (np.arange(side + 2 * _MATCHED) + 0.5 - _MATCHED) / side
+    x, y = (values.ravel() for values in np.meshgrid(steps, steps))
+    shares = np.stack(((1 - x) * (1 - y), x * (1 - y), x * y, (1 - x) * y))
+    size = side + 2 * _DRAWN
+    along, down = 2j * np.pi * np.fft.rfftfreq(size), 2j * np.pi * np.fft.fftfreq(size)[:, None]
+    blurs = along**2 / 2, along * down, down**2 / 2
+    waves = np.stack(np.broadcast_arrays(1 + 0j, along, down, *blurs))
+    return _Grid(corners, np.stack((x, y)) - 0.5, shares, waves)
+
+
+def refine_corners(gray: np.ndarray, quads: np.ndarray, codes: np.ndarray) -> np.ndarray:
+    """
+    Return the corners (n, 4, 2) of tags near quads (n, 4, 2), clockwise; NaN where none matches.
+
+    `codes` (n, M, M) are 1 where a module is white, and 0 where it is black.
+    """
+    modules = codes.shape[-1]
+    grid, corners = _grid(modules), quads.astype(float)
+    white = codes.repeat(_STEPS, axis=1).repeat(_STEPS, axis=2)
+    white = np.pad(white, ((0, 0), (_DRAWN, _DRAWN), (_DRAWN, _DRAWN)), constant_values=1)
+    code = np.fft.rfft2(white)
+    step = np.linalg.norm(np.diff(quads, axis=1), axis=-1).mean(axis=1) / modules / _STEPS
+    fine = int(np.clip(np.rint(step.max()), 1, _MOST_FINE))
+    blur = (_SOFT / step[:, None, None]) ** 2 * np.eye(2)
+    for _ in range(_ROUNDS):
+        blur = _bounded(blur)
+        columns = _columns(grid, code, blur)
+        to_pixels = [_to_pixels(grid, quad, fine) for quad in corners]
+        seen = np.stack([_steps(gray, matrix, fine, columns.shape[-1]) for matrix in to_pixels])
+        values, fitted = _least_squares(columns, seen)
+        change = values[:, :11] / values[:, 11:12]
+        blur = blur + change[:, (8, 9, 9, 10)].reshape(-1, 2, 2)
+        # The code is laid over what is seen, so the corners move the other way.
+        most = _MOST_MOVED * modules * _STEPS
+        moves = np.clip(np.nan_to_num(change[:, :8]), -most, most).reshape(-1, 2, 4)
+        places = (grid.corners - np.swapaxes(moves, 1, 2) + 0.5) * fine - 0.5
+        pairs = zip(places, to_pixels, strict=True)
+        corners = np.stack([cv2.perspectiveTransform(place[None], m)[0] for place, m in pairs])
+    match = 1 - (seen - fitted).var(axis=-1) / np.maximum(seen.var(axis=-1), 1e-9)
+    corners[~(match > _LEAST_MATCH)] = np.nan
+    return corners
+
+
+def _to_pixels(grid: _Grid, quad: np.ndarray, fine: int) -> np.ndarray:
+    """Return the map (3, 3) from samples, `fine` in a step each way, to the pixels of a quad."""
+    samples = (grid.corners + 0.5) * fine - 0.5
+    return np.asarray(cv2.getPerspectiveTransform(np.float32(samples), np.float32(quad)))
+
+
+def _steps(gray: np.ndarray, to_pixels: np.ndarray, fine: int, count: int) -> np.ndarray:
+    """Return the brightness (count,) of the steps of a tag."""
+    size = round(count**0.5)
+    samples = cv2.warpPerspective(
+        gray,
+        to_pixels,
+        (size * fine, size * fine),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return cv2.resize(samples, (size, size), interpolation=cv2.INTER_AREA).ravel().astype(float)
+
+
+def brightness_at(gray: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return the brightness (n, P) at pixels (n, P, 2); the border is continued outward."""
+    at = at.astype(np.float32)
+    return cv2.remap(gray, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _bounded(blur: np.ndarray) -> np.ndarray:
+    """Return the covariances (n, 2, 2) of blurs, not sharper or wider than can be matched."""
+    sizes, axes = np.linalg.eigh(np.nan_to_num(blur))
+    sizes = np.clip(sizes, _LEAST_BLUR**2, _MOST_BLUR**2)
+    return np.asarray((axes * sizes[:, None]) @ np.swapaxes(axes, 1, 2))
+
+
+def _columns(grid: _Grid, code: np.ndarray, blur: np.ndarray) -> np.ndarray:
+    """
+    Return what the brightness changes by (n, 15, P): corners, blur, contrast, shade, level.
+
+    The first four are x of the corners, then y, in steps; three are the covariance of the blur.
+    """
+    damping = (blur[:, (0, 0, 1), (0, 1, 1), None, None] * grid.waves[3:].real).sum(axis=1)
+    spectrum = (code * np.exp(damping))[:, None] * grid.waves
+    drawn = np.fft.irfft2(spectrum, s=(code.shape[1], code.shape[1]))
+    rows = slice(_DRAWN - _MATCHED, _MATCHED - _DRAWN)
+    drawn = drawn[..., rows, rows].reshape(len(code), 6, -1)
+    right, down = (grid.shares * drawn[:, k : k + 1] for k in (1, 2))
+    contrast = drawn[:, :1]
+    level = np.ones_like(contrast)
+    return np.concatenate(
+        (right, down, drawn[:, 3:], contrast, contrast * grid.shade, level), axis=1
+    )
+
+
+def _least_squares(columns: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the shares (n, K) of columns (n, K, P) in what is seen (n, P), and their sum."""
+    normal = columns @ np.swapaxes(columns, 1, 2)
+    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(len(normal[0]))
+    values = np.linalg.solve(normal, columns @ seen[..., None])[..., 0]
+    return values, (values[:, None] @ columns)[:, 0]
