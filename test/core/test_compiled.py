@@ -114,8 +114,8 @@ def test_derivatives_are_those_of_the_reference(case: str) -> None:
         found, expected = both(rng, poses, 1e-3, length, how['left_out'])
         # Motion is more deviations in blocks, and what a model leaves the difference of squares.
         # Segments are weighted by evidence, a difference of large squares.
-        least = 3e-8 if 'rebound' in case else 1e-9
-        compare(found, expected, least if samples <= 128 else 1e-7)
+        is_less_exact = samples > 128 or 'rebound' in case
+        compare(found, expected, 1e-7 if is_less_exact else 1e-9)
 
 
 @pytest.mark.parametrize('case', ['even', 'lost frames', 'poor poses'])
