@@ -49,13 +49,15 @@ class Outcome(NamedTuple):
     What was found at the frames `frames` (M,) of a recording, by quantity and body.
 
     `error` (M, B), NaN where undetermined or too far off to count, `square` (M, B), the squared
-    error over the covariance; `said` are the words of diagnostics.
+    error over the covariance; `said` are the words of diagnostics, and `events` the body and the
+    stamp of each event that was searched and found.
     """
 
     frames: np.ndarray
     error: dict[str, np.ndarray]
     square: dict[str, np.ndarray]
     said: set[str]
+    events: list[tuple[int, int]]
 
 
 def rig_rows(
@@ -112,24 +114,26 @@ def rig_rows(
     return rows
 
 
-def run(r: Recording, sent: Sent) -> Outcome:
+def run(r: Recording, sent: Sent, events: bool = False) -> Outcome:
     """Run the tracker over what was sent, a second at a time, as diagnostics are made."""
     settings = settings_from(sent.settings)
     tracker, maker = Tracker(settings), DiagnosticsMaker('rig')
     outputs = {row.topic: row for row in result_outputs(r.bodies, settings.plane)}
     said: set[str] = set()
+    happened: list[tuple[int, int]] = []
     none = dict.fromkeys(FIGURES, np.zeros((0, len(r.bodies))))
     parts = [(np.zeros(0, int), none, none)]
     order = np.argsort(sent.stamps, kind='stable')
     seconds = np.floor(r.times[sent.frames]).astype(int)
     for second in np.unique(seconds):
         part = np.flatnonzero(seconds == second)
-        found = tracker.add_parts(_messages(sent, part), 3)
+        found = tracker.add_parts(_messages(sent, part), 3, events)
         last = found[-1] if found else None
         array = maker.make(int(sent.stamps[part[-1]]), tracker, last, 1.0, {})
         if second >= 1:
             said |= _words(array.status)
         for estimate in found:
+            happened += [(event.body, event.stamp) for event in estimate.events]
             place = order[np.searchsorted(sent.stamps[order], estimate.stamp)]
             index = sent.frames[place]
             late = r.times[index] >= WARM_UP
@@ -147,6 +151,7 @@ def run(r: Recording, sent: Sent) -> Outcome:
         {name: np.concatenate([error[name] for error in errors]) for name in FIGURES},
         {name: np.concatenate([square[name] for square in squares]) for name in FIGURES},
         said,
+        happened,
     )
 
 
@@ -220,7 +225,7 @@ def _scores(
         known, ideal_known = np.isfinite(error), np.isfinite(ideal_error)
         both = known & ideal_known
         least = rms(ideal_error, both)
-        enough = (both.sum(axis=0) >= _FEWEST) & (least > _EXACT[name] * _scale(r, name))
+        enough = (both.sum(axis=0) >= _FEWEST) & (least > _EXACT[name] * scale_of(r, name))
         ideal_square = base.square[name]
         with np.errstate(all='ignore'):
             scores[name] = {
@@ -243,7 +248,7 @@ def _at(wanted: np.ndarray, frames: np.ndarray, values: np.ndarray) -> np.ndarra
     return np.asarray(every[wanted])
 
 
-def _scale(r: Recording, name: str) -> np.ndarray:
+def scale_of(r: Recording, name: str) -> np.ndarray:
     """What errors (B,) of a quantity are held against to tell them from rounding."""
     if name == 'ICR':
         return r.size

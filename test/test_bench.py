@@ -206,14 +206,16 @@ def test_constants_are_numbers_as_written_or_made_of_such(
     text = '# Why.\n_A, _B = 3, np.radians(90)\n_C = 2 * _A\n_D = math.tau\n_E = True\n_f = 4\n'
     (room / '_module.py').write_text(text, encoding='utf-8')
     found = constants.constants()
-    assert [(one.name, one.value, one.reason) for one in found] == [
-        ('_A', 3, 'Why.'),
-        ('_B', np.pi / 2, 'Why.'),
-    ]
+    assert [(one.name, one.value) for one in found] == [('_A', 3), ('_B', np.pi / 2)]
     header = room / '_header.h'
-    header.write_text('/* Why. */\n#define A 1e-3\n#define B 4\n', encoding='utf-8')
-    of_c = constants.constants()[0]
-    assert of_c[1:] == ('A', 1e-3, 'Why.', 2, 10, 14)
+    text = '/* Why. */\n#define FIRST 1e-3\nstatic const double SECOND_ONE = 1.5, THIRD = 2;\n'
+    header.write_text(text, encoding='utf-8')
+    of_c = [one[1:] for one in constants.constants() if one.path.endswith('.h')]
+    assert of_c == [
+        ('FIRST', 1e-3, 2, 14, 18),
+        ('SECOND_ONE', 1.5, 3, 33, 36),
+        ('THIRD', 2, 3, 46, 47),
+    ]
     header.unlink()
     # What is no more, or has another value now, is not on the page.
     row: dict[str, Any] = {'module': 'tracking/_module.py', 'half': '–', 'double': '–'}
@@ -221,21 +223,13 @@ def test_constants_are_numbers_as_written_or_made_of_such(
     assert [one['constant'] for one in constants.of_now(rows)] == ['_B']
 
 
-def test_a_constant_of_c_is_changed_where_the_library_is_built(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    root, folder, source = tmp_path / 'root', tmp_path / 'copy', Path('kinpole_ros/core/src')
-    (root / source).mkdir(parents=True)
-    folder.mkdir()
-    (root / source / 'cells.h').write_text('/* Why. */\n#define A 4\n', encoding='utf-8')
-    (root / source / 'grid.h').write_text('', encoding='utf-8')
-    monkeypatch.setattr(constants, '_ROOT', root)
-    built: list[Any] = []
-    monkeypatch.setattr(constants.subprocess, 'run', lambda *_, **given: built.append(given['cwd']))
-    constants._copy(folder, constants.constants()[0], 8)
-    text = (folder / source / 'cells.h').read_text(encoding='utf-8')
-    assert (text, built) == ('/* Why. */\n#define A 8\n', [folder])
-    assert (folder / source / 'grid.h').is_symlink()
+def test_the_effect_of_a_constant_is_its_largest_for_worse_and_for_better() -> None:
+    before = {'error of ω': 1.0, 'error of α': 1.0, 'ω covered': 95.0, 'CPU time': 2.0}
+    assert constants.effect(before, {}) == 'fails'
+    assert constants.effect(before, before | {'CPU time': 2.1}) == ''
+    assert constants.effect(before, before | {'error of ω': 1.01}) == '–'
+    after = {'error of ω': 1.5, 'error of α': 0.5, 'ω covered': 90.0, 'CPU time': 2.0}
+    assert constants.effect(before, after) == '×1.50 error of ω; ×0.50 error of α'
 
 
 def test_pendulum_of_exact_motion_has_its_poles_at_pivot_and_joint() -> None:

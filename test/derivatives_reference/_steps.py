@@ -34,8 +34,8 @@ _WORTH = 3
 _PRIOR, _SIZE_COST = 0.05, 2.4
 # Events in a window at most.
 _MOST_EVENTS = 2
-# Evidence that a candidate gains, and by which it is at most behind another.
-_GAIN, _BEHIND = 8.0, 3.0
+# Evidence that a candidate gains.
+_GAIN = 8.0
 # Evidence after the loss of which shorter lengths of a spectrum are left out.
 _DROP = 8.0
 # Samples on either side of an event.
@@ -302,7 +302,7 @@ def _sets(
     window: Window, samples: Real, seen: Real, lacking: Real, empty: _Set, division: Division
 ) -> list[_Set]:
     """All sets of steps that count: the empty one, and those that explain samples better."""
-    found: dict[int, _Candidate] = {}
+    first = None
     before = None
     for allowed in (np.ones(len(empty.evidence), bool), _slow(window)):
         evidence = np.where(allowed[:, None], empty.evidence, -np.inf)
@@ -312,27 +312,24 @@ def _sets(
         before = models
         screens = [_screen(window, empty, lacking, c, models[c]) for c in range(2)]
         value = evidence.max(axis=0).sum()
-        for order, one in _candidates(window, samples, seen, screens, value).items():
-            if order not in found or one.value > found[order].value:
-                found[order] = one
-    first = max(found, key=lambda order: found[order].value)
-    if found[first].gain < _GAIN:
+        found = _candidates(window, samples, seen, screens, value)
+        order = max(found, key=lambda order: found[order].value)
+        if first is None or found[order].value > first[1].value:
+            first = order, found[order]
+    assert first
+    order, one = first
+    if one.gain < _GAIN:
         return [empty]
-    sets = {
-        order: _extended(window, samples, seen, lacking, empty, order, one)
-        for order, one in found.items()
-        if one.gain >= _GAIN and one.value >= found[first].value - _BEHIND
-    }
-    models = [screen.model for screen in found[first].screens]
-    all_ = [empty, *(one for order, one in sets.items() if order != first)]
-    best = sets[first]
-    # The event that segments show is one more; the first one at other orders is not needed then.
+    models = [screen.model for screen in one.screens]
+    sets = [empty]
+    best = _extended(window, samples, seen, lacking, empty, order, one)
+    # The event that segments show is another one.
     place = nearest_event(window, division, empty.evidence.max(axis=0))
-    if _EDGE <= place <= window.size - _EDGE and place != found[first].at:
-        same = _candidates(window, samples, seen, found[first].screens, 0.0)
+    if _EDGE <= place <= window.size - _EDGE and place != one.at:
+        sets.append(best)
+        same = _candidates(window, samples, seen, one.screens, 0.0)
         order = max(same, key=lambda order: same[order].rank[place])
         one = same[order]._replace(at=place)
-        all_ = [empty, best]
         best = _extended(window, samples, seen, lacking, empty, order, one)
     for _ in range(_MOST_EVENTS - 1):
         screens = [_screen(window, best, lacking, c, models[c]) for c in range(2)]
@@ -341,7 +338,7 @@ def _sets(
         if others[another].gain < _GAIN:
             break
         best = _extended(window, samples, seen, lacking, best, another, others[another])
-    return [*all_, best]
+    return [*sets, best]
 
 
 def _slow(window: Window) -> np.ndarray:

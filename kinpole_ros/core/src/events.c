@@ -18,8 +18,6 @@
 #define SIZE_COST 2.4
 /* Log evidence that a candidate has to add in the screening: below it the prior wins. */
 #define MIN_GAIN 8.0
-/* Log evidence by which a candidate of another order may be behind the best one. */
-#define MAX_EVIDENCE_BEHIND 3.0
 /* Standard deviation of an event's place, samples: an event lies between two samples. By how well
    the samples show the place, up to 3, errors and coverage are the same. */
 #define PLACE_SIGMA 0.5
@@ -247,54 +245,37 @@ search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
     double *scratch;
     TAKE(scratch, (1 + STEP_ORDERS * MAX_ORDERS) * n);
     data = lay_out_screens(n, orders, most, data, screens);
-    Candidate events[STEP_ORDERS + 1];
-    for (int k = 0; k <= STEP_ORDERS; k++)
-        events[k].value = -INFINITY, events[k].gain = 0;
-    screen_window(m, s, w, sets, scratch, screens, events);
-    const Candidate *first = best_candidate(events);
-    if (!(first->gain >= MIN_GAIN))
+    Candidate first = {.value = -INFINITY};
+    screen_window(m, s, w, sets, scratch, screens, &first);
+    if (!(first.gain >= MIN_GAIN))
         return DONE;
     if (divide_window(call, s, d))
         return NO_MEMORY;
+    Set *one = sets + (*number)++;
+    data = add_event(m, sets, &first, orders, block, data, one);
+    add_place_covariance(m, by, sets, &first, w->column_products, scratch, one);
     long long place = nearest_event(d, sets, by->at);
-    if (place >= EDGE_SAMPLES && place <= n - EDGE_SAMPLES && place != first->sample) {
-        const double *gain = first->screens->gain + place;
-        int order = 0;
-        for (int k = 0; k < STEP_ORDERS; k++) {
-            order = gain[k * n] > gain[order * n] ? k : order;
-            if (events + k != first)
-                events[k].gain = 0.0;
-        }
-        events[STEP_ORDERS] = *first, events[STEP_ORDERS].sample = place;
-        events[STEP_ORDERS].order = order;
-        first = events + STEP_ORDERS;
+    if (place >= EDGE_SAMPLES && place <= n - EDGE_SAMPLES && place != first.sample) {
+        evaluate_models(m, s, w, one);
+        const double *gain = first.screens->gain + place;
+        first.sample = place, first.order = 0;
+        for (int k = 1; k < STEP_ORDERS; k++)
+            first.order = gain[k * n] > gain[first.order * n] ? k : first.order;
+        one = sets + (*number)++;
+        data = add_event(m, sets, &first, orders, block, data, one);
+        add_place_covariance(m, by, sets, &first, w->column_products, scratch, one);
     }
-    Set *one = NULL;
-    for (int k = 0; k <= STEP_ORDERS; k++) {
-        if (!(events[k].gain >= MIN_GAIN) || events[k].value < first->value - MAX_EVIDENCE_BEHIND)
-            continue;
-        Set *set = sets + ++*number - 1;
-        data = add_event(m, sets, events + k, orders, block, data, set);
-        add_place_covariance(m, by, sets, events + k, w->column_products, scratch, set);
-        if (events + k == first)
-            one = set;
-        else
-            evaluate_models(m, s, w, set);
-    }
-    for (Screens *of = first->screens; one->events < MAX_EVENTS;) {
+    for (Screens *of = first.screens; one->events < MAX_EVENTS;) {
+        Candidate another = {.value = -INFINITY};
         for (int c = 0; c < 2; c++)
             screen_steps(m, s, w, one, scratch, of->signal + c);
         of->has_sample_weights = 0;
-        Candidate next[STEP_ORDERS];
-        for (int k = 0; k < STEP_ORDERS; k++)
-            next[k].value = -INFINITY;
-        find_candidates(m, w, 0.0, of, next);
-        const Candidate *another = best_candidate(next);
-        if (!(another->gain >= MIN_GAIN))
+        find_candidate(m, w, 0.0, of, &another);
+        if (!(another.gain >= MIN_GAIN))
             break;
         Set *more = sets + *number;
-        data = add_event(m, one, another, orders, block, data, more);
-        add_place_covariance(m, by, one, another, w->column_products, scratch, more);
+        data = add_event(m, one, &another, orders, block, data, more);
+        add_place_covariance(m, by, one, &another, w->column_products, scratch, more);
         *one = *more;
     }
     evaluate_models(m, s, w, one);

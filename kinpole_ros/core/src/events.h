@@ -4,13 +4,13 @@
  * 1. Screening. One model leaves the residual P x of the samples x, with the inverse P of its
  *    covariance. A step b, half a sample before each sample, has the product b' P x, and its size
  *    is estimated as b' P x / b' P b. The products of all steps are cumulative sums of P x. They
- *    give the evidence that a step of each order at each place would add (`find_candidates`). This
+ *    give the evidence that a step of each order at each place would add (`find_candidate`). This
  *    is done with the most probable model, and with the most probable slow one, which leaves steps
  *    in its residual.
- * 2. Evaluation. The best candidate of each order becomes columns of the regression: the step, its
- *    shift in time, and a step of the next derivative. All models are evaluated with them
- *    (`add_event`, `evaluate_models`).
- *    If segments (segments.c) show an event near the instant, it is one more candidate.
+ * 2. Evaluation. The best candidate becomes columns of the regression: the step, its shift in time,
+ *    and a step of the next derivative. All models are evaluated with them (`add_event`,
+ *    `evaluate_models`). If segments (segments.c) show another event near the instant, it is another
+ *    set.
  * 3. Another event is screened with those before in place, up to MAX_EVENTS. The set with it takes
  *    the place of that without.
  * 4. Other places of an event, by their evidence, add to the covariance (`add_place_covariance`).

@@ -19,8 +19,9 @@
 /* Events of processes in a window at most; segments have any number. With 4 the error at events
    is that of 2. */
 #define MAX_EVENTS 2
-/* Sets of events: none, one of each order, and more. Columns of an event. */
-#define MAX_SETS (STEP_ORDERS + 1 + MAX_EVENTS)
+/* Sets of events: none, the likeliest, those with the event that segments show, and the next one of
+   these in the making. Columns of an event. */
+#define MAX_SETS (2 + MAX_EVENTS)
 #define EVENT_COLUMNS 3
 #define MAX_STEPS (EVENT_COLUMNS * MAX_EVENTS)
 

@@ -160,7 +160,7 @@ evidence_gain(const Screen *screen, const Work *w, long long k)
 }
 
 PRIVATE void
-find_candidates(const Models *m, const Work *w, double value, Screens *screens, Candidate *best)
+find_candidate(const Models *m, const Work *w, double value, Screens *screens, Candidate *best)
 {
     long long n = m->count;
     memset(screens->gain, 0, STEP_ORDERS * n * sizeof(double));
@@ -181,19 +181,9 @@ find_candidates(const Models *m, const Work *w, double value, Screens *screens, 
                 at = k;
         double gain = evidence_gain(screens->signal, w, at) +
                       evidence_gain(screens->signal + 1, w, at);
-        Candidate one = {value + gain, gain, at - order * n, order, screens};
-        if (one.value > best[order].value)
-            best[order] = one;
+        if (value + gain > best->value)
+            *best = (Candidate){value + gain, gain, at - order * n, order, screens};
     }
-}
-
-PRIVATE const Candidate *
-best_candidate(const Candidate *candidates)
-{
-    const Candidate *best = candidates;
-    for (int k = 1; k < STEP_ORDERS; k++)
-        best = candidates[k].value > best->value ? candidates + k : best;
-    return best;
 }
 
 PRIVATE char *
@@ -232,6 +222,6 @@ screen_window(const Models *m, const Samples *s, const Work *w, const Set *set, 
             screen_steps(m, s, w, set, scratch, screens->signal + c);
         }
         screens->has_sample_weights = 0;
-        find_candidates(m, w, value, screens, best);
+        find_candidate(m, w, value, screens, best);
     }
 }

@@ -61,20 +61,18 @@ PRIVATE void screen_steps(const Models *m, const Samples *s, const Work *w, cons
    is the square of the estimate. `ratio` is that square over the variance of the estimate. */
 PRIVATE double explained_squares(const Screen *screen, long long k, double *ratio);
 
-/* Find the best place of a step of each order, if it is better than that in `best`. `value` is the
-   log evidence without the step. The gain of a place is without the cost of the size, and has the
+/* Find the best step, of any order and place, if it is better than `best`. `value` is the log
+   evidence without the step. The gain of a place is without the cost of the size, and has the
    approximation z (6 - z) / (6 - 4 z) of -log(1 - z), because there are many places. */
-PRIVATE void find_candidates(const Models *m, const Work *w, double value, Screens *screens,
-                             Candidate *best);
-
-PRIVATE const Candidate * best_candidate(const Candidate *candidates);
+PRIVATE void find_candidate(const Models *m, const Work *w, double value, Screens *screens,
+                            Candidate *best);
 
 /* Lay out the arrays of screens, each for so many columns; returns the end of their memory. */
 PRIVATE char * lay_out_screens(long long n, long long orders, long long columns, char *data,
                                Screens *screens);
 
-/* Find the best event of each order in a window without events, by the most probable models and by
-   the most probable slow ones. */
+/* Find the best event of a window without events, by the most probable models and by the most
+   probable slow ones. */
 PRIVATE void screen_window(const Models *m, const Samples *s, const Work *w, const Set *set,
                            double *scratch, Screens *screens, Candidate *best);
 
