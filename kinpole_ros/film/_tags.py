@@ -38,11 +38,28 @@ _JUMP = 0.5  # of the side: a corner may be so far from where a detector of cont
 
 
 class _Track(NamedTuple):
-    """The last place of a tag: picture, corners (4, 2), and pixels per picture."""
+    """The last picture with a tag, and its corners (4, 2) in that, and in one or two before."""
 
     number: int
-    corners: np.ndarray
-    velocity: np.ndarray
+    places: tuple[np.ndarray, ...]
+
+    def after(self, steps: int) -> np.ndarray:
+        """Return the corners (4, 2) that are expected some pictures later: a parabola's."""
+        last, *before = self.places
+        if not before:
+            return last
+        velocity = last - before[0]
+        if steps == 1 and len(before) > 1:
+            velocity = velocity + last - 2 * before[0] + before[1]
+        return np.asarray(last + steps * velocity)
+
+    def then(self, number: int, corners: np.ndarray) -> '_Track':
+        """Return the track with its next corners (4, 2)."""
+        steps = number - self.number
+        if steps > _KEPT:
+            return _Track(number, (corners,))
+        before = corners + (self.places[0] - corners) / steps
+        return _Track(number, (corners, before, *(self.places[1:2] if steps == 1 else ())))
 
 
 NO_TAGS: tuple[list[int], np.ndarray] = [], np.empty((0, 4, 2))
@@ -66,12 +83,21 @@ class TagFinder:
         self._number += 1
         if not self.family and not self._find_family(gray):
             return NO_TAGS
-        seen = self._near_last_places(gray)
-        if self._number - self._searched >= self._search_step(seen):
+        expected = {
+            tag: track.after(1)
+            for tag, track in self._tracks.items()
+            if track.number == self._number - 1
+        }
+        seen = self._refined(gray, expected)
+        others = self._near_last_places(gray, seen)
+        if self._number - self._searched >= self._search_step(seen | others):
             self._searched = self._number
-            for tag, quad in self._in_whole_picture(gray).items():
-                seen.setdefault(tag, quad)
-        return self._refined(gray, seen)
+            others = self._in_whole_picture(gray) | others
+        seen |= self._refined(gray, {tag: quad for tag, quad in others.items() if tag not in seen})
+        for tag, corners in seen.items():
+            last = self._tracks.get(tag, _Track(-1 - _KEPT, ()))
+            self._tracks[tag] = last.then(self._number, corners)
+        return (list(seen), np.stack(list(seen.values()))) if seen else NO_TAGS
 
     def _find_family(self, gray: np.ndarray) -> bool:
         """Take the first family of which a tag is seen, and return whether there is one."""
@@ -93,18 +119,20 @@ class TagFinder:
             return 1
         return _LOST_STEP if not seen or (lost and min(lost) <= _KEPT) else _SEARCH_STEP
 
-    def _near_last_places(self, gray: np.ndarray) -> dict[int, np.ndarray]:
-        """Return quads (4, 2) of tags near the places where they are expected."""
+    def _near_last_places(
+        self, gray: np.ndarray, known: dict[int, np.ndarray]
+    ) -> dict[int, np.ndarray]:
+        """Return quads (4, 2) of tags, but known ones, near the places where they are expected."""
         seen = {}
         for tag, track in self._tracks.items():
             steps = self._number - track.number
-            if steps > _KEPT:
+            if steps > _KEPT or tag in known:
                 continue
-            expected = track.corners + steps * track.velocity
-            side = np.linalg.norm(track.corners[1] - track.corners[0])
+            expected = track.after(steps)
+            side = np.linalg.norm(track.places[0][1] - track.places[0][0])
             # What was not foreseen grows with what was.
             margin = _MARGIN * side * (1 + 0.5 * (steps - 1))
-            margin += 0.5 * np.linalg.norm(track.velocity) * steps
+            margin += 0.5 * np.linalg.norm((expected - track.places[0]).mean(axis=0))
             low = np.maximum(np.floor(expected.min(axis=0) - margin), 0).astype(int)
             high = np.ceil(expected.max(axis=0) + margin).astype(int)
             part = gray[low[1] : high[1], low[0] : high[0]]
@@ -123,27 +151,16 @@ class TagFinder:
         quads = _read(self._detectors[self.family], gray)
         return {tag: (quad + 0.5) / shrink - 0.5 for tag, quad in quads.items()}
 
-    def _refined(
-        self, gray: np.ndarray, seen: dict[int, np.ndarray]
-    ) -> tuple[list[int], np.ndarray]:
-        """Refine the quads of tags, and keep their places for the next picture."""
-        if not seen:
-            return NO_TAGS
-        quads = np.stack(list(seen.values()))
-        corners = refine_corners(gray, quads, codes(self.family, list(seen)))
-        side = np.linalg.norm(quads[:, 1] - quads[:, 0], axis=-1)
-        moved = np.abs(corners - quads).max(axis=(1, 2))
+    def _refined(self, gray: np.ndarray, quads: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
+        """Return the corners (4, 2) of those tags near quads (4, 2) whose codes match."""
+        if not quads:
+            return {}
+        near = np.stack(list(quads.values()))
+        corners = refine_corners(gray, near, codes(self.family, list(quads)))
+        side = np.linalg.norm(near[:, 1] - near[:, 0], axis=-1)
+        moved = np.abs(corners - near).max(axis=(1, 2))
         good = (moved < _JUMP * side) & (side > _LEAST_SIDE)
-        tags = [tag for tag, is_good in zip(seen, good, strict=True) if is_good]
-        corners = corners[good]
-        for tag, places in zip(tags, corners, strict=True):
-            last = self._tracks.get(tag)
-            velocity = np.zeros(2)
-            if last is not None and self._number - last.number <= _KEPT:
-                steps = self._number - last.number
-                velocity = (places - last.corners).mean(axis=0) / steps
-            self._tracks[tag] = _Track(self._number, places, velocity)
-        return tags, corners
+        return {tag: corners[k] for k, tag in enumerate(quads) if good[k]}
 
 
 def family_of(name: str) -> str:
