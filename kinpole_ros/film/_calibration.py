@@ -21,27 +21,8 @@ def calibrate(path: str | Path, output: str | Path, size: float, family: str = '
     """
     Write the file of the camera that filmed a sheet, uncut and flat, from several sides.
 
-    Parameters
-    ----------
-    path : str or Path
-        The video.
-    output : str or Path
-        The file of the camera, .yaml, as OpenCV writes it.
-    size : float
-        Side of the black square of a tag of the sheet, m.
-    family : str
-        A key of `FAMILIES`, or 'auto'.
-
-    Returns
-    -------
-    str
-        What was found, in a line.
-
-    Raises
-    ------
-    FilmError
-        If the sheet is not seen often enough, or the views do not determine the camera.
-
+    `size` is that of its tags, m. Returns what was found, in a line. Raises FilmError if the sheet
+    is not seen often enough, or the views do not determine the camera.
     """
     objects, images, picture = _views(Video(path), size, family)
     if len(objects) < _LEAST_VIEWS:

@@ -22,13 +22,12 @@ _SOFT = 1.0  # pixels, the blur by which slopes are those of the dot and not of 
 _ROUNDS, _PASSES = 20, 3
 _LEAST_MATCH = 0.85  # correlation with the picture in which the dot was chosen
 _LEAST_UNIQUE = 0.1  # correlation that the best place of a lost dot has more than others
-_BACK = 0.25  # of the patch: farther off, forward and back again, the flow is not that of the dot
+_BACK = 0.25  # of the patch: forward and back again, flow farther off led to another dot
 _TURNS = 24  # of a patch, in which a lost dot is searched
 _MOST_STRETCHED = 0.3  # logarithm of the scale
 _LEAST_OF_CONTRAST = 0.4  # of the chosen dot
 _FARTHEST = 0.25  # of the picture's width, from where a dot was lost
 _LARGE = 80.0  # pixels; farther away it is searched in every second pixel
-_SEARCH_STEP, _JUST_LOST = 4, 15  # pictures between searches for a dot that is lost for longer
 _SOME_TURNS, _ROUND_MATCH = (0.6, 1.2, 1.8), 0.95  # a round dot matches itself after them
 _ROUND = 0.01  # of the slopes, by which a turn is taken for none where little tells of it
 _EXACT = 0.003  # pixels
@@ -136,8 +135,6 @@ class Dots:
         is_good &= (self._lost == 0) & (match > _LEAST_MATCH)
         for k in np.flatnonzero(~is_good).tolist():
             self._lost[k] += 1
-            if self._lost[k] > _JUST_LOST and self._lost[k] % _SEARCH_STEP:
-                continue
             again = self._search(soft, k, found.places[is_good])
             if again is not None:
                 for values, value in zip(found, again, strict=True):

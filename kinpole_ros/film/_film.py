@@ -22,24 +22,8 @@ def read_film(
     """
     Find the tags of a film, follow chosen dots, and place them in the plane of motion.
 
-    Parameters
-    ----------
-    path : str or Path
-        The video.
-    options : FilmOptions, optional
-        What it does not tell.
-    progress : callable, optional
-        Called with the fraction done.
-
-    Returns
-    -------
-    Filmed
-
-    Raises
-    ------
-    FilmError
-        If it cannot be read, or shows no tags.
-
+    `progress` is called with the fraction done. Raises FilmError if the film cannot be read, or
+    shows no tags.
     """
     options = options or FilmOptions()
     options.check()
@@ -56,23 +40,9 @@ def film_to_bag(
     progress: Progress | None = None,
 ) -> Filmed:
     """
-    Write the tags and dots of a film to a bag, as visualization_msgs/MarkerArray on /markers.
+    Write the tags and dots of a film to an .mcap bag, as MarkerArray on /markers, and return them.
 
-    Parameters
-    ----------
-    path : str or Path
-        The video.
-    output : str or Path
-        The .mcap file.
-    options : FilmOptions, optional
-        What the film does not tell.
-    progress : callable, optional
-        Called with the fraction done.
-
-    Returns
-    -------
-    Filmed
-
+    The arguments, and the errors, are those of `read_film`.
     """
     filmed = read_film(path, options, progress)
     flat = filmed.places

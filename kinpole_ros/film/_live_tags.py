@@ -98,21 +98,8 @@ def live_pictures(source: str) -> Iterator[Picture]:
     """
     Yield the pictures of a camera, or of a video at its pace, with stamps from the first one on.
 
-    Parameters
-    ----------
-    source : str
-        The number of a camera, as 0; its device, as /dev/video0; or a video.
-
-    Yields
-    ------
-    Picture
-        The next picture, as soon as it is there. The stamps of a camera are those of receipt.
-
-    Raises
-    ------
-    FilmError
-        If it cannot be opened.
-
+    `source` is the number of a camera, its device, as /dev/video0, or a video. The stamps of a
+    camera are those of receipt. Raises FilmError if it cannot be opened.
     """
     if source.isdigit() or source.startswith('/dev/'):
         with closing(_camera_pictures(source)) as pictures:  # type: ignore[type-var]

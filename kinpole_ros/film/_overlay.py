@@ -54,24 +54,8 @@ def write_overlay(
     """
     Write a film again with shapes drawn over it, as .mp4.
 
-    Parameters
-    ----------
-    path : str or Path
-        The video.
-    filmed : Filmed
-        What `read_film` found in it.
-    shapes_at : callable
-        Returns the shapes at a stamp, ns.
-    output : str or Path
-        The video to write.
-    progress : callable, optional
-        Called with the fraction done.
-
-    Raises
-    ------
-    FilmError
-        If the video cannot be written.
-
+    `filmed` was found in it, `shapes_at` returns the shapes at a stamp, ns, and `progress` is
+    called with the fraction done. Raises FilmError if the video cannot be written.
     """
     with whole_file(output) as part:
         try:
@@ -113,22 +97,9 @@ def _encode(
 
 def write_picture(path: str | Path, at: float, output: str | Path) -> float:
     """
-    Write a picture of a film with a grid of its pixels, as .png.
+    Write the first picture from an instant on, s, with a grid of its pixels, as .png.
 
-    Parameters
-    ----------
-    path : str or Path
-        The video.
-    at : float
-        The first picture from this instant on is written, s.
-    output : str or Path
-        The picture to write.
-
-    Returns
-    -------
-    float
-        Its instant, s.
-
+    Returns its instant, s.
     """
     for picture in Video(path).pictures():
         if picture.stamp >= at * 1e9 - SAME_STAMP:
@@ -172,25 +143,10 @@ def straightened(
     path: str | Path, filmed: Filmed, stamps: np.ndarray, progress: Progress | None = None
 ) -> dict[str, Any]:
     """
-    Return the pictures of a film as the plane of motion, for a page.
+    Return the pictures of a film as the plane of motion, for a page with instants (T,), ns.
 
-    Parameters
-    ----------
-    path : str or Path
-        The video.
-    filmed : Filmed
-        What `read_film` found in it.
-    stamps : ndarray
-        The instants (T,) of the page, ns.
-    progress : callable, optional
-        Called with the fraction done.
-
-    Returns
-    -------
-    dict
-        `x`, `y`, `width`, `height`, m, from the lower left; `pictures`, JPEGs in base64; and `at`,
-        the picture of each instant.
-
+    `x`, `y`, `width` and `height` are m, from the lower left; `pictures` are JPEGs in base64, and
+    `at` is the picture of each instant.
     """
     low, high = _box(filmed)
     wide = max(filmed.picture[0] / 2, _PAGE_WIDTH)

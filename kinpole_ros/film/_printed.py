@@ -32,26 +32,9 @@ class _Mark(NamedTuple):
 
 def print_sheet(path: str | Path, size: float, family: str = 'auto') -> int:
     """
-    Write a sheet of tags, one for the ground and two a link; return their number.
+    Write a sheet of tags of a size, m, as .svg or .pdf: one for the ground and two a link.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file, .svg or .pdf.
-    size : float
-        Side of the black square of a tag, m.
-    family : str
-        A key of `FAMILIES`; 'auto' is the first.
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    FilmError
-        If not three tags fit, or there is no such family.
-
+    Returns their number. Raises FilmError if not three tags fit, or there is no such family.
     """
     family = family_of(family) or next(iter(FAMILIES))
     marks, places = _header(size, family), sheet_places(size)

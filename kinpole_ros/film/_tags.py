@@ -1,11 +1,11 @@
 """
-Tags in the pictures of a film: near their last places in each picture, anywhere now and then.
+Tags in the pictures of a film.
 
-OpenCV reads the codes. The corners are then those by which a code fits the picture.
+OpenCV finds tags and reads their codes, in the whole picture, now and then. From picture to picture
+they are followed by their codes, which match also where blur hides them from OpenCV.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -24,25 +24,14 @@ FAMILIES = {
     '4x4_50': cv2.aruco.DICT_4X4_50,
 }
 _SEARCH_STEP = 12  # pictures between searches of the whole picture
-_LOST_STEP = 4  # the same while a tag is lost
-_JUST_LOST = 2  # pictures for which each whole picture is searched for it
-_UNKNOWN_STEP = 5  # the same until the family is known
+_LOST_STEP, _LONG_LOST = 4, 10  # the same after a tag was lost, for so many pictures
+_JUST_LOST = 2  # pictures that are all searched for it
+_UNKNOWN_STEP = 5  # pictures between searches until the family is known
 _LONGEST_SIDE = 2000  # pixels in which the whole picture is searched
-_KEPT = 10  # pictures for which a lost tag is searched near its last place
-_MARGIN = 0.7  # of the side of a tag, around its expected place
 _CORRECTED = 0.4  # of the wrong bits that the family can correct
 _LEAST_SIDE = 10.0  # pixels
-# Perimeters of tags over the longer side of what is searched: smaller squares are not looked at.
-_LEAST_OF_WHOLE, _LEAST_OF_PART = 0.03, 0.8
+_LEAST_PERIMETER = 0.03  # of the longer side of the picture: smaller squares are not looked at
 _JUMP = 0.5  # of the side: a corner may be so far from where a detector of contours saw it
-
-
-class _Track(NamedTuple):
-    """The last place of a tag: picture, corners (4, 2), and pixels per picture."""
-
-    number: int
-    corners: np.ndarray
-    velocity: np.ndarray
 
 
 NO_TAGS: tuple[list[int], np.ndarray] = [], np.empty((0, 4, 2))
@@ -56,22 +45,27 @@ class TagFinder:
         self._detectors = {
             name: _detector(name) for name in ([self.family] if self.family else FAMILIES)
         }
-        self._near = {name: _detector(name, _LEAST_OF_PART) for name in self._detectors}
         self._number = -1
-        self._tracks: dict[int, _Track] = {}
-        self._searched = -_SEARCH_STEP
+        self._places: dict[int, list[np.ndarray]] = {}  # in the last picture, and in two before
+        self._searched, self._lost = -_SEARCH_STEP, -_LONG_LOST  # pictures
 
     def find(self, gray: np.ndarray) -> tuple[list[int], np.ndarray]:
         """Return the numbers of the n tags in the next picture, and their corners (n, 4, 2)."""
         self._number += 1
         if not self.family and not self._find_family(gray):
             return NO_TAGS
-        seen = self._near_last_places(gray)
-        if self._number - self._searched >= self._search_step(seen):
+        seen = self._refined(gray, {tag: _next(places) for tag, places in self._places.items()})
+        if len(seen) < len(self._places):
+            self._lost = self._number
+        if self._number - self._searched >= self._search_step(bool(seen)):
             self._searched = self._number
-            for tag, quad in self._in_whole_picture(gray).items():
-                seen.setdefault(tag, quad)
-        return self._refined(gray, seen)
+            others = self._in_whole_picture(gray)
+            quads = {tag: quad for tag, quad in others.items() if tag not in seen}
+            seen |= self._refined(gray, quads)
+        self._places = {
+            tag: [corners, *self._places.get(tag, [])[:2]] for tag, corners in seen.items()
+        }
+        return (list(seen), np.stack(list(seen.values()))) if seen else NO_TAGS
 
     def _find_family(self, gray: np.ndarray) -> bool:
         """Take the first family of which a tag is seen, and return whether there is one."""
@@ -84,36 +78,12 @@ class TagFinder:
                 return True
         return False
 
-    def _search_step(self, seen: dict[int, np.ndarray]) -> int:
+    def _search_step(self, is_any_seen: bool) -> int:
         """Return the pictures between searches of the whole picture, at the moment."""
-        lost = [
-            self._number - track.number for tag, track in self._tracks.items() if tag not in seen
-        ]
-        if lost and min(lost) <= _JUST_LOST:
+        since = self._number - self._lost
+        if since < _JUST_LOST:
             return 1
-        return _LOST_STEP if not seen or (lost and min(lost) <= _KEPT) else _SEARCH_STEP
-
-    def _near_last_places(self, gray: np.ndarray) -> dict[int, np.ndarray]:
-        """Return quads (4, 2) of tags near the places where they are expected."""
-        seen = {}
-        for tag, track in self._tracks.items():
-            steps = self._number - track.number
-            if steps > _KEPT:
-                continue
-            expected = track.corners + steps * track.velocity
-            side = np.linalg.norm(track.corners[1] - track.corners[0])
-            # What was not foreseen grows with what was.
-            margin = _MARGIN * side * (1 + 0.5 * (steps - 1))
-            margin += 0.5 * np.linalg.norm(track.velocity) * steps
-            low = np.maximum(np.floor(expected.min(axis=0) - margin), 0).astype(int)
-            high = np.ceil(expected.max(axis=0) + margin).astype(int)
-            part = gray[low[1] : high[1], low[0] : high[0]]
-            if min(part.shape) < _LEAST_SIDE:
-                continue
-            quad = _read(self._near[self.family], part).get(tag)
-            if quad is not None:
-                seen[tag] = quad + low
-        return seen
+        return _SEARCH_STEP if is_any_seen and since >= _LONG_LOST else _LOST_STEP
 
     def _in_whole_picture(self, gray: np.ndarray) -> dict[int, np.ndarray]:
         """Return quads (4, 2) of all tags in a picture."""
@@ -123,27 +93,22 @@ class TagFinder:
         quads = _read(self._detectors[self.family], gray)
         return {tag: (quad + 0.5) / shrink - 0.5 for tag, quad in quads.items()}
 
-    def _refined(
-        self, gray: np.ndarray, seen: dict[int, np.ndarray]
-    ) -> tuple[list[int], np.ndarray]:
-        """Refine the quads of tags, and keep their places for the next picture."""
-        if not seen:
-            return NO_TAGS
-        quads = np.stack(list(seen.values()))
-        corners = refine_corners(gray, quads, codes(self.family, list(seen)))
-        side = np.linalg.norm(quads[:, 1] - quads[:, 0], axis=-1)
-        moved = np.abs(corners - quads).max(axis=(1, 2))
+    def _refined(self, gray: np.ndarray, quads: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
+        """Return the corners (4, 2) of those tags near quads (4, 2) whose codes match."""
+        if not quads:
+            return {}
+        near = np.stack(list(quads.values()))
+        corners = refine_corners(gray, near, codes(self.family, list(quads)))
+        side = np.linalg.norm(near[:, 1] - near[:, 0], axis=-1)
+        moved = np.abs(corners - near).max(axis=(1, 2))
         good = (moved < _JUMP * side) & (side > _LEAST_SIDE)
-        tags = [tag for tag, is_good in zip(seen, good, strict=True) if is_good]
-        corners = corners[good]
-        for tag, places in zip(tags, corners, strict=True):
-            last = self._tracks.get(tag)
-            velocity = np.zeros(2)
-            if last is not None and self._number - last.number <= _KEPT:
-                steps = self._number - last.number
-                velocity = (places - last.corners).mean(axis=0) / steps
-            self._tracks[tag] = _Track(self._number, places, velocity)
-        return tags, corners
+        return {tag: corners[k] for k, tag in enumerate(quads) if good[k]}
+
+
+def _next(places: list[np.ndarray]) -> np.ndarray:
+    """Return the corners (4, 2) that follow those of one to three pictures, newest first."""
+    weights = {1: (1,), 2: (2, -1), 3: (3, -3, 1)}[len(places)]  # of a polynomial
+    return np.tensordot(weights, places, axes=1)
 
 
 def family_of(name: str) -> str:
@@ -162,10 +127,10 @@ def codes(family: str, tags: Sequence[int]) -> np.ndarray:
     return np.stack(drawn) / 255
 
 
-def _detector(family: str, least: float = _LEAST_OF_WHOLE) -> 'cv2.aruco.ArucoDetector':
+def _detector(family: str) -> 'cv2.aruco.ArucoDetector':
     parameters = cv2.aruco.DetectorParameters()
     parameters.errorCorrectionRate = _CORRECTED
-    parameters.minMarkerPerimeterRate = least
+    parameters.minMarkerPerimeterRate = _LEAST_PERIMETER
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(FAMILIES[family]), parameters)
 
 
