@@ -10,6 +10,14 @@
 #define ARM_COST 10.0
 /* Turning exceeds that by the noise of the angle so many times. */
 #define MIN_TURNING 16.0
+/* The polynomials of the last window without missing samples, of so many samples and with this
+   instant: the next one may need the same. */
+typedef struct {
+    long long count;
+    double at;
+    Polynomials polynomials;
+} KeptPolynomials;
+
 /* The signals: both coordinates of the position, and cosine and sine of the angle. */
 enum { TURNED = 2 };
 
@@ -50,26 +58,37 @@ PRIVATE int
 find_hub(Call *call, const Stencils *by, double radians, double least, Samples *s, Hub *hub)
 {
     long long n = s->count;
-    char *data = kinpole_buffer(call, OF_HUB, (MAX_POLYNOMIALS + 6) * n * sizeof(double));
-    double length = 0.0, *root, *signal[4], *moved[2];
-    if (!data)
+    double length = 0.0, *root, *signal[4], *moved[2], at = by->at;
+    int is_even = 1;
+    KeptPolynomials *kept = kinpole_buffer(
+        call, OF_HUB, sizeof *kept + (MAX_POLYNOMIALS + 6) * n * sizeof(double));
+    if (!kept)
         return NO_MEMORY;
+    char *data = (char *)(kept + 1);
     TAKE(root, MAX_POLYNOMIALS * n);
     for (int k = 0; k < 4; k++)
         TAKE(signal[k], n);
     TAKE(moved[0], n), TAKE(moved[1], n);
     for (long long t = 0; t < n; t++) {
-        double angle = s->x[0][t] * radians;
-        root[t] = sqrt(smaller(s->weight[0][t], s->weight[1][t])), length += root[t] > 0.0;
-        signal[0][t] = root[t] * s->x[1][t], signal[1][t] = root[t] * s->x[2][t];
+        double angle = s->x[0][t] * radians, own = smaller(s->weight[0][t], s->weight[1][t]);
+        is_even &= own == 1.0;
+        own = sqrt(own), length += own > 0.0;
+        signal[0][t] = own * s->x[1][t], signal[1][t] = own * s->x[2][t];
         moved[0][t] = cos(angle), moved[1][t] = sin(angle);
-        signal[2][t] = root[t] * moved[0][t], signal[3][t] = root[t] * moved[1][t];
+        signal[2][t] = own * moved[0][t], signal[3][t] = own * moved[1][t];
     }
-    Polynomials p = {.count = MAX_POLYNOMIALS, .length = length};
-    fit_polynomials(root, n, -by->at, 4, &p);
+    Polynomials *p = &kept->polynomials;
+    if (!is_even || n != kept->count || at != kept->at) {
+        for (long long t = 0; t < n; t++)
+            root[t] = sqrt(smaller(s->weight[0][t], s->weight[1][t]));
+        kept->count = is_even ? n : 0, kept->at = at;
+        p->count = MAX_POLYNOMIALS, p->length = length;
+        make_polynomials(root, n, -at, p);
+    }
+    fit_polynomials(root, n, signal[0], 4, p);
     Number product = dot(signal[2], signal[0], n) + dot(signal[3], signal[1], n) +
         I * (dot(signal[2], signal[1], n) - dot(signal[3], signal[0], n));
-    *hub = likeliest_hub(&p, product, radians);
+    *hub = likeliest_hub(p, product, radians);
     if (!(hub->value > least + ARM_COST)) {
         hub->growth = 0.0;
         return DONE;
@@ -80,10 +99,10 @@ find_hub(Call *call, const Stencils *by, double radians, double least, Samples *
     }
     s->x[1] = moved[0], s->x[2] = moved[1];
     double derivatives[MAX_ORDERS][MAX_POLYNOMIALS];
-    differentiate_polynomials(&p, n, by->orders, derivatives);
+    differentiate_polynomials(p, n, by->orders, derivatives);
     for (int o = 0; o < by->orders; o++)
         for (int k = 0; k <= hub->degree; k++)
-            hub->path[o] += derivatives[o][k] * pair_of(p.along[k] + TURNED);
+            hub->path[o] += derivatives[o][k] * pair_of(p->along[k] + TURNED);
     return DONE;
 }
 

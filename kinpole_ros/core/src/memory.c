@@ -21,7 +21,7 @@ kinpole_buffer(Call *call, int which, size_t size)
     Workspace *workspace = call->workspace;
     if (workspace && size > workspace->buffer[which].size) {
         free(workspace->buffer[which].data);
-        workspace->buffer[which].data = malloc(size);
+        workspace->buffer[which].data = calloc(1, size);
         workspace->buffer[which].size = workspace->buffer[which].data ? size : 0;
     }
     return workspace ? workspace->buffer[which].data : NULL;

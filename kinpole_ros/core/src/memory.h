@@ -14,7 +14,7 @@ enum { OF_POSES, OF_GRID, OF_CELLS, OF_WINDOW, OF_MODELS, OF_SETS, OF_SEGMENTS, 
 /* Let an array begin at `data`, and move `data` behind it. */
 #define TAKE(array, size) (array = (void *)data, data += (size) * sizeof *array)
 
-/* Return memory for one purpose, as the last call left it; NULL if there is none. */
+/* Return memory for one purpose, as the last call left it, or zeros; NULL if there is none. */
 void *kinpole_buffer(Call *call, int which, size_t size);
 
 #endif

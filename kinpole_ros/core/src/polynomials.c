@@ -4,14 +4,14 @@
 #include "numbers.h"
 
 PRIVATE void
-fit_polynomials(double *scratch, long long n, double first, int signals, Polynomials *p)
+make_polynomials(double *rows, long long n, double first, Polynomials *p)
 {
     for (int k = 0; k < p->count; k++) {
-        double *own = scratch + k * n;
+        double *own = rows + k * n;
         for (long long t = 0; k && t < n; t++)
             own[t] = own[t - n] * (first + t) / n;
         for (int l = 0; l < k; l++) {
-            const double *other = scratch + l * n;
+            const double *other = rows + l * n;
             p->factor[l][k] = dot(own, other, n);
             for (long long t = 0; t < n; t++)
                 own[t] -= p->factor[l][k] * other[t];
@@ -20,12 +20,16 @@ fit_polynomials(double *scratch, long long n, double first, int signals, Polynom
         for (long long t = 0; t < n; t++)
             own[t] = k < p->length ? own[t] / p->factor[k][k] : 0.0;
     }
-    for (int c = 0; c < signals; c++) {
-        double *signal = scratch + (p->count + c) * n;
+}
+
+PRIVATE void
+fit_polynomials(const double *rows, long long n, double *signal, int signals, Polynomials *p)
+{
+    for (int c = 0; c < signals; c++, signal += n) {
         for (int k = 0; k < p->count; k++) {
-            p->along[k][c] = dot(signal, scratch + k * n, n);
+            p->along[k][c] = dot(signal, rows + k * n, n);
             for (long long t = 0; t < n; t++)
-                signal[t] -= p->along[k][c] * scratch[k * n + t];
+                signal[t] -= p->along[k][c] * rows[k * n + t];
         }
         p->left[c] = dot(signal, signal, n);
     }

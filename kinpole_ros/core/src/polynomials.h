@@ -28,11 +28,13 @@ typedef struct {
     double along[MAX_POLYNOMIALS][MAX_SIGNALS], left[MAX_SIGNALS];
 } Polynomials;
 
-/* Fit polynomials to signals; their `length` and `count` are given. Time is that since the instant,
-   `first` samples at the first one, over the number n of samples. At `scratch` (count + signals, n)
-   the first row are the roots of the weights of the samples, and the last rows the signals, times
-   these, of which what is left remains. */
-PRIVATE void fit_polynomials(double *scratch, long long n, double first, int signals,
+/* Make polynomials, whose `length` and `count` are given, at `rows` (count, n). Time is that since the
+   instant, `first` samples at the first one, over the number n of samples. The first row are the
+   roots of the weights of the samples. */
+PRIVATE void make_polynomials(double *rows, long long n, double first, Polynomials *p);
+
+/* Fit polynomials to signals (signals, n), times the roots of the weights, and leave what is left. */
+PRIVATE void fit_polynomials(const double *rows, long long n, double *signal, int signals,
                              Polynomials *p);
 
 /* Find the derivatives (orders, MAX_POLYNOMIALS) of the polynomials at the instant. */

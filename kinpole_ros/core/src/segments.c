@@ -262,7 +262,8 @@ differentiate_segment(const Stencils *by, const Samples *s, const Division *d, i
         for (int j = 0; j <= part; j++)
             scratch[(COLUMNS + j) * n + t] = root[t] * s->x[part + j][first + t];
     }
-    fit_polynomials(scratch, n, first - by->at, part + 1, &p);
+    make_polynomials(scratch, n, first - by->at, &p);
+    fit_polynomials(scratch, n, scratch + COLUMNS * n, part + 1, &p);
     differentiate_polynomials(&p, n, by->orders, derivatives);
     for (int j = 0; j <= part; j++) {
         left += p.left[j];
