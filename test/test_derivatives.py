@@ -621,6 +621,22 @@ def test_flights_of_four_samples_between_rebounds_are_parabolas() -> None:
     assert (off < 2 * deviation).mean(axis=1).min() > 0.93
 
 
+def test_two_samples_after_its_rate_jumps_a_body_turns_steadily() -> None:
+    """At the newest sample; as a step of acceleration ω has an error of 0.5, α of 41."""
+    noise, count = 5e-5, 900
+    rng = np.random.default_rng(3)
+    cycle, since = np.divmod(np.arange(count) - 0.47, 30)
+    rate = np.where(cycle % 2, 9.0, 4.0)
+    turned = (6.5 * 30 * cycle + np.where(cycle % 2, -75, 0) + rate * since) / 60
+    angle, x, y = noise * rng.normal(size=(3, count, 1))
+    z = x + 1j * y + 1.5 * np.exp(1j * turned)[:, None]
+    now = np.arange(62, count, 30)
+    time = stamps(count, 16_666_667)
+    found = derive(time, angle + turned[:, None], z, noise, now, order=3, count=31, ahead=0)
+    off = found.angle[1:, :, 0] - np.array((rate[now], 0 * now, 0 * now))
+    below(np.sqrt((off**2).mean(axis=1)), (0.02, 1.0, 1.0))
+
+
 # --- stamps, gaps, and what is missing ----------------------------------------------------------
 
 

@@ -40,6 +40,8 @@ _GAIN = 8.0
 _DROP = 8.0
 # Samples on either side of an event.
 _EDGE = 3
+# So many more where steps of acceleration are searched.
+_MORE_EDGE = 2
 # Standard deviation of the place of an event, samples.
 _PLACE = 0.5
 # Steps are screened with the likeliest of the slowest processes of each spectrum, too.
@@ -407,7 +409,10 @@ def _candidates(
             gain += np.maximum(
                 number / 2 * np.log(squares / after) - (c + 1) / 2 * np.log1p(square), 0.0
             )
-        at = _EDGE + int(rank[_EDGE : window.size - _EDGE + 1].argmax())
+        edge = _EDGE + (_MORE_EDGE if order > 1 else 0)
+        if 2 * edge > window.size:
+            continue
+        at = edge + int(rank[edge : window.size - edge + 1].argmax())
         found[order] = _Candidate(value + float(gain[at]), float(gain[at]), at, rank, screens)
     return found
 

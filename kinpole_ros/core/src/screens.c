@@ -175,8 +175,10 @@ find_candidate(const Models *m, const Work *w, double value, Screens *screens, C
         }
     }
     for (int order = 0; order < STEP_ORDERS; order++) {
-        long long at = order * n + EDGE_SAMPLES;
-        for (long long k = at; k <= (order + 1) * n - EDGE_SAMPLES; k++)
+        long long edge = EDGE_SAMPLES + (order > 1 ? MORE_EDGE_SAMPLES : 0), at = order * n + edge;
+        if (2 * edge > n)
+            continue;
+        for (long long k = at; k <= (order + 1) * n - edge; k++)
             if (screens->gain[k] > screens->gain[at])
                 at = k;
         double gain = evidence_gain(screens->signal, w, at) +
