@@ -17,10 +17,9 @@ from kinpole_ros import replay
 from kinpole_ros.bags import read_frames
 from kinpole_ros.film import FilmError, FilmOptions, Lens, LiveTags, film_to_bag, read_film
 from kinpole_ros.film._filmed import Seen
-from kinpole_ros.film._live_tags import newest
 from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._tags import TagFinder
-from kinpole_ros.film._video import Picture, Video
+from kinpole_ros.film._video import Picture, Video, ahead
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.tools.cli import main
 
@@ -296,7 +295,7 @@ def test_pictures_of_a_camera_that_come_too_fast_are_left_out() -> None:
         all_came.set()
         raise FilmError('no more')
 
-    seen = newest(pictures())
+    seen = ahead(pictures(), 1, are_old_left_out=True)
     assert next(seen).stamp == 0
     may_end.set()
     assert all_came.wait(20)
