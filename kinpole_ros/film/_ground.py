@@ -54,8 +54,10 @@ class PlaneMap(NamedTuple):
             points = (x + 1j * y) / w
             return np.asarray(points + (self.foot - points) * height / self.distance)
 
-    def to_pixels(self, points: np.ndarray) -> np.ndarray:
+    def to_pixels(self, points: np.ndarray, height: np.ndarray | float = 0.0) -> np.ndarray:
         """Return the pixels (..., 2) of points (...), complex, m; NaN behind the camera."""
+        nearer = height / self.distance
+        points = (points - nearer * self.foot) / (1 - nearer)
         flat = np.stack((points.real, points.imag), axis=-1)
         numbers = _homogeneous(flat) @ np.linalg.inv(self.matrix).T
         depth = numbers[..., 2:]

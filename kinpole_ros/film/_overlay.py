@@ -35,13 +35,15 @@ class Shape(NamedTuple):
     """
     A line through points (n,), complex, m, in a color (red, green, blue), `width` pixels wide.
 
-    `kind` is 'line'; 'hull', the outline of the points; or 'dot', a disk about each point.
+    `kind` is 'line'; 'hull', the outline of the points; or 'dot', a disk about each point. They are
+    `height` m above the plane.
     """
 
     points: np.ndarray
     color: tuple[int, int, int]
     width: float = 2.0
     kind: str = 'line'
+    height: float = 0.0
 
 
 def write_overlay(
@@ -84,7 +86,7 @@ def _encode(
             picture = np.ascontiguousarray(picture[: len(picture) // 2 * 2])
             picture = np.ascontiguousarray(picture[:, : picture.shape[1] // 2 * 2])
             for shape in shapes_at(stamp):
-                draw_shape(picture, filmed.to_pixels(shape.points, number), shape)
+                draw_shape(picture, filmed.to_pixels(shape.points, number, shape.height), shape)
             if number == 0:
                 stream.height, stream.width = picture.shape[:2]
             drawn = av.VideoFrame.from_ndarray(picture, 'bgr24')

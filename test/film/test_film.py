@@ -148,6 +148,10 @@ def test_a_known_camera_places_tags_at_different_heights() -> None:
     assert rms(place_seen(seen, OPTIONS).corners - exact(film)) > 1.5e-3
     assert np.ptp(list(filmed.heights.values())) == pytest.approx(0.016, abs=2e-3)
     assert 'the heights of tags differ by 1' in filmed.assumed[-1]
+    # What is drawn over a tag is as high as that.
+    high = np.array(list(filmed.heights.values()))[:, None]
+    assert np.abs(filmed.to_pixels(filmed.corners[9], 9, high) - pixels[9]).max() < 0.5
+    assert np.abs(filmed.to_pixels(filmed.corners[9], 9) - pixels[9]).max() > 3
     live = LiveTags(OPTIONS, lens)
     for row in pixels:
         _, places = live.place(list(range(7)), row, SMALL.size, '36h11')
