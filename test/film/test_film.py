@@ -16,9 +16,10 @@ from rendered import FOUR_BAR, Camera, Film, Tag
 from kinpole_ros import replay
 from kinpole_ros.bags import read_frames
 from kinpole_ros.film import FilmError, FilmOptions, Lens, LiveTags, film_to_bag, read_film
+from kinpole_ros.film._corners import refine_corners
 from kinpole_ros.film._filmed import Seen
 from kinpole_ros.film._placing import place_seen
-from kinpole_ros.film._tags import TagFinder
+from kinpole_ros.film._tags import TagFinder, codes
 from kinpole_ros.film._video import Picture, Video, ahead
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.tools.cli import main
@@ -96,6 +97,18 @@ def test_blur_moves_no_corner_and_hides_no_tag() -> None:
     ]
     assert np.sqrt(np.mean(np.square(off))) < 0.1
     assert np.abs(off).max() < 0.5
+
+
+@pytest.mark.filterwarnings('error')
+def test_pictures_without_tags_have_no_corners() -> None:
+    random = np.random.default_rng(0)
+    ramp = np.tile(np.arange(90, dtype=np.uint8) * 2, (60, 1))
+    noise = random.integers(0, 256, (60, 90)).astype(np.uint8)
+    quads = random.uniform(-40, 130, (20, 4, 2))
+    quads[:3] = quads[:3, :1]
+    quads[3:5] *= 1e4
+    for gray in (noise, ramp, 0 * ramp):
+        assert np.isnan(refine_corners(gray, quads, codes('36h11', range(20)))).all()
 
 
 def test_rates_and_poles_of_the_bag_are_those_of_the_motion(
