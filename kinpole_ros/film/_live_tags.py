@@ -9,7 +9,7 @@ import numpy as np
 
 from kinpole_ros.film._film import gather
 from kinpole_ros.film._filmed import Filmed, FilmOptions, marker_names
-from kinpole_ros.film._ground import off_square
+from kinpole_ros.film._ground import leave_out_hidden
 from kinpole_ros.film._lens import Lens
 from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._tags import TagFinder
@@ -18,7 +18,6 @@ from kinpole_ros.film._video import FilmError, Picture, Video, ahead
 _LEARNED = 45  # pictures from which the map to the plane is learned: a second and a half
 _MOST = 250  # tags
 _QUALITY = 70  # of a JPEG
-_MOST_OFF = 0.05  # of the side: a tag whose corners are farther off their square is partly hidden
 
 
 class LiveTags:
@@ -65,10 +64,9 @@ class LiveTags:
             pixels = self.learned.lens.straight(pixels)
         heights = np.reshape([self.learned.heights.get(tag, 0.0) for tag in tags], (-1, 1))
         corners = self.learned.maps[0].to_plane(pixels, heights)
-        off = np.abs(off_square(corners, self._options.size)).max(axis=1, keepdims=True)
+        leave_out_hidden(corners, self._options.size)
         shown = np.full((len(self._known), 4), np.nan, complex)
-        is_square = off < _MOST_OFF * self._options.size
-        shown[[self._known.index(tag) for tag in tags]] = np.where(is_square, corners, np.nan)
+        shown[[self._known.index(tag) for tag in tags]] = corners
         return marker_names(self._known), shown.ravel()
 
     def _learn(
