@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 
 from kinpole_ros.files import whole_file
-from kinpole_ros.film._lens import Lens
 from kinpole_ros.film._printed import sheet_places
 from kinpole_ros.film._tags import TagFinder
 from kinpole_ros.film._video import FilmError, Video
@@ -39,9 +38,13 @@ def calibrate(path: str | Path, output: str | Path, size: float, family: str = '
             f'{path} determines the focal length to {uncertain / focal:.1%} only; fix: film the '
             'sheet tilted more, and nearer'
         )
-    lens = Lens(matrix, coefficients.ravel())
+    storage = cv2.FileStorage('.yaml', cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.write('image_width', picture[0])
+    storage.write('image_height', picture[1])
+    storage.write('camera_matrix', matrix)
+    storage.write('distortion_coefficients', coefficients)
     with whole_file(output) as part:
-        part.write_text(_camera_file(lens, picture), encoding='utf-8')
+        part.write_text(storage.releaseAndGetString(), encoding='utf-8')
     return (
         f'{len(objects)} views, {float(error):.2g} pixels rms off; focal length {focal:.5g} pixels '
         f'(deviation {uncertain:.2g})'
@@ -72,19 +75,3 @@ def _views(
         images.append(corners[rows].reshape(-1, 2).astype(np.float32))
     step = max(1, -(-len(objects) // _MOST_VIEWS))
     return objects[::step], images[::step], picture
-
-
-def _camera_file(lens: Lens, picture: tuple[int, int]) -> str:
-    def matrix(name: str, values: np.ndarray) -> str:
-        rows, columns = np.atleast_2d(values).shape
-        data = ', '.join(f'{x:.10g}' for x in values.ravel())
-        return (
-            f'{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n'
-            f'   data: [ {data} ]\n'
-        )
-
-    return (
-        f'%YAML:1.0\n---\nimage_width: {picture[0]}\nimage_height: {picture[1]}\n'
-        + matrix('camera_matrix', lens.matrix)
-        + matrix('distortion_coefficients', lens.coefficients)
-    )

@@ -15,22 +15,24 @@ import numpy as np
 from kinpole_ros.film._corners import brightness_at
 from kinpole_ros.film._video import FilmError
 
+# Half and twice as much of each number were measured by four films: round dots, with and without
+# blur, small and strongly compressed, and marks that show their turn.
 _HALVES = (5.0, 7.0, 10.0, 14.0, 20.0, 28.0)  # pixels from a dot to the edge of its patch
-_AROUND = 1.3  # of the smallest patch that has enough contrast
-_LEAST_CONTRAST = 4e3  # squared slopes of a patch, across their weakest direction: to 0.05 pixels
-_SOFT = 1.0  # pixels, the blur by which slopes are those of the dot and not of noise
-_ROUNDS, _PASSES = 20, 3
-_LEAST_MATCH = 0.85  # correlation with the picture in which the dot was chosen
-_LEAST_UNIQUE = 0.1  # correlation that the best place of a lost dot has more than others
+_AROUND = 1.3  # of the smallest patch that has enough contrast; else dots are taken for others
+_LEAST_CONTRAST = 4e3  # squared slopes of a patch, across their weakest direction; no effect
+_SOFT = 1.0  # pixels, the blur by which slopes are those of the dot; else small dots are lost
+_ROUNDS, _PASSES = 20, 3  # 10 rounds lose a small dot, 1 pass errs by 0.15 pixels and not 0.05
+_LEAST_MATCH = 0.85  # correlation with the chosen picture; 0.7 takes others for small dots
+_LEAST_UNIQUE = 0.1  # correlation that the best place of a lost dot has more than others; as above
 _BACK = 0.25  # of the patch: forward and back again, flow farther off led to another dot
-_TURNS = 24  # of a patch, in which a lost dot is searched
-_MOST_STRETCHED = 0.3  # logarithm of the scale
-_LEAST_OF_CONTRAST = 0.4  # of the chosen dot
-_FARTHEST = 0.25  # of the picture's width, from where a dot was lost
-_LARGE = 80.0  # pixels; farther away it is searched in every second pixel
+_TURNS = 24  # of a patch, in which a lost dot is searched; 12 find a mark 4 pictures later
+_MOST_STRETCHED = 0.3  # logarithm of the scale; 0.15 loses a small dot
+_LEAST_OF_CONTRAST = 0.4  # of the chosen dot; 0.2 takes the wall for blurred dots
+_FARTHEST = 0.25  # of the picture's width, from where a dot was lost; 0.12 finds it later
+_LARGE = 80.0  # pixels; farther away it is searched in every second pixel: time only
 _SOME_TURNS, _ROUND_MATCH = (0.6, 1.2, 1.8), 0.95  # a round dot matches itself after them
-_ROUND = 0.01  # of the slopes, by which a turn is taken for none where little tells of it
-_EXACT = 0.003  # pixels
+_ROUND = 0.01  # of the slopes, by which a turn is none where little tells of it; no effect
+_EXACT = 0.003  # pixels; no effect
 _DISK_RADIUS = 10  # steps
 _STEPS = np.arange(-_DISK_RADIUS, _DISK_RADIUS + 1) / _DISK_RADIUS
 _DISK = np.stack(np.meshgrid(_STEPS, _STEPS), axis=-1).reshape(-1, 2)

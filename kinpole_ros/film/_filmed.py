@@ -111,9 +111,11 @@ class Filmed:
         corners = self.corners.reshape(len(self.stamps), -1)
         return np.column_stack((corners, *self.dots.values()))
 
-    def to_pixels(self, points: np.ndarray, number: int) -> np.ndarray:
+    def to_pixels(
+        self, points: np.ndarray, number: int, height: np.ndarray | float = 0.0
+    ) -> np.ndarray:
         """Return the pixels (..., 2) of points (...), complex, m, in the picture of a number."""
-        pixels = self.maps[min(number, len(self.maps) - 1)].to_pixels(points)
+        pixels = self.maps[min(number, len(self.maps) - 1)].to_pixels(points, height)
         return self.lens.curved(pixels) if self.lens is not None else pixels
 
 

@@ -24,6 +24,7 @@ _FOCAL = 0.01  # the same for the focal length of a calibration, of itself
 _MOST_HEIGHTS = 100  # tags whose heights are fitted
 _STEP = 1e-6  # of a value, for derivatives
 _LEAST_HEIGHT = 2e-3  # of this distance, 2 mm in 1 m: what noise makes of tags at one height
+_MOST_OFF = 0.05  # of the side: a tag whose corners are farther off their square is partly hidden
 _SQUARE = np.array([-1 + 1j, 1 + 1j, 1 - 1j, -1 - 1j]) / 2
 
 
@@ -54,8 +55,10 @@ class PlaneMap(NamedTuple):
             points = (x + 1j * y) / w
             return np.asarray(points + (self.foot - points) * height / self.distance)
 
-    def to_pixels(self, points: np.ndarray) -> np.ndarray:
+    def to_pixels(self, points: np.ndarray, height: np.ndarray | float = 0.0) -> np.ndarray:
         """Return the pixels (..., 2) of points (...), complex, m; NaN behind the camera."""
+        nearer = height / self.distance
+        points = (points - nearer * self.foot) / (1 - nearer)
         flat = np.stack((points.real, points.imag), axis=-1)
         numbers = _homogeneous(flat) @ np.linalg.inv(self.matrix).T
         depth = numbers[..., 2:]
@@ -258,3 +261,10 @@ def off_square(corners: np.ndarray, size: float) -> np.ndarray:
     """Return how far corners (..., 4), complex, are off the nearest square of `size`, m."""
     center, turn = square_poses(corners)
     return corners - center[..., None] - size * turn[..., None] * _SQUARE
+
+
+def leave_out_hidden(corners: np.ndarray, size: float) -> None:
+    """Set the corners (..., 4) of tags that are no squares of `size`, m, to NaN, in place."""
+    with np.errstate(invalid='ignore'):
+        off = np.abs(off_square(corners, size)).max(axis=-1)
+    corners[~(off < _MOST_OFF * size)] = np.nan

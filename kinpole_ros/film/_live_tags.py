@@ -1,27 +1,23 @@
 """The pictures of a camera as they come, and their tags in the plane of motion."""
 
-import queue
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing, suppress
-from typing import Any
+from contextlib import closing
 
 import cv2
 import numpy as np
 
 from kinpole_ros.film._film import gather
 from kinpole_ros.film._filmed import Filmed, FilmOptions, marker_names
-from kinpole_ros.film._ground import off_square
+from kinpole_ros.film._ground import leave_out_hidden
 from kinpole_ros.film._lens import Lens
 from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._tags import TagFinder
-from kinpole_ros.film._video import FilmError, Picture, Video, put, taken
+from kinpole_ros.film._video import FilmError, Picture, Video, ahead
 
 _LEARNED = 45  # pictures from which the map to the plane is learned: a second and a half
 _MOST = 250  # tags
 _QUALITY = 70  # of a JPEG
-_MOST_OFF = 0.05  # of the side: a tag whose corners are farther off their square is partly hidden
 
 
 class LiveTags:
@@ -68,10 +64,9 @@ class LiveTags:
             pixels = self.learned.lens.straight(pixels)
         heights = np.reshape([self.learned.heights.get(tag, 0.0) for tag in tags], (-1, 1))
         corners = self.learned.maps[0].to_plane(pixels, heights)
-        off = np.abs(off_square(corners, self._options.size)).max(axis=1, keepdims=True)
+        leave_out_hidden(corners, self._options.size)
         shown = np.full((len(self._known), 4), np.nan, complex)
-        is_square = off < _MOST_OFF * self._options.size
-        shown[[self._known.index(tag) for tag in tags]] = np.where(is_square, corners, np.nan)
+        shown[[self._known.index(tag) for tag in tags]] = corners
         return marker_names(self._known), shown.ravel()
 
     def _learn(
@@ -103,7 +98,7 @@ def live_pictures(source: str) -> Iterator[Picture]:
     """
     if source.isdigit() or source.startswith('/dev/'):
         with closing(_camera_pictures(source)) as pictures:  # type: ignore[type-var]
-            yield from newest(pictures)
+            yield from ahead(pictures, 1, are_old_left_out=True)
         return
     start = None
     with closing(Video(source).pictures()) as pictures:  # type: ignore[type-var]
@@ -112,33 +107,6 @@ def live_pictures(source: str) -> Iterator[Picture]:
             start = time.monotonic() - picture.stamp * 1e-9 if start is None else start
             time.sleep(max(0.0, start + picture.stamp * 1e-9 - time.monotonic()))
             yield picture
-
-
-def newest(pictures: Iterator[Picture]) -> Iterator[Picture]:
-    """
-    Yield the newest of the pictures that came, without those that came too fast.
-
-    A thread takes them, so that each is stamped when it comes, and none waits behind others.
-    """
-    waiting: queue.Queue[Any] = queue.Queue(1)
-    is_over = threading.Event()
-
-    def take() -> None:
-        end = None
-        try:
-            for picture in pictures:
-                if is_over.is_set():
-                    return
-                with suppress(queue.Empty):
-                    waiting.get_nowait()
-                waiting.put(picture)
-        except Exception as error:
-            end = error
-        put(waiting, end, is_over)
-
-    thread = threading.Thread(target=take, daemon=True)
-    thread.start()
-    yield from taken(waiting, thread, is_over)
 
 
 def _camera_pictures(source: str) -> Iterator[Picture]:

@@ -35,13 +35,15 @@ class Shape(NamedTuple):
     """
     A line through points (n,), complex, m, in a color (red, green, blue), `width` pixels wide.
 
-    `kind` is 'line'; 'hull', the outline of the points; or 'dot', a disk about each point.
+    `kind` is 'line'; 'hull', the outline of the points; or 'dot', a disk about each point. They are
+    `height` m above the plane.
     """
 
     points: np.ndarray
     color: tuple[int, int, int]
     width: float = 2.0
     kind: str = 'line'
+    height: float = 0.0
 
 
 def write_overlay(
@@ -57,42 +59,32 @@ def write_overlay(
     `filmed` was found in it, `shapes_at` returns the shapes at a stamp, ns, and `progress` is
     called with the fraction done. Raises FilmError if the video cannot be written.
     """
-    with whole_file(output) as part:
-        try:
-            _encode(path, filmed, shapes_at, part, progress)
-        except (av.FFmpegError, ValueError) as error:
-            raise FilmError(f'{output} cannot be written ({error}); fix: see to the disk') from None
-
-
-def _encode(
-    path: str | Path,
-    filmed: Filmed,
-    shapes_at: Callable[[int], list[Shape]],
-    part: Path,
-    progress: Progress | None,
-) -> None:
     video = Video(path)
-    with av.open(str(part), 'w', format='mp4') as container:
-        stream: Any = container.add_stream('libx264', rate=round(video.rate) or 30)
-        stream.pix_fmt, stream.options = 'yuv420p', {'crf': '20', 'preset': 'veryfast'}
-        stream.codec_context.time_base = Fraction(1, _TICKS)
-        for number, (stamp, frame) in enumerate(video.frames()):
-            if number == len(filmed.stamps):
-                break
-            picture = upright(frame.to_ndarray(format='bgr24'), frame)
-            # H.264 has half as many colors each way.
-            picture = np.ascontiguousarray(picture[: len(picture) // 2 * 2])
-            picture = np.ascontiguousarray(picture[:, : picture.shape[1] // 2 * 2])
-            for shape in shapes_at(stamp):
-                draw_shape(picture, filmed.to_pixels(shape.points, number), shape)
-            if number == 0:
-                stream.height, stream.width = picture.shape[:2]
-            drawn = av.VideoFrame.from_ndarray(picture, 'bgr24')
-            drawn.pts, drawn.time_base = round(stamp * _TICKS / 1e9), Fraction(1, _TICKS)
-            container.mux(stream.encode(drawn))
-            if progress is not None:
-                progress((number + 1) / len(filmed.stamps))
-        container.mux(stream.encode())
+    try:
+        with whole_file(output) as part, av.open(str(part), 'w', format='mp4') as container:
+            stream: Any = container.add_stream('libx264', rate=round(video.rate) or 30)
+            stream.pix_fmt, stream.options = 'yuv420p', {'crf': '20', 'preset': 'veryfast'}
+            stream.codec_context.time_base = Fraction(1, _TICKS)
+            for number, (stamp, frame) in enumerate(video.frames()):
+                if number == len(filmed.stamps):
+                    break
+                picture = upright(frame.to_ndarray(format='bgr24'), frame)
+                # H.264 has half as many colors each way.
+                height, width = (side // 2 * 2 for side in picture.shape[:2])
+                picture = np.ascontiguousarray(picture[:height, :width])
+                for shape in shapes_at(stamp):
+                    pixels = filmed.to_pixels(shape.points, number, shape.height)
+                    draw_shape(picture, pixels, shape)
+                if number == 0:
+                    stream.height, stream.width = height, width
+                drawn = av.VideoFrame.from_ndarray(picture, 'bgr24')
+                drawn.pts, drawn.time_base = round(stamp * _TICKS / 1e9), Fraction(1, _TICKS)
+                container.mux(stream.encode(drawn))
+                if progress is not None:
+                    progress((number + 1) / len(filmed.stamps))
+            container.mux(stream.encode())
+    except (av.FFmpegError, ValueError) as error:
+        raise FilmError(f'{output} cannot be written ({error}); fix: see to the disk') from None
 
 
 def write_picture(path: str | Path, at: float, output: str | Path) -> float:

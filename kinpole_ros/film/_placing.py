@@ -7,14 +7,12 @@ from kinpole_ros.film._ground import (
     PlaneMap,
     different_views,
     fit_plane,
+    leave_out_hidden,
     map_of_ruler,
-    off_square,
     square_poses,
 )
 from kinpole_ros.film._lens import Lens, read_lens
 
-_MOST_OFF = 8.0  # residuals: a tag whose corners are farther off their square is partly hidden
-_LEAST_OFF = 0.03  # of the side, at least, which blur may well move a corner
 _MOVES = 3.0  # residuals that the ground moves in the picture, if the camera moves
 _SHOWN = 12  # tags or dots that are named
 
@@ -57,7 +55,7 @@ def _place_tags(
     heights = np.append(heights, np.zeros(len(seen.tags) - len(heights)))  # of tags never whole
     corners = plane.to_plane(pixels, heights[:, None])
     pixel = options.size / np.median(np.linalg.norm(np.diff(views, axis=1), axis=-1))
-    _leave_out_hidden(corners, options.size, plane.residual, pixel)
+    leave_out_hidden(corners, options.size)
     maps, ground_text = _on_ground(corners, seen.tags, plane, options, pixel)
     for tag in options.ground:
         if tag in seen.tags:  # it stands still, also where it is hidden
@@ -113,13 +111,6 @@ def _at_one_instant(seen: Seen, pixels: np.ndarray, line_time: float) -> np.ndar
         target = moved[rows]
         moved[rows] = np.where(np.isnan(target), total, target)
     return moved
-
-
-def _leave_out_hidden(corners: np.ndarray, size: float, residual: float, pixel: float) -> None:
-    """Set the corners (T, n, 4) of tags that are no squares to NaN, in place."""
-    with np.errstate(invalid='ignore'):
-        off = np.abs(off_square(corners, size)).max(axis=-1) / pixel
-        corners[off > max(_MOST_OFF * residual, _LEAST_OFF * size / pixel)] = np.nan
 
 
 def _on_ground(

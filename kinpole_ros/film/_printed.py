@@ -99,7 +99,7 @@ def _svg(marks: list[_Mark]) -> str:
     width, height = _PAGE
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{height:g}mm" '
-        f'viewBox="0 0 {width:g} {height:g}">',
+        f'viewBox="0 0 {width:g} {height:g}" shape-rendering="crispEdges">',
         f'<rect width="{width:g}" height="{height:g}" fill="#fff"/>',
     ]
     for x, y, w, h, gray, text in marks:

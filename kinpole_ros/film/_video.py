@@ -64,21 +64,7 @@ class Video:
 
     def frames(self) -> Iterator[tuple[int, Any]]:
         """Yield stamps and frames of the decoder; a thread decodes ahead. Raises FilmError."""
-        waiting: queue.Queue[Any] = queue.Queue(_WAITING)
-        is_over = threading.Event()
-
-        def decode() -> None:
-            try:
-                for item in self._decoded():
-                    if not put(waiting, item, is_over):
-                        return
-                put(waiting, None, is_over)
-            except Exception as error:
-                put(waiting, error, is_over)
-
-        thread = threading.Thread(target=decode, daemon=True)
-        thread.start()
-        yield from taken(waiting, thread, is_over)
+        yield from ahead(self._decoded(), _WAITING)
 
     def _decoded(self) -> Iterator[tuple[int, Any]]:
         first = last = -1
@@ -149,10 +135,37 @@ class Video:
         )
 
 
-def taken(
-    waiting: 'queue.Queue[Any]', thread: threading.Thread, is_over: threading.Event
-) -> Iterator[Any]:
-    """Yield what a thread puts into a queue, until None; raise an error that it puts there."""
+def ahead(items: Iterator[Any], most: int, are_old_left_out: bool = False) -> Iterator[Any]:
+    """
+    Yield items that a thread takes ahead, `most` at a time; an error among them is raised here.
+
+    Where `are_old_left_out`, the thread does not wait: items that came too fast are not yielded.
+    """
+    waiting: queue.Queue[Any] = queue.Queue(most)
+    is_over = threading.Event()
+
+    def put(item: Any) -> None:
+        while not is_over.is_set():
+            with suppress(queue.Full):
+                waiting.put(item, timeout=0.1)
+                return
+
+    def take() -> None:
+        end = None
+        try:
+            for item in items:
+                if are_old_left_out:
+                    with suppress(queue.Empty):
+                        waiting.get_nowait()
+                put(item)
+                if is_over.is_set():
+                    return
+        except Exception as error:
+            end = error
+        put(end)
+
+    thread = threading.Thread(target=take, daemon=True)
+    thread.start()
     try:
         while (item := waiting.get()) is not None:
             if isinstance(item, Exception):
@@ -161,15 +174,6 @@ def taken(
     finally:
         is_over.set()
         thread.join()
-
-
-def put(waiting: 'queue.Queue[Any]', item: Any, is_over: threading.Event) -> bool:
-    """Put an item in a queue, and return True; False when nobody will take it any more."""
-    while not is_over.is_set():
-        with suppress(queue.Full):
-            waiting.put(item, timeout=0.1)
-            return True
-    return False
 
 
 def _brightness(frame: Any) -> np.ndarray:

@@ -38,13 +38,24 @@ def draw_over(
         rig, lines, _ = found_rig(video, bag, None, Path(folder) / 'rig.yaml', None)
         if rig is None:
             raise BagError(f'{video}: {lines[0]}')
-        record, _ = replayed(bag, load_settings(rig), None, None, None, video)
-    write_overlay(video, filmed, shapes_of(record), output, progress)
+        settings = load_settings(rig)
+        record, _ = replayed(bag, settings, None, None, None, video)
+    # The names of markers begin with those of their tags: tag3_1/8.
+    high = {f'tag{tag}': height for tag, height in filmed.heights.items()}
+    heights = {
+        body: float(np.mean([high.get(name.partition('_')[0], 0.0) for name in markers]))
+        for body, markers in settings.bodies.items()
+    }
+    write_overlay(video, filmed, shapes_of(record, heights), output, progress)
     return lines
 
 
-def shapes_of(record: MotionRecord) -> 'Callable[[int], list[Shape]]':
-    """Return a function that returns the shapes at a stamp, ns: none where nothing is known."""
+def shapes_of(record: MotionRecord, heights: dict[str, float]) -> 'Callable[[int], list[Shape]]':
+    """
+    Return a function that returns the shapes at a stamp, ns: none where nothing is known.
+
+    `heights` are those of bodies above the plane, m.
+    """
     places = np.concatenate([record.columns[body, 'position'] for body in record.bodies])
     places = places[np.isfinite(places)]
     extent = float(np.hypot(np.ptp(places.real), np.ptp(places.imag))) if len(places) else 1.0
@@ -64,8 +75,9 @@ def shapes_of(record: MotionRecord) -> 'Callable[[int], list[Shape]]':
         shapes = []
         for b, body in enumerate(record.bodies):
             color = _COLORS[b % len(_COLORS)]
-            shapes += _body(record, body, k, color, _ARROW * extent / (fastest or 1.0))
-            shapes += _pole(record, body, k, color, fixed[body])
+            own = _body(record, body, k, color, _ARROW * extent / (fastest or 1.0))
+            own += _pole(record, body, k, color, fixed[body])
+            shapes += [shape._replace(height=heights[body]) for shape in own]
         return shapes
 
     return shapes_at

@@ -16,11 +16,11 @@ from rendered import FOUR_BAR, Camera, Film, Tag
 from kinpole_ros import replay
 from kinpole_ros.bags import read_frames
 from kinpole_ros.film import FilmError, FilmOptions, Lens, LiveTags, film_to_bag, read_film
+from kinpole_ros.film._corners import refine_corners
 from kinpole_ros.film._filmed import Seen
-from kinpole_ros.film._live_tags import newest
 from kinpole_ros.film._placing import place_seen
-from kinpole_ros.film._tags import TagFinder
-from kinpole_ros.film._video import Picture, Video
+from kinpole_ros.film._tags import TagFinder, codes
+from kinpole_ros.film._video import Picture, Video, ahead
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.tools.cli import main
 
@@ -99,6 +99,18 @@ def test_blur_moves_no_corner_and_hides_no_tag() -> None:
     assert np.abs(off).max() < 0.5
 
 
+@pytest.mark.filterwarnings('error')
+def test_pictures_without_tags_have_no_corners() -> None:
+    random = np.random.default_rng(0)
+    ramp = np.tile(np.arange(90, dtype=np.uint8) * 2, (60, 1))
+    noise = random.integers(0, 256, (60, 90)).astype(np.uint8)
+    quads = random.uniform(-40, 130, (20, 4, 2))
+    quads[:3] = quads[:3, :1]
+    quads[3:5] *= 1e4
+    for gray in (noise, ramp, 0 * ramp):
+        assert np.isnan(refine_corners(gray, quads, codes('36h11', range(20)))).all()
+
+
 def test_rates_and_poles_of_the_bag_are_those_of_the_motion(
     four_bar: tuple[Film, Path], tmp_path: Path
 ) -> None:
@@ -149,6 +161,10 @@ def test_a_known_camera_places_tags_at_different_heights() -> None:
     assert rms(place_seen(seen, OPTIONS).corners - exact(film)) > 1.5e-3
     assert np.ptp(list(filmed.heights.values())) == pytest.approx(0.016, abs=2e-3)
     assert 'the heights of tags differ by 1' in filmed.assumed[-1]
+    # What is drawn over a tag is as high as that.
+    high = np.array(list(filmed.heights.values()))[:, None]
+    assert np.abs(filmed.to_pixels(filmed.corners[9], 9, high) - pixels[9]).max() < 0.5
+    assert np.abs(filmed.to_pixels(filmed.corners[9], 9) - pixels[9]).max() > 3
     live = LiveTags(OPTIONS, lens)
     for row in pixels:
         _, places = live.place(list(range(7)), row, SMALL.size, '36h11')
@@ -296,7 +312,7 @@ def test_pictures_of_a_camera_that_come_too_fast_are_left_out() -> None:
         all_came.set()
         raise FilmError('no more')
 
-    seen = newest(pictures())
+    seen = ahead(pictures(), 1, are_old_left_out=True)
     assert next(seen).stamp == 0
     may_end.set()
     assert all_came.wait(20)
