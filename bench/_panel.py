@@ -23,7 +23,7 @@ from bench._spoil import (
 )
 
 # Bodies of the records, each at its own noise of a marker, m.
-SMOOTH = ('four-bar coupler', 'two sines')
+_SMOOTH = ('four-bar coupler', 'two sines')
 _EVENTS = ('bounce', 'stick-slip')
 _NOISES = (NOISE / 5, NOISE)
 # m, about the mean of the markers.
@@ -45,7 +45,7 @@ _LEAST = {'ω': 1e-5, 'α': 1e-3, 'jerk': 1e-3, 'ICR': 1e-5}
 def _record(rate: float, seconds: float) -> Recording:
     """All bodies side by side; the odd ones have events."""
     known = smooth_motions() | event_motions()
-    names = [name for pair in zip(SMOOTH, _EVENTS, strict=True) for name in pair]
+    names = [name for pair in zip(_SMOOTH, _EVENTS, strict=True) for name in pair]
     times = np.arange(round(rate * seconds)) / rate
     made = [known[name](times + 0.3) for name in names]
     position = np.stack([one.position for one in made], axis=-1)

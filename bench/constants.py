@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bench._markdown import wrapped
-from bench._panel import SMOOTH, inputs, panel
+from bench._panel import inputs, panel
 from bench._rows import Rows, read_rows, write_rows
 from kinpole_ros.core.bindings import library
 
@@ -33,7 +33,7 @@ ROOMS = ('core', 'derivatives', 'tracking')
 PAGE, TABLE = 'constants.md', 'charts/constants.csv'
 _ROOT = Path(__file__).resolve().parent.parent
 # A smaller change of an error, and of the CPU time, is no effect; points of a share.
-_LITTLE, _LITTLE_TIME, _POINTS = 0.1, 0.3, 3.0
+_LITTLE, _LITTLE_TIME, _POINTS = 0.1, 1.0, 3.0
 # Points of a share of reports: an event is several.
 _REPORT_POINTS = 15.0
 # What does not end in so many s hangs.
@@ -44,6 +44,51 @@ _BOUNDS = {
     *('MAX_CELLS', 'MAX_LENGTH', 'MAX_SPECTRA', 'TURN', 'MAX_SIGNALS', 'WIDTH', 'PAIR', 'SETS'),
     *('MOST_ORDER', 'MAX_WINDOWS', '_MOST_LAYOUTS', '_MOST_NOTES', 'FARTHEST_MARKER', 'TINY'),
     *('MOST_MARKERS', 'MOST_PAIRED_BODIES', 'EVENT_COLUMNS', '_MAX_POINTS'),
+}
+
+# Why constants of a file stay that have no effect on the panel.
+_REASONS = {
+    'change_points.c': 'reports over many events and hours',
+    'derive.c': 'bounds of time; the noise prior and few samples count over many cases',
+    'events.c': 'bounds of time; coverage over many events',
+    'evidence.c': 'save time: what is left out weighs less than rounding, or than 1e-5',
+    'follow.c': 'lag of live results',
+    'hub.c': 'noise of the angle is no turning',
+    'polynomials.h': 'coverage over many cases; hubs',
+    'poles.c': 'which poles are told',
+    'samples.c': 'a first guess only',
+    'screens.c': 'save time',
+    'screens.h': 'no event at the ends of a window, or of rounding',
+    'segments.c': 'save time; coverage over many events',
+    'window.c': 'exact samples, long windows, and stamps that the clock has not made even',
+    'window.h': 'the same',
+    '_event_search.py': 'short records',
+    '_models.py': 'exact samples, parabolas, rounding',
+    'bodies.py': 'long records',
+    'candidates.py': 'bounds of time in clouds without names',
+    'center.py': 'pins that move, or are seen for a moment',
+    'clock.py': 'other stamps: ticks, grids, other rates, stalls',
+    'deformation.py': 'soft tissue',
+    'events.py': 'the time of a search',
+    'frame_counter.py': 'stamps with many losses, or in bursts',
+    'grouping.py': 'bodies that are not named',
+    'learn.py': 'shapes that change, and long records',
+    'names.py': 'drivers that name points anew',
+    'noise.py': 'noise that is correlated, or of a single marker',
+    'plane.py': 'planes that are fitted',
+    'pose_points.py': 'poses instead of markers',
+    'posed.py': 'poses instead of markers',
+    'rejection.py': 'markers that are exchanged, held, or far off',
+    'scatter.py': 'soft tissue',
+    'space.py': 'planes that are fitted',
+    'stamp_grid.py': 'stamps on a grid',
+    'state.py': 'long windows',
+    'statistics.py': 'outliers among residuals',
+    'summary.py': 'words of the summary',
+    'thresholds.py': 'few frames, and changes of a body',
+    'tick_evidence.py': 'stamps that are ticks',
+    'timeline.py': 'stamps before the clock is known',
+    'update.py': 'the time of updates',
 }
 
 
@@ -281,24 +326,24 @@ def page(rows: Rows) -> str:
     """The page: constants that affect results, with the size of the effect, then the others."""
     inert = {'', '–'}
     effective = [row for row in rows if not {row['half'], row['double']} <= inert]
-    others = ', '.join(f'`{row["constant"]}`' for row in rows if row not in effective)
+    others = [row for row in rows if row not in effective]
     missing = ', '.join(f'`{one.name}`' for one in constants() if not of_now(rows, [one]))
-    missing = f'Not measured yet: {missing}.' if missing else 'All are measured.'
+    number = len(constants()) - len(rows)
     lines = [
         '# Constants',
         '',
         f'Which constants change results? These {len(effective)}, of {len(rows)} that are measured',
         'in `core/`, `derivatives/` and `tracking/`. Measure a constant again when you change it:',
         '`python -m bench.constants` measures those that are new or have another value, and makes',
-        f'this page. {missing}',
+        f'this page. {number} are not measured yet.',
         '',
         'The columns "half" and "double" show what half or double the value changes most, for the',
         f'worse and for the better: an error by {_LITTLE:.0%} or more, the share of frames with',
         f'results, or within three standard deviations, by {_POINTS:g} points, the share of events',
-        'reported by several events, CPU time by '
-        f'{_LITTLE_TIME:.0%}. The measure is the RMS error of {2 * len(SMOOTH)} bodies with and',
-        'without events, at 200 Hz, and at 60 Hz with late stamps, lost frames, hidden, noisy and',
-        'misplaced markers, and of a four-bar of markers without names. The records are short.',
+        'reported by several events, CPU time by a factor of 2. An empty cell has no difference.',
+        'The measure is the RMS error of bodies with and without events, at 200 Hz, and at 60 Hz',
+        'with late stamps, lost frames, hidden, noisy and misplaced markers, and of a four-bar of',
+        'markers without names. The records are short: one frame may make a large factor.',
         '',
         '| constant | in | value | half | double |',
         '| --- | --- | --- | --- | --- |',
@@ -306,14 +351,16 @@ def page(rows: Rows) -> str:
     for row in effective:
         effects = ' | '.join(str(row[name]).replace('|', '\\|') for name in ('half', 'double'))
         lines.append(f'| `{row["constant"]}` | `{row["module"]}` | {row["value"]:g} | {effects} |')
+    lines += ['', f'Without such an effect are {len(others)}. They stay for:', '']
+    lines += ['| in | constants | reason |', '| --- | --- | --- |']
+    for module in dict.fromkeys(row['module'] for row in others):
+        names = ', '.join(f'`{row["constant"]}`' for row in others if row['module'] == module)
+        lines.append(f'| `{module}` | {names} | {_REASONS[Path(module).name]} |')
     lines += [
         '',
-        f'Without such an effect: {others}. They limit time, protect against input that is not in',
-        'the measurement, or matter only over many cases.',
-        '',
-        'The reason for a value is the comment next to the constant. Bounds of memory and sizes of',
-        'tables are not measured. Nor are those of other packages: they limit files and memory, or',
-        'decide what `discover` and `fit` find.',
+        'The reason for a value is the comment next to the constant. Bounds of memory are not',
+        'measured, nor are those of other packages.',
+        *(['', f'Not measured yet: {missing}.'] if missing else []),
     ]
     return wrapped('\n'.join(lines))
 

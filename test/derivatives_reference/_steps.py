@@ -32,8 +32,6 @@ _ORDERS = (0, 1, 2)
 _WORTH = 3
 # How probable an event is, and the logarithm of the part of all sizes that is as large.
 _PRIOR, _SIZE_COST = 0.05, 2.4
-# Events in a window at most.
-_MOST_EVENTS = 2
 # Evidence that a candidate gains.
 _GAIN = 8.0
 # Evidence after the loss of which shorter lengths of a spectrum are left out.
@@ -44,8 +42,6 @@ _EDGE = 3
 _MORE_EDGE = 2
 # Standard deviation of the place of an event, samples.
 _PLACE = 0.5
-# Steps are screened with the likeliest of the slowest processes of each spectrum, too.
-_SLOWEST = 2
 # The power of the evidence of other places, the logarithm of the least chance, and how near to the
 # instant one of them is, samples.
 _POWER, _LEAST_CHANCE, _NEAR = 0.25, 7.0, 12
@@ -96,7 +92,6 @@ class _Screen(NamedTuple):
 class _Candidate(NamedTuple):
     """An event before the sample `at`, and what one gains at all places (n,), ranked."""
 
-    value: float
     gain: float
     at: int
     rank: Real
@@ -304,53 +299,20 @@ def _sets(
     window: Window, samples: Real, seen: Real, lacking: Real, empty: _Set, division: Division
 ) -> list[_Set]:
     """All sets of steps that count: the empty one, and those that explain samples better."""
-    first = None
-    before = None
-    for allowed in (np.ones(len(empty.evidence), bool), _slow(window)):
-        evidence = np.where(allowed[:, None], empty.evidence, -np.inf)
-        models = evidence.argmax(axis=0)
-        if before is not None and (models == before).all():
-            break
-        before = models
-        screens = [_screen(window, empty, lacking, c, models[c]) for c in range(2)]
-        value = evidence.max(axis=0).sum()
-        found = _candidates(window, samples, seen, screens, value)
-        order = max(found, key=lambda order: found[order].value)
-        if first is None or found[order].value > first[1].value:
-            first = order, found[order]
-    assert first
-    order, one = first
-    if one.gain < _GAIN:
+    models = empty.evidence.argmax(axis=0)
+    screens = [_screen(window, empty, lacking, c, models[c]) for c in range(2)]
+    found = _candidates(window, samples, seen, screens)
+    order = max(found, key=lambda order: found[order].gain)
+    if found[order].gain < _GAIN:
         return [empty]
-    models = [screen.model for screen in one.screens]
-    sets = [empty]
-    best = _extended(window, samples, seen, lacking, empty, order, one)
+    sets = [empty, _extended(window, samples, seen, lacking, empty, order, found[order])]
     # The event that segments show is another one.
     place = nearest_event(window, division, empty.evidence.max(axis=0))
-    if _EDGE <= place <= window.size - _EDGE and place != one.at:
-        sets.append(best)
-        same = _candidates(window, samples, seen, one.screens, 0.0)
-        order = max(same, key=lambda order: same[order].rank[place])
-        one = same[order]._replace(at=place)
-        best = _extended(window, samples, seen, lacking, empty, order, one)
-    for _ in range(_MOST_EVENTS - 1):
-        screens = [_screen(window, best, lacking, c, models[c]) for c in range(2)]
-        others = _candidates(window, samples, seen, screens, 0.0)
-        another = max(others, key=lambda order: others[order].value)
-        if others[another].gain < _GAIN:
-            break
-        best = _extended(window, samples, seen, lacking, best, another, others[another])
-    return [*sets, best]
-
-
-def _slow(window: Window) -> np.ndarray:
-    """Which models (M,) are of the slowest processes of the smooth spectra."""
-    modes, processes = modes_of(*window.models), _processes(window)
-    slow = np.zeros(len(modes.freedom), bool)
-    for spectrum, length, models in processes:
-        longer = sum(one == spectrum and other > length for one, other, _ in processes)
-        slow[models] = longer < _SLOWEST and spectrum >= 0
-    return slow
+    if _EDGE <= place <= window.size - _EDGE and place != found[order].at:
+        order = max(found, key=lambda order: found[order].rank[place])
+        one = found[order]._replace(at=place)
+        sets.append(_extended(window, samples, seen, lacking, empty, order, one))
+    return sets
 
 
 def _screen(window: Window, base: _Set, lacking: Real, c: int, model: int) -> _Screen:
@@ -391,7 +353,7 @@ def _square(window: Window, order: int, screen: _Screen, own: Real) -> tuple[Rea
 
 
 def _candidates(
-    window: Window, samples: Real, seen: Real, screens: list[_Screen], value: float
+    window: Window, samples: Real, seen: Real, screens: list[_Screen]
 ) -> dict[int, _Candidate]:
     """The best step of each order."""
     found = {}
@@ -413,7 +375,7 @@ def _candidates(
         if 2 * edge > window.size:
             continue
         at = edge + int(rank[edge : window.size - edge + 1].argmax())
-        found[order] = _Candidate(value + float(gain[at]), float(gain[at]), at, rank, screens)
+        found[order] = _Candidate(float(gain[at]), at, rank, screens)
     return found
 
 

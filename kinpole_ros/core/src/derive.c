@@ -106,7 +106,7 @@ prepare_window(Call *call, const Models *m, long long orders, const Samples *s, 
         if (a != p)
             parts = 2;
     }
-    long long most = cells + (m->exact ? 0 : MAX_STEPS), pairs = most * (most + 1) / 2;
+    long long most = cells + (m->exact ? 0 : EVENT_COLUMNS), pairs = most * (most + 1) / 2;
     long long half = m->half + LANES, terms = pairs + (3 + orders) * most + 3 * orders + 6;
     long long of_lanes = 3 * m->groups + pairs + 3 * most + half + (3 * orders + 1) * most +
                          6 * SLOPE_ORDERS * (half / LANES);

@@ -33,13 +33,13 @@
 /* Compute what a screen leaves of the columns of a new event: their products with each other, of
    which `squares` are those without the screen, and with the residual of the signal. */
 static void
-find_event_products(const Models *m, const Screen *screen, Set *set, long long begin,
+find_event_products(const Models *m, const Screen *screen, Set *set,
                     double products[][EVENT_COLUMNS], double *squares,
                     double with_residual[][EVENT_COLUMNS])
 {
-    long long n = m->count, number = set->steps - begin, group = screen->model / LANES;
-    const double *columns = set->step_columns + begin * n;
-    const double *coefficients = set->coefficients + (set->cells + begin) * m->rows;
+    long long n = m->count, number = set->steps, group = screen->model / LANES;
+    const double *columns = set->step_columns;
+    const double *coefficients = set->coefficients + set->cells * m->rows;
     const double *shrinkage =
         (const double *)(m->shrinkage + group % m->chunks * m->rows) + screen->model % LANES;
     project_steps(m, group / m->chunks, set);
@@ -69,18 +69,17 @@ find_event_products(const Models *m, const Screen *screen, Set *set, long long b
     }
 }
 
-/* Set the prior standard deviations of the columns of a new event, from the step `begin` on, to the
-   sizes that a screen estimates, each after the columns before it are removed. That of the shift in
-   time is the size of the step times the standard deviation of its place. */
+/* Set the prior standard deviations of the columns of an event to the sizes that a screen estimates,
+   each after the columns before it are removed. That of the shift in time is the size of the step
+   times the standard deviation of its place. */
 static void
-estimate_sizes(const Models *m, const Screen *screen, Set *set, long long begin, int order)
+estimate_sizes(const Models *m, const Screen *screen, Set *set, int order)
 {
-    long long number = set->steps - begin, c = screen->c;
-    long long first = c * set->columns + set->cells + begin;
+    long long number = set->steps, c = screen->c, first = c * set->columns + set->cells;
     double *weight = set->weight + first, *root = set->root + first;
     double products[EVENT_COLUMNS][EVENT_COLUMNS], squares[EVENT_COLUMNS];
     double with_residual[2][EVENT_COLUMNS];
-    find_event_products(m, screen, set, begin, products, squares, with_residual);
+    find_event_products(m, screen, set, products, squares, with_residual);
     for (int k = 0; k < number; k++) {
         double square = products[k][k], size = 0.0;
         if (!(square > MIN_STEP_LEFT * MIN_STEP_LEFT * squares[k]))
@@ -89,7 +88,7 @@ estimate_sizes(const Models *m, const Screen *screen, Set *set, long long begin,
             size += with_residual[j][k] * with_residual[j][k] / (c + 1);
         /* No size is below its standard deviation, where it might be rounding. */
         root[k] = square > 0.0 ? sqrt(larger(size, square)) / square : 0.0;
-        if (set->step[begin + k].order == order - 1)
+        if (set->step[k].order == order - 1)
             root[k] = root[0] * PLACE_SIGMA;
         weight[k] = 1.0;
         double factor = root[k] * root[k] / (1.0 + root[k] * root[k] * square);
@@ -102,48 +101,42 @@ estimate_sizes(const Models *m, const Screen *screen, Set *set, long long begin,
     }
 }
 
-/* Copy a set, and add the columns of an event. The new set is laid out at `data`; returns the end
-   of its memory. */
+/* Make a set with the columns of an event besides those of `none`. It is laid out at `data`; returns
+   the end of its memory. */
 static char *
-add_event(const Models *m, const Set *from, const Candidate *event, long long orders,
-          long long block, char *data, Set *set)
+add_event(const Models *m, const Set *none, const Screens *screens, const Candidate *event,
+          long long orders, long long block, char *data, Set *set)
 {
-    long long n = m->count, cells = from->cells, begin = from->steps, number = 1;
+    long long n = m->count, cells = none->cells, steps = 1;
     /* The shift in time needs the size of the step, so the step is the first. */
     int order[EVENT_COLUMNS] = {event->order};
     if (event->order)
-        order[number++] = event->order - 1;
-    order[number++] = event->order + 1;
-    long long steps = begin + number, columns = cells + steps;
-    data = lay_out_set(m, orders, columns, steps, 2, data, set);
-    set->cells = cells, set->steps = steps, set->events = from->events + 1;
-    set->log_prior =
-        from->log_prior + log(EVENT_PRIOR / (1 - EVENT_PRIOR) / (STEP_ORDERS * n)) - SIZE_COST;
-    memcpy(set->cell, from->cell, cells * sizeof *set->cell);
-    memcpy(set->step, from->step, sizeof set->step);
-    memcpy(set->place_covariance, from->place_covariance, sizeof set->place_covariance);
-    memcpy(set->step_columns, from->step_columns, begin * n * sizeof(double));
-    memcpy(set->coefficients, from->coefficients, from->columns * m->rows * sizeof(double));
+        order[steps++] = event->order - 1;
+    order[steps++] = event->order + 1;
+    data = lay_out_set(m, orders, cells + steps, steps, 2, data, set);
+    set->cells = cells, set->steps = steps;
+    set->log_prior = log(EVENT_PRIOR / (1 - EVENT_PRIOR) / (STEP_ORDERS * n)) - SIZE_COST;
+    memcpy(set->cell, none->cell, cells * sizeof *set->cell);
+    memcpy(set->coefficients, none->coefficients, cells * m->rows * sizeof(double));
     for (int part = 0; part < 2; part++) {
-        long long old = part < from->parts ? part * from->columns : 0;
-        memcpy(set->weight + part * columns, from->weight + old, from->columns * sizeof(double));
-        memcpy(set->root + part * columns, from->root + old, from->columns * sizeof(double));
+        long long old = part < none->parts ? part * cells : 0;
+        memcpy(set->weight + part * set->columns, none->weight + old, cells * sizeof(double));
+        memcpy(set->root + part * set->columns, none->root + old, cells * sizeof(double));
     }
-    double *signals[MAX_STEPS];
-    for (int k = 0; k < steps; k++)
+    double *signals[EVENT_COLUMNS];
+    for (int k = 0; k < steps; k++) {
         signals[k] = set->step_columns + k * n;
-    for (int k = 0; k < number; k++) {
-        set->step[begin + k] = (Step){.place = event->sample - 0.5, .order = order[k]};
-        fill_step_column(set->step + begin + k, n, block, signals[begin + k]);
+        set->step[k] = (Step){.place = event->sample - 0.5, .order = order[k]};
+        fill_step_column(set->step + k, n, block, signals[k]);
     }
     fold(m, signals, steps, set->folded);
     for (int c = 0; c < 2; c++)
-        estimate_sizes(m, event->screens->signal + c, set, begin, event->order);
+        estimate_sizes(m, screens->signal + c, set, event->order);
     return data;
 }
 
 /* Compute the weights of the samples in the derivatives at the instant, by the models of screens
-   with the columns of a set. */
+   with the cells of a set. */
 static void
 find_sample_weights(const Models *m, const Stencils *by, const Set *set, Lanes *lanes,
                     Screens *screens)
@@ -157,33 +150,24 @@ find_sample_weights(const Models *m, const Stencils *by, const Set *set, Lanes *
         /* From a signal of zeros, so these are minus the weights. */
         subtract_model(m, screen->model, by->modes + k % orders * m->rows, weights, lanes, weights);
         for (long long x = 0; x < screen->columns; x++) {
-            double change;
-            if (x < set->cells)
-                change = weights[set->cell[x]];
-            else {
-                const Step *step = set->step + x - set->cells;
-                change = dot(weights, set->step_columns + (x - set->cells) * n, n);
-                if (k % orders <= step->order)
-                    change += step_value(step->order - k % orders, by->at - step->place);
-            }
-            change *= screen->factor[x];
+            double change = weights[set->cell[x]] * screen->factor[x];
             for (long long t = 0; t < n; t++)
                 weights[t] -= change * screen->reduced_columns[x * n + t];
         }
     }
 }
 
-/* Add to a set the covariance of derivatives from the place of its last event: the weighted mean,
-   over the places k, of d d'. Here d is the difference of the derivatives with the event at k from
+/* Add to a set the covariance of derivatives from the place of its event: the weighted mean, over
+   the places k, of d d'. Here d is the difference of the derivatives with the event at k from
    those with it at the best place. Weights are powers of the evidence. */
 static void
-add_place_covariance(const Models *m, const Stencils *by, const Set *from, const Candidate *event,
+add_place_covariance(const Models *m, const Stencils *by, const Set *none, Screens *screens,
                      Lanes *lanes, double *scratch, Set *set)
 {
     long long n = m->count, orders = by->orders, places = n - 2 * EDGE_SAMPLES + 1, best = 0;
-    Screens *screens = event->screens;
+    int order = set->step[0].order;
     double *weight = scratch, *sums = scratch + n, total = 0.0;
-    const double *gain = screens->gain + event->order * n + EDGE_SAMPLES;
+    const double *gain = screens->gain + order * n + EDGE_SAMPLES;
     int is_near = 0;
     for (long long k = 0; k < places; k++)
         best = gain[k] > gain[best] ? k : best;
@@ -196,7 +180,7 @@ add_place_covariance(const Models *m, const Stencils *by, const Set *from, const
     if (!is_near)
         return;
     if (!screens->has_sample_weights)
-        find_sample_weights(m, by, from, lanes, screens);
+        find_sample_weights(m, by, none, lanes, screens);
     for (int c = 0; c < 2; c++) {
         const Screen *screen = screens->signal + c;
         for (long long o = 0; o < orders; o++)
@@ -206,7 +190,7 @@ add_place_covariance(const Models *m, const Stencils *by, const Set *from, const
             double with_best[MAX_ORDERS] = {0.0};
             /* The best place comes first, as the origin of the differences. */
             for (long long i = -1; i < places; i++) {
-                long long k = i < 0 ? best : i, at = event->order * n + k + EDGE_SAMPLES;
+                long long k = i < 0 ? best : i, at = order * n + k + EDGE_SAMPLES;
                 double off[MAX_ORDERS], ratio, size, since = by->at - (k + EDGE_SAMPLES - 0.5);
                 if (weight[k] == 0.0)
                     continue;
@@ -214,7 +198,7 @@ add_place_covariance(const Models *m, const Stencils *by, const Set *from, const
                 size = screen->step_products[j * STEP_ORDERS * n + at] / screen->step_squares[at] *
                     ratio / (1 + ratio);
                 for (long long o = 0; o < orders; o++) {
-                    double here = o > event->order ? 0.0 : step_value(event->order - o, since);
+                    double here = o > order ? 0.0 : step_value(order - o, since);
                     off[o] = size * (here + sums[o * STEP_ORDERS * n + at]) - with_best[o];
                 }
                 if (i < 0)
@@ -232,52 +216,36 @@ PRIVATE int
 search_events(Call *call, const Models *m, const Stencils *by, const Samples *s, const Work *w,
               long long block, Set *sets, int *number, Division *d)
 {
-    long long most = sets->cells + MAX_STEPS, n = m->count, orders = by->orders;
-    size_t of_set = size_of_set(m, orders, most, MAX_STEPS, 2);
-    size_t of_screens = 2 * ((2 + 4 * STEP_ORDERS + most) * n + most) + STEP_ORDERS * n +
+    long long cells = sets->cells, most = cells + EVENT_COLUMNS, n = m->count, orders = by->orders;
+    size_t of_set = size_of_set(m, orders, most, EVENT_COLUMNS, 2);
+    size_t of_screens = 2 * ((2 + 4 * STEP_ORDERS + cells) * n + cells) + STEP_ORDERS * n +
         2 * orders * n;
     size_t of_scratch = (1 + STEP_ORDERS * MAX_ORDERS) * n;
     char *data = kinpole_buffer(
-        call, OF_SETS, (of_scratch + 2 * of_screens) * sizeof(double) + (MAX_SETS - 1) * of_set);
+        call, OF_SETS, (of_scratch + of_screens) * sizeof(double) + (MAX_SETS - 1) * of_set);
     if (!data)
         return NO_MEMORY;
-    Screens screens[2];
+    Screens screens;
     double *scratch;
     TAKE(scratch, (1 + STEP_ORDERS * MAX_ORDERS) * n);
-    data = lay_out_screens(n, orders, most, data, screens);
-    Candidate first = {.value = -INFINITY};
-    screen_window(m, s, w, sets, scratch, screens, &first);
-    if (!(first.gain >= MIN_GAIN))
+    data = lay_out_screens(n, orders, cells, data, &screens);
+    Candidate event = screen_window(m, s, w, sets, scratch, &screens);
+    if (!(event.gain >= MIN_GAIN))
         return DONE;
     if (divide_window(call, s, d))
         return NO_MEMORY;
-    Set *one = sets + (*number)++;
-    data = add_event(m, sets, &first, orders, block, data, one);
-    add_place_covariance(m, by, sets, &first, w->column_products, scratch, one);
+    /* Once more with the event that segments show, if it is another one. */
     long long place = nearest_event(d, sets, by->at);
-    if (place >= EDGE_SAMPLES && place <= n - EDGE_SAMPLES && place != first.sample) {
-        evaluate_models(m, s, w, one);
-        const double *gain = first.screens->gain + place;
-        first.sample = place, first.order = 0;
-        for (int k = 1; k < STEP_ORDERS; k++)
-            first.order = gain[k * n] > gain[first.order * n] ? k : first.order;
-        one = sets + (*number)++;
-        data = add_event(m, sets, &first, orders, block, data, one);
-        add_place_covariance(m, by, sets, &first, w->column_products, scratch, one);
+    for (int is_other = 1; is_other;) {
+        Set *set = sets + (*number)++;
+        data = add_event(m, sets, &screens, &event, orders, block, data, set);
+        add_place_covariance(m, by, sets, &screens, w->column_products, scratch, set);
+        evaluate_models(m, s, w, set);
+        is_other = place >= EDGE_SAMPLES && place <= n - EDGE_SAMPLES && place != event.sample;
+        event = (Candidate){.sample = place};
+        for (int k = 1; k < (is_other ? STEP_ORDERS : 0); k++)
+            if (screens.gain[k * n + place] > screens.gain[event.order * n + place])
+                event.order = k;
     }
-    for (Screens *of = first.screens; one->events < MAX_EVENTS;) {
-        Candidate another = {.value = -INFINITY};
-        for (int c = 0; c < 2; c++)
-            screen_steps(m, s, w, one, scratch, of->signal + c);
-        of->has_sample_weights = 0;
-        find_candidate(m, w, 0.0, of, &another);
-        if (!(another.gain >= MIN_GAIN))
-            break;
-        Set *more = sets + *number;
-        data = add_event(m, one, &another, orders, block, data, more);
-        add_place_covariance(m, by, one, &another, w->column_products, scratch, more);
-        *one = *more;
-    }
-    evaluate_models(m, s, w, one);
     return DONE;
 }

@@ -4,16 +4,13 @@
  * 1. Screening. One model leaves the residual P x of the samples x, with the inverse P of its
  *    covariance. A step b, half a sample before each sample, has the product b' P x, and its size
  *    is estimated as b' P x / b' P b. The products of all steps are cumulative sums of P x. They
- *    give the evidence that a step of each order at each place would add (`find_candidate`). This
- *    is done with the most probable model, and with the most probable slow one, which leaves steps
- *    in its residual.
+ *    give the evidence that a step of each order at each place would add (`screen_window`). This
+ *    is done with the most probable model.
  * 2. Evaluation. The best candidate becomes columns of the regression: the step, its shift in time,
  *    and a step of the next derivative. All models are evaluated with them (`add_event`,
  *    `evaluate_models`). If segments (segments.c) show another event near the instant, it is another
- *    set.
- * 3. Another event is screened with those before in place, up to MAX_EVENTS. The set with it takes
- *    the place of that without.
- * 4. Other places of an event, by their evidence, add to the covariance (`add_place_covariance`).
+ *    set. More events in a window are left to segments.
+ * 3. Other places of an event, by their evidence, add to the covariance (`add_place_covariance`).
  *
  * `search_events` returns the sets, and `differentiate` averages all models with all of them. The
  * evidence of a set less that of the first set, without events, says how sure its events are.
@@ -31,8 +28,7 @@
 #include "samples.h"
 #include "segments.h"
 
-/* Search a window for up to MAX_EVENTS events, and evaluate the models with them. The first of
-   `sets` has no events, and is evaluated already. `number` is the number of sets. */
+/* Search a window for events, and evaluate the models with each. The first of `sets` has no event, and is evaluated already. `number` is the number of sets. */
 PRIVATE int search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
                           const Work *w, long long block, Set *sets, int *number,
                           Division *d);

@@ -51,7 +51,7 @@ add_group(const Models *m, const Stencils *s, long long group, const Work *w, Se
         is_computed = 1;
         memcpy(derivatives, without_columns, 3 * orders * sizeof(Lanes));
         Lanes freedom = m->freedom[group];
-        FOR_VECTORS freedom.part[h] += (double)set->events;
+        FOR_VECTORS freedom.part[h] += (double)(set->steps > 0);
         sums->freedom = multiply_add(sums->freedom, set->probability[group], freedom);
         for (int c = 0; c < 2; c++)
             for (long long k = 0; k < square; k++)

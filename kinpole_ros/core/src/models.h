@@ -16,14 +16,10 @@
 
 /* Derivatives from order 0 on. */
 #define MAX_ORDERS (HIGHEST + 1)
-/* Events of processes in a window at most; segments have any number. With 4 the error at events
-   is that of 2. */
-#define MAX_EVENTS 2
-/* Sets of events: none, the likeliest, those with the event that segments show, and the next one of
-   these in the making. Columns of an event. */
-#define MAX_SETS (2 + MAX_EVENTS)
+/* Sets: without event, with the likeliest, and with the one that segments show. Columns of an
+   event. */
+#define MAX_SETS 3
 #define EVENT_COLUMNS 3
-#define MAX_STEPS (EVENT_COLUMNS * MAX_EVENTS)
 
 /* The models of a window of `count` samples, as `models_of` of _models.py makes them. */
 typedef struct {
@@ -99,18 +95,18 @@ typedef struct {
     Lanes *slopes;          /* scratch (2, SLOPE_ORDERS, 3, half / LANES), of `move_to_grid` */
 } Work;
 
-/* Models with columns: first `cells`, samples with a weight below 1, then `steps` of events. The
+/* Models with columns: first `cells`, samples with a weight below 1, then `steps` of an event. The
    size of a column has a prior of zero mean and variance root^2 / weight. That of a step is the
    estimated size squared, with a weight of 1. That of a sample of weight w is (1 - w) / w, so its
    noise has the variance 1 / w. Weights and roots are by angle and position, (parts, columns), with
    one part if these are equal. */
 typedef struct {
-    long long columns, cells, steps, parts, events;
+    long long columns, cells, steps, parts;
     long long *cell;       /* (cells): the samples */
-    Step step[MAX_STEPS];
-    double log_prior;      /* of the events */
+    Step step[EVENT_COLUMNS];
+    double log_prior;      /* of the event */
     double best_evidence[2];
-    double place_covariance[2][MAX_ORDERS][MAX_ORDERS]; /* from the unknown places of the events */
+    double place_covariance[2][MAX_ORDERS][MAX_ORDERS]; /* from the unknown place of the event */
     double *step_columns;  /* (steps, count) */
     double *folded;        /* (2, steps, half): sums and differences of these, see `fold` */
     double *coefficients;  /* (columns, rows), of the columns in the modes */

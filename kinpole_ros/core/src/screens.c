@@ -8,23 +8,14 @@
 #include "numbers.h"
 #include "samples.h"
 
-/* Lengths of each spectrum that count as slow; slow models leave steps in the residuals. */
-#define SLOW_LENGTHS 2
-
-/* Return the number of the most probable model of a set, or of its slow models. */
+/* Return the number of the most probable model of a set. */
 static long long
-most_probable_model(const Models *m, const Set *set, int c, int slow)
+most_probable_model(const Models *m, const Set *set, int c)
 {
     const double *evidence = (const double *)(set->evidence + c * m->groups);
-    long long process = m->chunks * LANES, best = 0;
-    for (long long k = 0; k < m->groups * LANES; k++) {
-        long long spectrum = m->spectrum[k], slower = k - SLOW_LENGTHS * process;
-        /* Processes of a spectrum begin with the longest. */
-        int is_fast = slower >= 0 && m->spectrum[slower] == spectrum;
-        int is_allowed = !slow || (spectrum < m->spectra && !is_fast);
-        if (is_allowed && evidence[k] > evidence[best])
-            best = k;
-    }
+    long long best = 0;
+    for (long long k = 0; k < m->groups * LANES; k++)
+        best = evidence[k] > evidence[best] ? k : best;
     return best;
 }
 
@@ -93,20 +84,17 @@ sum_products_with_steps(const double *signal, long long count, double *sums)
     }
 }
 
-PRIVATE void
+/* Add the columns of a set to a screen, and screen steps at all places. */
+static void
 screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, double *scratch,
              Screen *screen)
 {
     long long n = m->count, part = set->parts > 1 && screen->c > 0;
     const double *of_model = m->step_squares + screen->model * STEP_ORDERS * n;
-    for (long long x = screen->columns; x < set->columns; x++) {
-        const double *column = scratch;
+    for (long long x = 0; x < set->cells; x++) {
         long long at = part * set->columns + x;
-        if (x < set->cells)
-            memset(scratch, 0, n * sizeof(double)), scratch[set->cell[x]] = 1.0;
-        else
-            column = set->step_columns + (x - set->cells) * n;
-        add_column(m, s, column, set->coefficients + x * m->rows, set->weight[at], set->root[at],
+        memset(scratch, 0, n * sizeof(double)), scratch[set->cell[x]] = 1.0;
+        add_column(m, s, scratch, set->coefficients + x * m->rows, set->weight[at], set->root[at],
                    w->column_products, screen);
         double *products = screen->squared_products; /* free until the columns are added */
         sum_products_with_steps(screen->reduced_columns + x * n, n, products);
@@ -159,9 +147,11 @@ evidence_gain(const Screen *screen, const Work *w, long long k)
     return larger(number / 2 * log(before / after) - (screen->c + 1) * log(1 + ratio) / 2, 0.0);
 }
 
-PRIVATE void
-find_candidate(const Models *m, const Work *w, double value, Screens *screens, Candidate *best)
+/* Find the gains of steps at all places, and return the best. */
+static Candidate
+find_candidate(const Models *m, const Work *w, Screens *screens)
 {
+    Candidate best = {.gain = -INFINITY};
     long long n = m->count;
     memset(screens->gain, 0, STEP_ORDERS * n * sizeof(double));
     for (int c = 0; c < 2; c++) {
@@ -183,47 +173,35 @@ find_candidate(const Models *m, const Work *w, double value, Screens *screens, C
                 at = k;
         double gain = evidence_gain(screens->signal, w, at) +
                       evidence_gain(screens->signal + 1, w, at);
-        if (value + gain > best->value)
-            *best = (Candidate){value + gain, gain, at - order * n, order, screens};
+        if (gain > best.gain)
+            best = (Candidate){gain, at - order * n, order};
     }
+    return best;
 }
 
 PRIVATE char *
 lay_out_screens(long long n, long long orders, long long columns, char *data, Screens *screens)
 {
-    for (int k = 0; k < 2; k++) {
-        TAKE(screens[k].gain, STEP_ORDERS * n), TAKE(screens[k].sample_weights, 2 * orders * n);
-        for (int c = 0; c < 2; c++) {
-            Screen *screen = screens[k].signal + c;
-            screen->c = c;
-            TAKE(screen->residual, 2 * n), TAKE(screen->step_products, 2 * STEP_ORDERS * n);
-            TAKE(screen->squared_products, STEP_ORDERS * n);
-            TAKE(screen->step_squares, STEP_ORDERS * n);
-            TAKE(screen->reduced_columns, columns * n), TAKE(screen->factor, columns);
-        }
+    TAKE(screens->gain, STEP_ORDERS * n), TAKE(screens->sample_weights, 2 * orders * n);
+    for (int c = 0; c < 2; c++) {
+        Screen *screen = screens->signal + c;
+        screen->c = c;
+        TAKE(screen->residual, 2 * n), TAKE(screen->step_products, 2 * STEP_ORDERS * n);
+        TAKE(screen->squared_products, STEP_ORDERS * n);
+        TAKE(screen->step_squares, STEP_ORDERS * n);
+        TAKE(screen->reduced_columns, columns * n), TAKE(screen->factor, columns);
     }
     return data;
 }
 
-PRIVATE void
+PRIVATE Candidate
 screen_window(const Models *m, const Samples *s, const Work *w, const Set *set, double *scratch,
-              Screens *screens, Candidate *best)
+              Screens *screens)
 {
-    for (int slow = 0; slow < 2; slow++, screens++) {
-        double value = 0.0;
-        long long model[2];
-        for (int c = 0; c < 2; c++) {
-            model[c] = most_probable_model(m, set, c, slow);
-            value += ((const double *)(set->evidence + c * m->groups))[model[c]];
-        }
-        if (slow && model[0] == screens[-1].signal[0].model &&
-            model[1] == screens[-1].signal[1].model)
-            break;
-        for (int c = 0; c < 2; c++) {
-            begin_screen(m, s, w, model[c], screens->signal + c);
-            screen_steps(m, s, w, set, scratch, screens->signal + c);
-        }
-        screens->has_sample_weights = 0;
-        find_candidate(m, w, value, screens, best);
+    for (int c = 0; c < 2; c++) {
+        begin_screen(m, s, w, most_probable_model(m, set, c), screens->signal + c);
+        screen_steps(m, s, w, set, scratch, screens->signal + c);
     }
+    screens->has_sample_weights = 0;
+    return find_candidate(m, w, screens);
 }

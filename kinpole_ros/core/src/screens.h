@@ -40,12 +40,11 @@ typedef struct {
     int has_sample_weights;
 } Screens;
 
-/* An event half a sample before `sample`: the log evidence with it, and what it adds to that. */
+/* An event half a sample before `sample`, and the log evidence that it adds. */
 typedef struct {
-    double value, gain;
+    double gain;
     long long sample;
     int order;
-    Screens *screens;
 } Candidate;
 
 /* Compute the residual P x (count) that a model leaves of a signal x with these coefficients. */
@@ -56,27 +55,18 @@ PRIVATE void subtract_model(const Models *m, long long model, const double *coef
    Those with (t + 1/2)^k / k! follow from repeated cumulative sums, in one pass. */
 PRIVATE void sum_products_with_steps(const double *signal, long long count, double *sums);
 
-/* Add the new columns of a set to a screen, and screen steps at all places. */
-PRIVATE void screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set,
-                          double *scratch, Screen *screen);
-
 /* Return by how much a step reduces the residual sum of squares, if the prior variance of its size
    is the square of the estimate. `ratio` is that square over the variance of the estimate. */
 PRIVATE double explained_squares(const Screen *screen, long long k, double *ratio);
-
-/* Find the best step, of any order and place, if it is better than `best`. `value` is the log
-   evidence without the step. The gain of a place is without the cost of the size, and has the
-   approximation z (6 - z) / (6 - 4 z) of -log(1 - z), because there are many places. */
-PRIVATE void find_candidate(const Models *m, const Work *w, double value, Screens *screens,
-                            Candidate *best);
 
 /* Lay out the arrays of screens, each for so many columns; returns the end of their memory. */
 PRIVATE char * lay_out_screens(long long n, long long orders, long long columns, char *data,
                                Screens *screens);
 
-/* Find the best event of a window without events, by the most probable models and by the most
-   probable slow ones. */
-PRIVATE void screen_window(const Models *m, const Samples *s, const Work *w, const Set *set,
-                           double *scratch, Screens *screens, Candidate *best);
+/* Screen steps of all orders at all places of a window, with the most probable models of the set
+   without events, and return the best. The gain of a place is without the cost of the size, and has
+   the approximation z (6 - z) / (6 - 4 z) of -log(1 - z), because there are many places. */
+PRIVATE Candidate screen_window(const Models *m, const Samples *s, const Work *w, const Set *set,
+                                double *scratch, Screens *screens);
 
 #endif
