@@ -12,14 +12,15 @@ import cv2
 import numpy as np
 
 # Steps are those of a grid over a tag. Half and twice as much of each number were measured.
-_STEPS = 3  # a module; 6 take twice the time, and are as accurate; 1 errs six times as much
-_DRAWN = 6  # around a tag: steps that are drawn; no effect
-_MATCHED = 3  # around a tag: steps that are matched; 1 errs twice as much where blur is strong
+_STEPS = 4  # a module; 2 err more, 3 make tags 0.05% too small, 6 take twice the time
+_DRAWN = 2 * _STEPS  # around a tag: steps that are drawn; no effect
+_MATCHED = _STEPS  # around a tag: steps that are matched; a third errs twice as much by blur
 _MOST_ROUNDS = 6  # 3 lose fast tags
 # Steps that a round moves the corners: the last round, and that of a bad fit.
 _STILL, _UNSETTLED = 0.05, 0.3  # no effect on errors; 0.15 loses 2% of strongly blurred tags
 _SOFT = 1.0  # pixels, the blur (standard deviation) of the first round; 0.5 loses as many
-_LEAST_BLUR, _MOST_BLUR = 0.4, 3.0  # steps; no effect, but 1.5 is too little for strong blur
+_LEAST_BLUR = 0.4  # steps: a sharper code rings; no effect
+_MOST_BLUR = _STEPS  # steps; twice has no effect, half is too little for strong blur
 _MOST_FINE = 8  # samples of a step each way, in pictures that are finer
 _MOST_MOVED = 0.1  # of the side, in a round; no effect, but keeps a square a square
 _LEAST_STEP = 8.0  # gray levels from black to white
