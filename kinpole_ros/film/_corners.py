@@ -17,7 +17,7 @@ _DRAWN = 2 * _STEPS  # around a tag: steps that are drawn; no effect
 _MATCHED = _STEPS  # around a tag: steps that are matched; a third errs twice as much by blur
 _MOST_ROUNDS = 6  # 3 lose fast tags
 # Steps that a round moves the corners: the last round, and that of a bad fit.
-_STILL, _UNSETTLED = 0.05, 0.3  # no effect on errors; 0.15 loses 2% of strongly blurred tags
+_STILL, _UNSETTLED = 0.1, 0.3  # no effect on errors; 0.15 loses 2% of strongly blurred tags
 _SOFT = 1.0  # pixels, the blur (standard deviation) of the first round; 0.5 loses as many
 _LEAST_BLUR = 0.4  # steps: a sharper code rings; no effect
 _MOST_BLUR = _STEPS  # steps; twice has no effect, half is too little for strong blur
