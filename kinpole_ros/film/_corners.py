@@ -12,14 +12,15 @@ import cv2
 import numpy as np
 
 # Steps are those of a grid over a tag. Half and twice as much of each number were measured.
-_STEPS = 3  # a module; 6 take twice the time, and are as accurate; 1 errs six times as much
-_DRAWN = 6  # around a tag: steps that are drawn; no effect
-_MATCHED = 3  # around a tag: steps that are matched; 1 errs twice as much where blur is strong
+_STEPS = 4  # a module; 2 err more, 3 make tags 0.05% too small, 6 take twice the time
+_DRAWN = 2 * _STEPS  # around a tag: steps that are drawn; no effect
+_MATCHED = _STEPS  # around a tag: steps that are matched; a third errs twice as much by blur
 _MOST_ROUNDS = 6  # 3 lose fast tags
 # Steps that a round moves the corners: the last round, and that of a bad fit.
-_STILL, _UNSETTLED = 0.05, 0.3  # no effect on errors; 0.15 loses 2% of strongly blurred tags
+_STILL, _UNSETTLED = 0.1, 0.3  # no effect on errors; 0.15 loses 2% of strongly blurred tags
 _SOFT = 1.0  # pixels, the blur (standard deviation) of the first round; 0.5 loses as many
-_LEAST_BLUR, _MOST_BLUR = 0.4, 3.0  # steps; no effect, but 1.5 is too little for strong blur
+_LEAST_BLUR = 0.4  # steps: a sharper code rings; no effect
+_MOST_BLUR = _STEPS  # steps; twice has no effect, half is too little for strong blur
 _MOST_FINE = 8  # samples of a step each way, in pictures that are finer
 _MOST_MOVED = 0.1  # of the side, in a round; no effect, but keeps a square a square
 _LEAST_STEP = 8.0  # gray levels from black to white
@@ -56,7 +57,9 @@ def _grid(modules: int) -> _Grid:
     waves = np.stack(np.broadcast_arrays(1 + 0j, along, down, *blurs))
     inner = np.zeros((side + 2 * _STEPS, side + 2 * _STEPS))
     rim = np.pad(inner, _DRAWN - _STEPS, constant_values=1)
-    return _Grid(corners, np.stack((x, y)) - 0.5, shares, waves, np.fft.rfft2(rim))
+    single = np.float32, np.float32, np.complex64, np.complex64  # half the time
+    arrays = np.stack((x, y)) - 0.5, shares, waves, np.fft.rfft2(rim)
+    return _Grid(corners, *(a.astype(kind) for a, kind in zip(arrays, single, strict=True)))
 
 
 def refine_corners(gray: np.ndarray, quads: np.ndarray, codes: np.ndarray) -> np.ndarray:
@@ -69,7 +72,7 @@ def refine_corners(gray: np.ndarray, quads: np.ndarray, codes: np.ndarray) -> np
     grid, corners = _grid(modules), quads.astype(float)
     white = codes.repeat(_STEPS, axis=1).repeat(_STEPS, axis=2)
     white = np.pad(white, ((0, 0), (_DRAWN, _DRAWN), (_DRAWN, _DRAWN)), constant_values=1)
-    code = np.fft.rfft2(white)
+    code = np.fft.rfft2(white).astype(np.complex64)
     side = np.linalg.norm(np.diff(quads, axis=1), axis=-1).mean(axis=1)
     step = np.maximum(side, 1) / modules / _STEPS
     fine = int(np.clip(np.rint(step.max()), 1, _MOST_FINE))
@@ -112,7 +115,9 @@ def _steps(gray: np.ndarray, to_pixels: np.ndarray, fine: int, count: int) -> np
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    return cv2.resize(samples, (size, size), interpolation=cv2.INTER_AREA).ravel().astype(float)
+    return (
+        cv2.resize(samples, (size, size), interpolation=cv2.INTER_AREA).ravel().astype(np.float32)
+    )
 
 
 def brightness_at(gray: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -134,6 +139,7 @@ def _columns(grid: _Grid, code: np.ndarray, blur: np.ndarray) -> np.ndarray:
 
     The first four are x of the corners, then y, in steps; three are the covariance of the blur.
     """
+    blur = blur.astype(np.float32)
     damping = (blur[:, (0, 0, 1), (0, 1, 1), None, None] * grid.waves[3:].real).sum(axis=1)
     damping = np.exp(damping)[:, None]
     spectrum = np.concatenate((code[:, None] * damping * grid.waves, damping * grid.rim), axis=1)
@@ -151,7 +157,7 @@ def _columns(grid: _Grid, code: np.ndarray, blur: np.ndarray) -> np.ndarray:
 
 def _least_squares(columns: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the shares (n, K) of columns (n, K, P) in what is seen (n, P), and their sum."""
-    normal = columns @ np.swapaxes(columns, 1, 2)
-    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(len(normal[0]))
+    normal = (columns @ np.swapaxes(columns, 1, 2)).astype(float)
+    normal += 1e-8 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(len(normal[0]))
     values = np.linalg.solve(normal, columns @ seen[..., None])[..., 0]
-    return values, (values[:, None] @ columns)[:, 0]
+    return values, (values[:, None].astype(np.float32) @ columns)[:, 0]
