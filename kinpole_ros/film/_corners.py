@@ -24,7 +24,7 @@ _MOST_BLUR = _STEPS  # steps; twice has no effect, half is too little for strong
 _MOST_FINE = 8  # samples of a step each way, in pictures that are finer
 _MOST_MOVED = 0.1  # of the side, in a round; no effect, but keeps a square a square
 _LEAST_STEP = 8.0  # gray levels from black to white
-_LEAST_MATCH = 0.9  # of the variance of a tag that its code explains; a wrong code 0.78 at most
+_LEAST_MATCH = 0.82  # of the variance of a tag that its code explains; a bent or worn one 0.85, a wrong one 0.78
 
 
 class _Grid(NamedTuple):
