@@ -44,6 +44,7 @@ _BOUNDS = {
     *('MAX_CELLS', 'MAX_LENGTH', 'MAX_SPECTRA', 'TURN', 'MAX_SIGNALS', 'WIDTH', 'PAIR', 'SETS'),
     *('MOST_ORDER', 'MAX_WINDOWS', '_MOST_LAYOUTS', '_MOST_NOTES', 'FARTHEST_MARKER', 'TINY'),
     *('MOST_MARKERS', 'MOST_PAIRED_BODIES', 'EVENT_COLUMNS', '_MAX_POINTS'),
+    'MAX_SETS',
 }
 
 # Why constants of a file stay that have no effect on the panel.
