@@ -24,7 +24,8 @@ _MOST_BLUR = _STEPS  # steps; twice has no effect, half is too little for strong
 _MOST_FINE = 8  # samples of a step each way, in pictures that are finer
 _MOST_MOVED = 0.1  # of the side, in a round; no effect, but keeps a square a square
 _LEAST_STEP = 8.0  # gray levels from black to white
-_LEAST_MATCH = 0.82  # of the variance of a tag that its code explains; a bent or worn one 0.85, a wrong one 0.78
+# Of the variance of a tag that its code explains: of a bent or worn one 0.85, of a wrong one 0.78.
+_LEAST_MATCH = 0.82
 
 
 class _Grid(NamedTuple):
