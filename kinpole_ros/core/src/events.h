@@ -28,7 +28,8 @@
 #include "samples.h"
 #include "segments.h"
 
-/* Search a window for events, and evaluate the models with each. The first of `sets` has no event, and is evaluated already. `number` is the number of sets. */
+/* Search a window for events, and evaluate the models with each. The first of `sets` has no event,
+   and is evaluated already. `number` is the number of sets. */
 PRIVATE int search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
                           const Work *w, long long block, Set *sets, int *number,
                           Division *d);
