@@ -23,3 +23,10 @@ def test_each_file_compiles_alone(file: Path) -> None:
         [*COMPILER, *flags, '-x', 'c', str(file)], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0 and not done.stderr, done.stderr
+
+
+def test_lines_of_c_have_100_columns_at_most() -> None:
+    """As those of Python, which ruff measures."""
+    lines = {file.name: file.read_text(encoding='utf-8').splitlines() for file in FILES}
+    long = [f'{name}: {line}' for name, own in lines.items() for line in own if len(line) > 100]
+    assert not long

@@ -23,12 +23,12 @@
 
 typedef STRUCT(TABLE_FIELDS) Table;
 
-/* The arguments of `derive_poses` in _pose_derivatives.py, which describes the arrays (N, B) of B bodies in N
-   frames, and (T, B) of T instants. Signals (T B) before `next` are done. The length `window` is in
-   s; `flat` is the log standard deviation of the prior of mean and slope, over that of the noise.
-   `time` (N) is in ns, and `windows` (3, T) are the frame of an instant, the oldest, and the newest
-   of its window. See `write_results` for the results. `lacking` is the table to make before the
-   next call. `workspace` is memory that C keeps for the next call: see memory.c. */
+/* The arguments of `derive_poses` in _pose_derivatives.py, which describes the arrays (N, B) of B
+   bodies in N frames, and (T, B) of T instants. Signals (T B) before `next` are done. The length
+   `window` is in s; `flat` is the log standard deviation of the prior of mean and slope, over that
+   of the noise. `time` (N) is in ns, and `windows` (3, T) are the frame of an instant, the oldest,
+   and the newest of its window. See `write_results` for the results. `lacking` is the table to make
+   before the next call. `workspace` is memory that C keeps for the next call: see memory.c. */
 typedef struct Workspace Workspace;
 #define CALL_FIELDS(VALUE, BLOCK, ARRAY)       \
     VALUE(long long, frames)                   \

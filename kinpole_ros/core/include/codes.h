@@ -7,9 +7,9 @@
 
 #include "structs.h"
 
-/* The highest order of a derivative; models side by side in vectors; derivatives that may step, from the
-   position on; derivatives by which uneven samples move, from the first on; samples of the shortest window,
-   which still has every order. */
+/* The highest order of a derivative; models side by side in vectors; derivatives that may step,
+   from the position on; derivatives by which uneven samples move, from the first on; samples of the
+   shortest window, which still has every order. */
 #define SIZES(CODE)       \
     CODE(HIGHEST, 4)      \
     CODE(LANES, 8)        \
@@ -35,8 +35,9 @@ enum { CALL_ENDS(DECLARE_CODE) };
 
 enum { LOOP_ENDS(DECLARE_CODE) };
 
-/* What is unusual of a body in a frame, as bits: a marker does not fit its place, or the body turned by
-   more than a quarter; a marker is so far off that its name is doubtful; a marker has no place yet. */
+/* What is unusual of a body in a frame, as bits: a marker does not fit its place, or the body
+   turned by more than a quarter; a marker is so far off that its name is doubtful; a marker has no
+   place yet. */
 #define UNUSUAL_BITS(CODE) \
     CODE(ODD, 1)           \
     CODE(NAME_DOUBTFUL, 2) \
@@ -55,9 +56,10 @@ enum { UNUSUAL_BITS(DECLARE_CODE) };
 
 enum { REASONS(DECLARE_CODE) };
 
-/* What a quantity is. A pole has its order, and FREE plus that order is the pole by the motion alone; RATE
-   plus its order is a derivative of the angle. VELOCITY is that of the ICR, CURVATURE that of the centrode,
-   CIRCLE_CENTER and CIRCLE_DIAMETER are of the inflection circle, and GIVEN is a quantity that a row of messages has with it. */
+/* What a quantity is. A pole has its order, and FREE plus that order is the pole by the motion
+   alone; RATE plus its order is a derivative of the angle. VELOCITY is that of the ICR, CURVATURE
+   that of the centrode, CIRCLE_CENTER and CIRCLE_DIAMETER are of the inflection circle, and GIVEN
+   is a quantity that a row of messages has with it. */
 #define QUANTITIES(CODE)      \
     CODE(POLE_1, 1)           \
     CODE(POLE_2, 2)           \
@@ -83,8 +85,8 @@ enum { REASONS(DECLARE_CODE) };
 
 enum { QUANTITIES(DECLARE_CODE) };
 
-/* A pole is determined if the turn of its order exceeds its standard deviation this many times, and if it
-   is no farther than so many body sizes. */
+/* A pole is determined if the turn of its order exceeds its standard deviation this many times, and
+   if it is no farther than so many body sizes. */
 #define POLE_LIMITS(CODE) \
     CODE(SIGNIFICANT, 4)  \
     CODE(FARTHEST, 1000)
@@ -98,8 +100,8 @@ enum { POLE_LIMITS(DECLARE_CODE) };
 
 enum { QUANTITY_FLAGS(DECLARE_CODE) };
 
-/* What a message is: a vector along the normal, in the plane, a point at the height of a body, a pose
-   with covariance, odometry, a frame of /tf, or the topic `state`. */
+/* What a message is: a vector along the normal, in the plane, a point at the height of a body, a
+   pose with covariance, odometry, a frame of /tf, or the topic `state`. */
 #define MESSAGE_KINDS(CODE) \
     CODE(NORMAL, 0)         \
     CODE(VECTOR, 1)         \

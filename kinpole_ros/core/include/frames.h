@@ -1,5 +1,6 @@
 /*
- * The arrays that the compiled part of the tracker works on: of History, of Bodies, and of new frames.
+ * The arrays that the compiled part of the tracker works on: of History, of Bodies, and of new
+ * frames.
  *
  * Names and shapes are those of history.py and bodies.py; all arrays are row-major.
  */
@@ -10,8 +11,8 @@
 #include "call.h"
 #include "structs.h"
 
-/* Length of the window and lag, ns; whether the input are poses; limits for poses off their paths and off
-   their pins: see rejection.py. */
+/* Length of the window and lag, ns; whether the input are poses; limits for poses off their paths
+   and off their pins: see rejection.py. */
 #define FRAME_LIMITS_FIELDS(VALUE, BLOCK, ARRAY) \
     VALUE(long long, window)                     \
     VALUE(long long, posed)                      \
@@ -24,8 +25,8 @@
 
 typedef STRUCT(FRAME_LIMITS_FIELDS) FrameLimits;
 
-/* Columns of the history, of which rows `first` to `end` are in use. The next result is that of row `due`,
-   counted from `first`. The window has `samples` frames, with a mean `interval`, ns. */
+/* Columns of the history, of which rows `first` to `end` are in use. The next result is that of row
+   `due`, counted from `first`. The window has `samples` frames, with a mean `interval`, ns. */
 #define HISTORY_COLUMNS_FIELDS(VALUE, BLOCK, ARRAY) \
     VALUE(long long, first)                         \
     VALUE(long long, end)                           \
@@ -79,12 +80,12 @@ typedef STRUCT(HISTORY_COLUMNS_FIELDS) HistoryColumns;
 
 typedef STRUCT(BODY_ARRAYS_FIELDS) BodyArrays;
 
-/* Whether measured markers of a body may repeat those of the frame before to the last bit: any may, not all
-   do at once, or no marker does twice in a row. */
+/* Whether measured markers of a body may repeat those of the frame before to the last bit: any may,
+   not all do at once, or no marker does twice in a row. */
 enum { MAY_REPEAT, NO_POSE_REPEATS, NO_MARKER_REPEATS };
 
-/* Of each body, and last of the whole frame: number of gaps of a window or more; begin and length, ns, of
-   the latest and of the longest. */
+/* Of each body, and last of the whole frame: number of gaps of a window or more; begin and length,
+   ns, of the latest and of the longest. */
 enum { OUTAGE_TIMES, OUTAGE_LATEST, OUTAGE_LONGEST = 3, OUTAGE_FIELDS = 5 };
 
 /* What only C writes of the bodies: see step.py. */
@@ -102,9 +103,9 @@ enum { OUTAGE_TIMES, OUTAGE_LATEST, OUTAGE_LONGEST = 3, OUTAGE_FIELDS = 5 };
 
 typedef STRUCT(BODY_TRACKS_FIELDS) BodyTracks;
 
-/* New frames, of which `frame` to `frames` are still to be taken, at most `until_update` of them before the
-   next update; `tilts` (T, B) of poses, see pose_points.py, else NULL. `corrected` are the markers
-   (B, n) to fit to in the next frame, whatever is unusual; NULL for those that came. */
+/* New frames, of which `frame` to `frames` are still to be taken, at most `until_update` of them
+   before the next update; `tilts` (T, B) of poses, see pose_points.py, else NULL. `corrected` are
+   the markers (B, n) to fit to in the next frame, whatever is unusual; NULL for those that came. */
 #define NEW_FRAMES_FIELDS(VALUE, BLOCK, ARRAY) \
     VALUE(long long, frame)                    \
     VALUE(long long, frames)                   \
@@ -129,10 +130,10 @@ typedef STRUCT(NEW_FRAMES_FIELDS) NewFrames;
 
 typedef STRUCT(FRAMES_FIELDS) Frames;
 
-/* Results (T, ...) of at most `instants` instants, of which `count` are filled, and `deformed` are of
-   bodies whose markers move against each other; none while a window has fewer than `fewest` frames.
-   `rows` (T, 3) are those of the history, of the instant and of the oldest and newest of its window.
-   `derivatives` are those of `Call`. See estimate.py. */
+/* Results (T, ...) of at most `instants` instants, of which `count` are filled, and `deformed` are
+   of bodies whose markers move against each other; none while a window has fewer than `fewest`
+   frames. `rows` (T, 3) are those of the history, of the instant and of the oldest and newest of
+   its window. `derivatives` are those of `Call`. See estimate.py. */
 #define RESULTS_FIELDS(VALUE, BLOCK, ARRAY) \
     VALUE(long long, instants)              \
     VALUE(long long, count)                 \

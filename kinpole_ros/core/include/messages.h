@@ -10,9 +10,9 @@
 #include "motion.h"
 #include "structs.h"
 
-/* Slot k of `count` takes row `rows[k]` of the `points` of a frame; none from row `points` on. Points
-   are scaled, and those not nearer than `farthest`, m, are NaN. The plane is that of plane.py: without
-   `axes` its basis counts. See placing.py. */
+/* Slot k of `count` takes row `rows[k]` of the `points` of a frame; none from row `points` on.
+   Points are scaled, and those not nearer than `farthest`, m, are NaN. The plane is that of
+   plane.py: without `axes` its basis counts. See placing.py. */
 #define SLOTS_FIELDS(VALUE, BLOCK, ARRAY) \
     VALUE(long long, count)               \
     VALUE(long long, points)              \
@@ -25,13 +25,13 @@
 
 typedef STRUCT(SLOTS_FIELDS) Slots;
 
-API long long kinpole_assign(const Slots *slots, const double *points, long long frames, double *flat,
-                             double *heights, double *in_space);
+API long long kinpole_assign(const Slots *slots, const double *points, long long frames,
+                             double *flat, double *heights, double *in_space);
 
-/* Messages of `size` bytes that agree with `key` where `mask` has bits, both of `compared` bytes. The
-   stamp is at byte `stamp`, and before `end_of_time`, ns. Point k of `count` begins at byte
-   `points[k]`. Its coordinates begin `axes` bytes behind that, and are floats of `widths` bytes, 4 or
-   8; one of width 0 is 0. See _points.py. */
+/* Messages of `size` bytes that agree with `key` where `mask` has bits, both of `compared` bytes.
+   The stamp is at byte `stamp`, and before `end_of_time`, ns. Point k of `count` begins at byte
+   `points[k]`. Its coordinates begin `axes` bytes behind that, and are floats of `widths` bytes, 4
+   or 8; one of width 0 is 0. See _points.py. */
 #define MESSAGE_LAYOUT_FIELDS(VALUE, BLOCK, ARRAY) \
     VALUE(long long, size)                         \
     VALUE(long long, compared)                     \
@@ -50,12 +50,13 @@ typedef STRUCT(MESSAGE_LAYOUT_FIELDS) MessageLayout;
 
 API long long kinpole_count_matches(const MessageLayout *layout, const unsigned char *messages,
                                     long long first, long long count);
-API void kinpole_read_messages(const MessageLayout *layout, const unsigned char *messages, long long first,
-                               long long count, long long *stamps, double *points);
+API void kinpole_read_messages(const MessageLayout *layout, const unsigned char *messages,
+                               long long first, long long count, long long *stamps,
+                               double *points);
 
-/* The messages of a topic, of a body, or of `other` with respect to it. A message has `size` bytes, of
-   which the doubles begin behind `head`. `value`, `spread` (T, 2, 2) and `determined` are GIVEN. In the
-   topic `state`, `added` (T, bodies, `added_count`) follow the quantities of each body. */
+/* The messages of a topic, of a body, or of `other` with respect to it. A message has `size` bytes,
+   of which the doubles begin behind `head`. `value`, `spread` (T, 2, 2) and `determined` are GIVEN.
+   In the topic `state`, `added` (T, bodies, `added_count`) follow the quantities of each body. */
 #define ROW_FIELDS(VALUE, BLOCK, ARRAY)  \
     VALUE(long long, kind)               \
     VALUE(long long, what)               \
@@ -73,8 +74,8 @@ API void kinpole_read_messages(const MessageLayout *layout, const unsigned char 
 
 typedef STRUCT(ROW_FIELDS) Row;
 
-/* The doubles of messages, in their order there: of a pose with covariance, and of odometry. The frame of
-   /tf is the begin of a pose. */
+/* The doubles of messages, in their order there: of a pose with covariance, and of odometry. The
+   frame of /tf is the begin of a pose. */
 typedef struct {
     double position[3], orientation[4], covariance[6][6];
 } PoseDoubles;
@@ -96,7 +97,8 @@ typedef struct {
 
 enum { MESSAGE_DOUBLES(DECLARE_CODE) };
 
-/* The rows e1, e2 and normal of the basis, and the variance of what the plane says nothing about. */
+/* The rows e1, e2 and normal of the basis, and the variance of what the plane says nothing
+   about. */
 typedef double Axis[3];
 #define PLANE_FIELDS(VALUE, BLOCK, ARRAY) \
     BLOCK(Axis, basis, 3)                 \
@@ -104,8 +106,9 @@ typedef double Axis[3];
 
 typedef STRUCT(PLANE_FIELDS) Plane;
 
-API void kinpole_write_rows(const Motion *motion, long long bodies, const Plane *plane, const Row *rows,
-                            long long number, unsigned char *out, unsigned char *made);
+API void kinpole_write_rows(const Motion *motion, long long bodies, const Plane *plane,
+                            const Row *rows, long long number, unsigned char *out,
+                            unsigned char *made);
 
 /* Joints of the second body against the first, -1 for the ground. The name of joint k, with its
    terminating zero, is that from `ends[k]` to `ends[k + 1]`. See _joints.py. */

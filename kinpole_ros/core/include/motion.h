@@ -8,8 +8,8 @@
 #include "codes.h"
 #include "structs.h"
 
-/* Arrays of `count` elements, each a body at an instant; elements of two orders are `stride` apart. The
-   stamps are of instants. See quantities.py. */
+/* Arrays of `count` elements, each a body at an instant; elements of two orders are `stride` apart.
+   The stamps are of instants. See quantities.py. */
 #define MOTION_FIELDS(VALUE, BLOCK, ARRAY)   \
     VALUE(long long, count)                  \
     VALUE(long long, stride)                 \

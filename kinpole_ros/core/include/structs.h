@@ -17,8 +17,8 @@
  *       CODE(FULL, 3)
  *   enum { LOOP_ENDS(DECLARE_CODE) };
  *
- * structs.c describes all lists, and bindings.py makes its classes of these descriptions, so no field
- * and no code is typed twice.
+ * structs.c describes all lists, and bindings.py makes its classes of these descriptions, so no
+ * field and no code is typed twice.
  */
 
 #ifndef KINPOLE_STRUCTS_H

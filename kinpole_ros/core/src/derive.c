@@ -1,5 +1,6 @@
 /*
- * From poses at stamps to derivatives at instants with covariances: `derive_poses` of _pose_derivatives.py.
+ * From poses at stamps to derivatives at instants with covariances: `derive_poses` of
+ * _pose_derivatives.py.
  * __init__.py has an overview of the algorithm.
  *
  * One instant of one body is a signal of an angle and two coordinates. Its result depends on the

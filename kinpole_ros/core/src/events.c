@@ -69,9 +69,9 @@ find_event_products(const Models *m, const Screen *screen, Set *set,
     }
 }
 
-/* Set the prior standard deviations of the columns of an event to the sizes that a screen estimates,
-   each after the columns before it are removed. That of the shift in time is the size of the step
-   times the standard deviation of its place. */
+/* Set the prior standard deviations of the columns of an event to the sizes that a screen
+   estimates, each after the columns before it are removed. That of the shift in time is the size of
+   the step times the standard deviation of its place. */
 static void
 estimate_sizes(const Models *m, const Screen *screen, Set *set, int order)
 {
@@ -101,8 +101,8 @@ estimate_sizes(const Models *m, const Screen *screen, Set *set, int order)
     }
 }
 
-/* Make a set with the columns of an event besides those of `none`. It is laid out at `data`; returns
-   the end of its memory. */
+/* Make a set with the columns of an event besides those of `none`. It is laid out at `data`;
+   returns the end of its memory. */
 static char *
 add_event(const Models *m, const Set *none, const Screens *screens, const Candidate *event,
           long long orders, long long block, char *data, Set *set)

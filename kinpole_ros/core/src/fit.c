@@ -46,7 +46,8 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
             reach = far > reach ? far : reach, own_reach = square > own_reach ? square : own_reach;
         }
     double length = cabs(cross);
-    int fits = !kinpole_is_held(f, b, points) && length > TINY && sqrt(reach) > ROUNDING * cabs(middle) &&
+    int fits = !kinpole_is_held(f, b, points) && length > TINY &&
+        sqrt(reach) > ROUNDING * cabs(middle) &&
         sqrt(own_reach) > ROUNDING * cabs(mean);
     Number turn = fits ? cross / length : NAN;
     double angle = fits ? atan2(cimag(turn), creal(turn)) : NAN;

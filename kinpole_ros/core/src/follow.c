@@ -1,8 +1,8 @@
 /*
  * The loop from the markers of frames to derivatives, which live and replay share.
  *
- * An unusual frame ends the loop, and is taken in Python. The result of a frame is computed when it is
- * due, from the window of frames up to the newest.
+ * An unusual frame ends the loop, and is taken in Python. The result of a frame is computed when it
+ * is due, from the window of frames up to the newest.
  */
 
 #include <math.h>
@@ -13,8 +13,8 @@
 #include "numbers.h"
 #include "rejection.h"
 
-/* The poses of a window, and their derivatives. `heading` is the angle of the body, and `angle` that by
-   which its hub moves: the heading plus what a tilted body turns beyond it. */
+/* The poses of a window, and their derivatives. `heading` is the angle of the body, and `angle`
+   that by which its hub moves: the heading plus what a tilted body turns beyond it. */
 typedef struct {
     double *angle, *heading, *turn_information, *place_information, *derivatives;
     Number *position, *hub;
@@ -67,28 +67,30 @@ kinpole_try_frame(Frames *f, const Number *markers)
     return found;
 }
 
-/* How far a body turned about the normal beyond the change of its heading, rad, between two tilts at
-   the begin and the end of a rotation with constant angular velocity. The heading is the twist about
-   the normal in the swing-twist decomposition. While a body is tilted, its rate is not the angular
-   velocity along the normal, and the integral of the difference depends on the path: it does not
-   return to zero with the pose. The result is 0 where either tilt is not known. */
+/* How far a body turned about the normal beyond the change of its heading, rad, between two tilts
+   at the begin and the end of a rotation with constant angular velocity. The heading is the twist
+   about the normal in the swing-twist decomposition. While a body is tilted, its rate is not the
+   angular velocity along the normal, and the integral of the difference depends on the path: it
+   does not return to zero with the pose. The result is 0 where either tilt is not known. */
 static double
 extra_turn(Number before, Number after, double heading)
 {
     double rest = 1.0 - square_of(before), cosine = sqrt(rest > 0.0 ? rest : 0.0);
-    double rest_after = 1.0 - square_of(after), after_cosine = sqrt(rest_after > 0.0 ? rest_after : 0.0);
+    double rest_after = 1.0 - square_of(after);
+    double after_cosine = sqrt(rest_after > 0.0 ? rest_after : 0.0);
     double turn = heading - TURN * floor(heading / TURN + 0.5);
     /* The quaternion of the rotation has the parts w + i z, `along`, and |x + i y|, `across`. */
     Number ahead = cosine * after_cosine + after * conj(before);
     Number along = ahead * unit_at(0.5 * turn);
-    double across = cabs(cosine * after - after_cosine * before), sine = hypot(cimag(along), across);
+    double across = cabs(cosine * after - after_cosine * before);
+    double sine = hypot(cimag(along), across);
     double half = atan2(sine, creal(along)) * (cimag(along) / sine);
     double extra = 2.0 * carg(ahead) + 2.0 * (half - carg(along));
     return isnan(extra) ? 0.0 : extra;
 }
 
-/* Adds what tilting bodies turn beyond their headings to the newest row; only poses that are certainly
-   right count for the rows after it. */
+/* Adds what tilting bodies turn beyond their headings to the newest row; only poses that are
+   certainly right count for the rows after it. */
 static void
 follow_tilts(const Frames *f, const Number *tilts)
 {
@@ -180,27 +182,30 @@ fill_window(const Frames *f, long long oldest, Poses *poses)
     const HistoryColumns *history = &f->history;
     const BodyArrays *known = &f->bodies;
     int tilts = 0;
-    for (long long i = oldest * known->count; f->limits.posed && i < history->end * known->count; i++)
+    for (long long i = oldest * known->count;
+         f->limits.posed && i < history->end * known->count; i++)
         tilts |= history->extra_turn[i] != 0.0;
     for (long long row = oldest; row < history->end; row++)
         for (long long b = 0; b < known->count; b++) {
             long long at = row * known->count + b, to = at - oldest * known->count;
             const double *information = history->information + 2 * row * known->count + b;
             double turned = information[0] * known->scale[b];
-            double placed = information[known->count] * known->scale[known->count + b], growth = 0.0;
+            double placed = information[known->count] * known->scale[known->count + b];
+            double growth = 0.0;
             Number hub = poses->hub[b], position = history->position[at];
             poses->heading[to] = history->angle[at];
             poses->angle[to] =
                 history->angle[at] + (tilts ? history->extra_turn[at] - known->tilt_turn[b] : 0.0);
             if (hub != 0.0) {
                 position += hub * unit_at(poses->angle[to]);
-                /* The variance at the hub is that at the middle of the markers, plus that of the angle
-                   times the squared distance. With hidden markers the fit is about another middle, so
-                   the first may come out negative. */
+                /* The variance at the hub is that at the middle of the markers, plus that of the
+                   angle times the squared distance. With hidden markers the fit is about another
+                   middle, so the first may come out negative. */
                 if (placed > 0.0) {
                     double ratio = placed / turned;
                     growth = 1.0 - square_of(known->middle[b]) * ratio;
-                    growth = (growth > 0.0 ? growth : 0.0) + square_of(hub - known->middle[b]) * ratio;
+                    growth = (growth > 0.0 ? growth : 0.0) +
+                        square_of(hub - known->middle[b]) * ratio;
                 }
             }
             poses->position[to] = position;
@@ -248,7 +253,8 @@ size_of_results(long long orders, long long bodies)
     return (3 * orders + 2 * orders * orders + 4) * bodies;
 }
 
-/* Replaces the angles by those of the headings of tilted bodies, and turns the hubs into their axes. */
+/* Replaces the angles by those of the headings of tilted bodies, and turns the hubs into their
+   axes. */
 static int
 derive_headings(Call *call, Poses *poses)
 {
@@ -273,7 +279,8 @@ derive_headings(Call *call, Poses *poses)
 
 /* Computes the result of the frame in row `now` from the window of those from `oldest` on. */
 static int
-compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long oldest, long long now)
+compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long oldest,
+               long long now)
 {
     const HistoryColumns *history = &f->history;
     const BodyArrays *known = &f->bodies;
@@ -381,8 +388,8 @@ compute_due(Frames *f, Call *call, Results *r)
     return DONE;
 }
 
-/* Takes frames while they are usual, and computes the results that are due. Returns DONE, or why it has
-   to be called again after step.py has done its part. */
+/* Takes frames while they are usual, and computes the results that are due. Returns DONE, or why it
+   has to be called again after step.py has done its part. */
 int
 kinpole_follow(Frames *f, Call *call, Results *r)
 {

@@ -7,9 +7,9 @@
  * position is that of the hub, if a polynomial and a hub explain the samples with more evidence
  * than all models of the position without.
  *
- * The arm c follows from linear regression of z on exp(i a) and the polynomial; with a higher degree
- * it is less biased. The noise of the hub is that of z, and |c| times that of the angle. The latter
- * is taken to be independent of the angle.
+ * The arm c follows from linear regression of z on exp(i a) and the polynomial; with a higher
+ * degree it is less biased. The noise of the hub is that of z, and |c| times that of the angle. The
+ * latter is taken to be independent of the angle.
  */
 
 #ifndef KINPOLE_HUB_H

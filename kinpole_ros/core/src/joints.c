@@ -44,7 +44,8 @@ put_integer(unsigned char *start, unsigned char *out, int value)
     return out + sizeof value;
 }
 
-/* Writes the message of an instant, extrapolated to a stamp, and returns its bytes; 0 without joints. */
+/* Writes the message of an instant, extrapolated to a stamp, and returns its bytes; 0 without
+   joints. */
 static long long
 write_joint_state(const Motion *m, const Joints *joints, long long t, long long stamp,
                   unsigned char *out)
@@ -87,11 +88,12 @@ write_joint_state(const Motion *m, const Joints *joints, long long t, long long 
     return listed ? at - out : 0;
 }
 
-/* Writes `count` messages, of the instants `nearest` extrapolated to `stamps`, each in `size` bytes, of
-   which it takes `lengths`. */
+/* Writes `count` messages, of the instants `nearest` extrapolated to `stamps`, each in `size`
+   bytes, of which it takes `lengths`. */
 void
 kinpole_write_joints(const Motion *motion, const Joints *joints, const long long *stamps,
-                     const long long *nearest, long long count, unsigned char *out, long long *lengths)
+                     const long long *nearest, long long count, unsigned char *out,
+                     long long *lengths)
 {
     for (long long k = 0; k < count; k++, out += joints->size)
         lengths[k] = write_joint_state(motion, joints, nearest[k], stamps[k], out);

@@ -93,8 +93,10 @@ differentiate(const Models *m, const Stencils *s, const Work *w, Set *sets, int 
     long long orders = s->orders, square = orders * orders;
     Sums sums;
     memset(&sums, 0, sizeof sums);
-    for (int c = 0; c < 2; c++)
-        out->evidence[c] = find_probabilities(m, c, sets, number), find_covariance_weights(m, c, sets, number);
+    for (int c = 0; c < 2; c++) {
+        out->evidence[c] = find_probabilities(m, c, sets, number);
+        find_covariance_weights(m, c, sets, number);
+    }
     for (long long g = 0; g < m->groups; g++)
         add_group(m, s, g, w, sets, number, &sums);
     for (long long k = 0; k < 3 * orders; k++)

@@ -63,8 +63,9 @@ typedef struct {
     long long count;
 } Columns;
 
-/* Add to `out`, of so many columns left and right, the sums over the modes r of a group's process of
-   table[r] left[i][r] right[j][r]. Without columns on the right these are the pairs j <= i of left. */
+/* Add to `out`, of so many columns left and right, the sums over the modes r of a group's process
+   of table[r] left[i][r] right[j][r]. Without columns on the right these are the pairs j <= i of
+   left. */
 PRIVATE void add_mode_products(const Models *m, const Lanes *table, long long group, Columns left,
                                Columns right, double *terms, Lanes *out);
 

@@ -1,7 +1,8 @@
 /*
  * Poles, the velocity of the ICR, the inflection circle and the curvature of the centrode, with
- * covariances, and where they stand out of their noise. numpy needs about 50 calls for each, however few instants there are.
- * The formulas are those of planar/, and test_quantities.py compares both.
+ * covariances, and where they stand out of their noise. numpy needs about 50 calls for each,
+ * however few instants there are. The formulas are those of planar/, and test_quantities.py
+ * compares both.
  */
 
 #include <math.h>
@@ -66,8 +67,8 @@ velocity(const Number *z, const double *rate, Linear *out)
     out->by_angle[1] = iqq * (inner + nv), out->by_angle[2] = iqq * z[1];
 }
 
-/* The acceleration of the ICR over its speed squared: its real part is that across the velocity, the
-   curvature, of which the partial derivatives are. */
+/* The acceleration of the ICR over its speed squared: its real part is that across the velocity,
+   the curvature, of which the partial derivatives are. */
 static void
 curvature(const Number *z, const double *rate, Linear *out)
 {
@@ -99,7 +100,8 @@ circle(const Number *z, const double *rate, Linear *center, Linear *diameter)
     center->value = icr.value + diameter->value / 2;
     for (int k = 0; k <= 2; k++) {
         diameter->by_position[k] = factor * u.by_position[k];
-        diameter->by_angle[k] = factor * u.by_angle[k] - (k == 1 ? diameter->value * slowness : 0.0);
+        diameter->by_angle[k] = factor * u.by_angle[k];
+        diameter->by_angle[k] -= k == 1 ? diameter->value * slowness : 0.0;
         center->by_position[k] = icr.by_position[k] + diameter->by_position[k] / 2;
         center->by_angle[k] = icr.by_angle[k] + diameter->by_angle[k] / 2;
     }
@@ -118,7 +120,8 @@ add_covariance(const Motion *m, long long t, int highest, const Linear *linear, 
 {
     double by_position[3] = {0};
     add_moments(m->angle_covariance + t, m->orders, m->stride, highest, linear->by_angle, spread);
-    add_moments(m->position_covariance + t, m->orders, m->stride, highest, linear->by_position, by_position);
+    add_moments(m->position_covariance + t, m->orders, m->stride, highest, linear->by_position,
+                by_position);
     /* The two coordinates of the position have independent errors of one covariance. */
     spread[0] += by_position[0] + by_position[2], spread[2] += by_position[0] + by_position[2];
 }
@@ -220,14 +223,14 @@ curvature_at(const Motion *m, long long t)
     curvature(z, rate, &linear);
     q.value = creal(linear.value);
     add_covariance(m, t, 3, &linear, q.spread);
-    /* The curvature goes by the speed to the power of -2, which is far from linear where the speed is
-       noisy: a relative error x of it changes the curvature by 3 x^2 of the acceleration over the speed
-       squared, in second order. */
+    /* The curvature goes by the speed to the power of -2, which is far from linear where the speed
+       is noisy: a relative error x of it changes the curvature by 3 x^2 of the acceleration over
+       the speed squared, in second order. */
     double slowness = (u.spread[0] + u.spread[2]) / 2 / creal(u.value * conj(u.value));
     double second = cabs(linear.value) * slowness, variance = q.spread[0] + 18 * second * second;
-    double turned = m->angle[m->stride + t];
-    /* A body that turns by less than its noise would have a straight centrode, and that for sure. */
-    int turns = turned * turned > TURNING * TURNING * m->angle_covariance[(m->orders + 1) * m->stride + t];
+    double turned = m->angle[m->stride + t] / TURNING;
+    /* A body that turns by less than its noise would surely have a straight centrode. */
+    int turns = turned * turned > m->angle_covariance[(m->orders + 1) * m->stride + t];
     q.flags = u.flags & MOVES;
     if (u.flags & MOVES && turns && isfinite(creal(q.value)) && isfinite(variance))
         q.flags |= DETERMINED;
@@ -265,7 +268,8 @@ int
 kinpole_is_known(const Motion *m, long long t)
 {
     Number velocity = m->position[m->stride + t];
-    return isfinite(m->angle[m->stride + t]) && isfinite(creal(velocity)) && isfinite(cimag(velocity));
+    return isfinite(m->angle[m->stride + t]) && isfinite(creal(velocity)) &&
+        isfinite(cimag(velocity));
 }
 
 Quantity
@@ -339,8 +343,8 @@ store(const Quantity *q, long long at, Number *values, double *spreads, unsigned
     spread[0] = q->spread[0], spread[1] = spread[2] = q->spread[1], spread[3] = q->spread[2];
 }
 
-/* Computes quantity `what` at all instants. `values` (count,) are complex, `spreads` (count, 2, 2), and
-   `flags` (count,) bits. */
+/* Computes quantity `what` at all instants. `values` (count,) are complex, `spreads` (count, 2, 2),
+   and `flags` (count,) bits. */
 void
 kinpole_quantities(int what, const Motion *m, Number *values, double *spreads, unsigned char *flags)
 {
@@ -352,8 +356,8 @@ kinpole_quantities(int what, const Motion *m, Number *values, double *spreads, u
 
 /* Computes the relative centers of `pairs` (2, number), all j and all i, at all instants. */
 void
-kinpole_relative_centers(const Motion *m, long long bodies, const long long *pairs, long long number,
-                         Number *values, double *spreads, unsigned char *flags)
+kinpole_relative_centers(const Motion *m, long long bodies, const long long *pairs,
+                         long long number, Number *values, double *spreads, unsigned char *flags)
 {
     for (long long t = 0; t < m->count / bodies; t++)
         for (long long k = 0; k < number; k++) {

@@ -28,12 +28,13 @@ typedef struct {
     double along[MAX_POLYNOMIALS][MAX_SIGNALS], left[MAX_SIGNALS];
 } Polynomials;
 
-/* Make polynomials, whose `length` and `count` are given, at `rows` (count, n). Time is that since the
-   instant, `first` samples at the first one, over the number n of samples. The first row are the
-   roots of the weights of the samples. */
+/* Make polynomials, whose `length` and `count` are given, at `rows` (count, n). Time is that since
+   the instant, `first` samples at the first one, over the number n of samples. The first row are
+   the roots of the weights of the samples. */
 PRIVATE void make_polynomials(double *rows, long long n, double first, Polynomials *p);
 
-/* Fit polynomials to signals (signals, n), times the roots of the weights, and leave what is left. */
+/* Fit polynomials to signals (signals, n), times the roots of the weights, and leave what is
+   left. */
 PRIVATE void fit_polynomials(const double *rows, long long n, double *signal, int signals,
                              Polynomials *p);
 

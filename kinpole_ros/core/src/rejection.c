@@ -84,7 +84,8 @@ wrong_before_last(Path *p, const double *most, const double *least, double *turn
         Number step = (p->value[0][node[1]] - p->value[0][node[0]]) / (nodes[1] - nodes[0]);
         Number there = p->value[0][node[1]] + step * (nodes[2] - nodes[1]);
         double more = rint(creal(p->value[0][last - 1] - there) / TURN);
-        p->value[0][last - 1] -= (more - *turns) * TURN, p->value[0][last] -= (more - *turns) * TURN;
+        p->value[0][last - 1] -= (more - *turns) * TURN;
+        p->value[0][last] -= (more - *turns) * TURN;
         *turns = more;
         for (int k = gap; k < gap + length; k++) {
             double gain = lagrange(nodes, NODES, p->time[k], weights);
@@ -106,7 +107,8 @@ wrong_before_last(Path *p, const double *most, const double *least, double *turn
         int back = 1;
         for (int s = 0; s < 2; s++)
             for (int k = 2; k < NODES && all[s]; k++) {
-                Number slope = (p->value[s][node[1]] - p->value[s][node[0]]) / (nodes[1] - nodes[0]);
+                Number slope = p->value[s][node[1]] - p->value[s][node[0]];
+                slope /= nodes[1] - nodes[0];
                 Number ahead = p->value[s][node[1]] + slope * (nodes[k] - nodes[1]);
                 back &= cabs(p->value[s][node[k]] - ahead) < smallest[s];
             }
@@ -141,8 +143,8 @@ doubtful_newest(const Path *p, const double *most)
     return 0;
 }
 
-/* Poses that the newest row shows to be wrong get no information, and are added to `wrong` (B,); `newest`
-   (B,) gets how many of the newest cannot be told from wrong ones yet. */
+/* Poses that the newest row shows to be wrong get no information, and are added to `wrong` (B,);
+   `newest` (B,) gets how many of the newest cannot be told from wrong ones yet. */
 void
 kinpole_follow_paths(const Frames *f)
 {
@@ -185,8 +187,8 @@ repeats(const Frames *f, long long b, const Number *points, long long k, long lo
         points[k] == history->markers[(row * f->bodies.count + b) * f->bodies.width + k];
 }
 
-/* Whether the markers (n,) of a body repeat those of the row before to the last bit, while measured ones
-   never do: the tracker holds the last pose of a body that it has lost. */
+/* Whether the markers (n,) of a body repeat those of the row before to the last bit, while measured
+   ones never do: the tracker holds the last pose of a body that it has lost. */
 int
 kinpole_is_held(const Frames *f, long long b, const Number *points)
 {
@@ -203,8 +205,8 @@ kinpole_is_held(const Frames *f, long long b, const Number *points)
     return seen > 1;
 }
 
-/* Whether one marker repeats those of two rows before, which no measured marker of the body ever does: it
-   is lost, and its last place or a constant stands for it. */
+/* Whether one marker repeats those of two rows before, which no measured marker of the body ever
+   does: it is lost, and its last place or a constant stands for it. */
 int
 kinpole_is_marker_held(const Frames *f, long long b, const Number *points, long long k)
 {
@@ -227,7 +229,8 @@ kinpole_holds_on_pin(const Frames *f, long long oldest, long long b)
             continue;
         long long at = row * known->count + b;
         double turned = known->error[b] / (information[0] * known->scale[b]);
-        double placed = known->error[b] / (information[known->count] * known->scale[known->count + b]);
+        double placed =
+            known->error[b] / (information[known->count] * known->scale[known->count + b]);
         Number turn = cos(history->angle[at]) + I * sin(history->angle[at]);
         double square = square_of(history->position[at] + turn * known->pin_arm[b] - known->pin[b]);
         double variance = placed + square_of(known->pin_arm[b]) * turned;
@@ -244,5 +247,7 @@ kinpole_reason(const Frames *f, long long now, long long b)
     const double *information = history->information + 2 * now * known->count + b;
     int seen = information[0] > 0.0 && information[known->count] > 0.0 &&
         now < history->end - f->tracks.newest[b];
-    return seen ? known->reason[b] : isnan(history->angle[now * known->count + b]) ? NOT_SEEN : OFF_PATH;
+    if (seen)
+        return known->reason[b];
+    return isnan(history->angle[now * known->count + b]) ? NOT_SEEN : OFF_PATH;
 }

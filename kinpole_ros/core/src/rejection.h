@@ -1,7 +1,8 @@
 /*
  * Which markers and poses are not used, and why: the rules that run for every frame.
  *
- * rejection.py has the limits, all verdicts, and the rules that need more than one frame of one body.
+ * rejection.py has the limits, all verdicts, and the rules that need more than one frame of one
+ * body.
  */
 
 #ifndef KINPOLE_REJECTION_H
@@ -15,18 +16,20 @@ static inline int
 verdict_on_marker(const Frames *f, long long b, long long k, double square)
 {
     long long at = b * f->bodies.width + k;
-    return (square > f->bodies.largest[at] ? ODD : 0) | (square > f->bodies.doubtful[at] ? NAME_DOUBTFUL : 0);
+    int is_doubtful = square > f->bodies.doubtful[at];
+    return (square > f->bodies.largest[at] ? ODD : 0) | (is_doubtful ? NAME_DOUBTFUL : 0);
 }
 
-/* Whether a pose is fitted to markers too close together for their noise, of this spread, while others
-   of the body are hidden. */
+/* Whether a pose is fitted to markers too close together for their noise, of this spread, while
+   others of the body are hidden. */
 static inline int
 is_unsteady(const Frames *f, long long b, double spread)
 {
     return f->bodies.spread[b] > f->bodies.loosest[b] && spread < f->bodies.loosest[b];
 }
 
-/* Leaves out the poses that the newest row shows to be off their paths; see `wrong` and `newest`. */
+/* Leaves out the poses that the newest row shows to be off their paths; see `wrong` and
+   `newest`. */
 void kinpole_follow_paths(const Frames *f);
 /* Whether the markers (n,) of body `b` are held by the tracker, which lost it. */
 int kinpole_is_held(const Frames *f, long long b, const Number *points);

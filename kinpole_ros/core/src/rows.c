@@ -1,8 +1,8 @@
 /*
  * The bytes of messages: a copy of a template, with a stamp and doubles written into it.
  *
- * numpy needs about 10 calls for each topic, which cost 0.4 ms a frame in a node that sleeps between
- * frames. The rows are made in _rows.py, which says what the topics are.
+ * numpy needs about 10 calls for each topic, which cost 0.4 ms a frame in a node that sleeps
+ * between frames. The rows are made in _rows.py, which says what the topics are.
  */
 
 #include <math.h>
@@ -82,8 +82,9 @@ write_quantity(const Task *task, Doubles *out)
     if (!(q.flags & DETERMINED))
         return 0;
     double height = row->kind == VECTOR ? 0.0 : task->motion->height[task->at];
+    double number = row->is_deviation ? root_of(q.spread[0]) : creal(q.value);
     if (row->kind == NORMAL)
-        in_space(plane, 0.0, row->is_deviation ? root_of(q.spread[0]) : creal(q.value), out->vector);
+        in_space(plane, 0.0, number, out->vector);
     else if (row->is_deviation)
         for (int c = 0; c < 3; c++)
             out->vector[c] = root_of(turned(plane, q.spread, c, c));
@@ -204,8 +205,8 @@ typedef struct {
     double value, deviation;
 } StateScalar;
 
-/* The point of a body of the topic `state`, before its quantities: the place of its frame for viewers, which
-   quantities are determined, by bits, and its pose and velocity. See _state.py. */
+/* The point of a body of the topic `state`, before its quantities: the place of its frame for
+   viewers, which quantities are determined, by bits, and its pose and velocity. See _state.py. */
 typedef struct {
     float place[3];
     unsigned determined;
@@ -220,9 +221,9 @@ state_vector(Number value, double xx, double xy, double yy)
     return (StateVector){creal(value), cimag(value), xx, xy, yy};
 }
 
-/* Fills in position, angle and velocity of the frame of a body. An error d of the angle moves the origin by
-   -i d r, with r the arm, and changes its velocity by d w r; an error e of the rate w changes the velocity
-   by -i e r. */
+/* Fills in position, angle and velocity of the frame of a body. An error d of the angle moves the
+   origin by -i d r, with r the arm, and changes its velocity by d w r; an error e of the rate w
+   changes the velocity by -i e r. */
 static void
 fill_state_pose(const Pose *pose, double angle, StatePoint *point)
 {
@@ -235,8 +236,8 @@ fill_state_pose(const Pose *pose, double angle, StatePoint *point)
     point->velocity = state_vector(pose->velocity, cells[0][0], cells[0][1], cells[1][1]);
 }
 
-/* Writes a quantity of a body, zeros if it is undetermined, and returns where it ends. The next bit of
-   `determined` says which it is. */
+/* Writes a quantity of a body, zeros if it is undetermined, and returns where it ends. The next bit
+   of `determined` says which it is. */
 static unsigned char *
 write_state_quantity(const Task *task, long long at, int what, unsigned *bit, unsigned *determined,
                      unsigned char *out)
@@ -256,8 +257,8 @@ write_state_quantity(const Task *task, long long at, int what, unsigned *bit, un
     return out + size;
 }
 
-/* Writes the point of a body of the topic `state`, with derivatives up to an order, and returns where it
-   ends. */
+/* Writes the point of a body of the topic `state`, with derivatives up to an order, and returns
+   where it ends. */
 static unsigned char *
 write_state_point(const Task *task, long long at, int order, unsigned char *out)
 {

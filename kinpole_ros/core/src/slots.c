@@ -22,8 +22,9 @@ write_point(const Slots *slots, const double *points, long long row, double *poi
     return is_finite && !is_near;
 }
 
-/* Writes the points (T, slots, 3) of frames, m, into `in_space`. If that is NULL, writes them as complex
-   numbers of the plane (T, slots), and their heights over it. Returns how many are too far. */
+/* Writes the points (T, slots, 3) of frames, m, into `in_space`. If that is NULL, writes them as
+   complex numbers of the plane (T, slots), and their heights over it. Returns how many are too
+   far. */
 long long
 kinpole_assign(const Slots *slots, const double *points, long long frames, double *flat,
                double *heights, double *in_space)
