@@ -33,7 +33,8 @@ deviations. Poles whose standard deviation exceeds half the body size are left o
             """## Other methods that set themselves
 
 Their error over ours, geometric mean; above 1 ours is better. Each has the poses of the same
-windows and sets itself by them alone. Segments and total variation are given the true noise.""",
+windows and sets itself by them alone. Segments and total variation are given the true noise. An
+error below a hundredth of the best fixed window's counts as that.""",
             *(_rivals_table(cells, kind) for kind in kinds),
             """## Near events
 

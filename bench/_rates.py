@@ -32,6 +32,8 @@ DISTANCES = (0.0, 0.01, 0.03, 0.1, np.inf)
 _SECONDS, _INSTANTS = 8.0, (120, 30)
 # Poles with a larger standard deviation, body sizes, are withheld.
 _WITHHELD = 0.5
+# An error below this share of the best polynomial's counts as that, among methods: it may be 0.
+_LEAST_ERROR = 0.01
 _MIN_INSTANTS = 15
 
 
@@ -127,9 +129,15 @@ def _summary(cells: list[Cell]) -> dict[str, float | int]:
         'beyond': beyond / number,
     }
     for name in RIVALS:
-        over = [np.log(cell.others[name] / cell.ours) for cell in cells if name in cell.others]
-        found[name] = float(np.exp(np.mean(over))) if over else float('nan')
+        ratios = [_ratio(cell, name) for cell in cells if name in cell.others]
+        found[name] = float(np.exp(np.mean(np.log(ratios)))) if ratios else float('nan')
     return found
+
+
+def _ratio(cell: Cell, name: str) -> float:
+    """The error of a rival over ours, each no less than a share of the best polynomial's."""
+    least = _LEAST_ERROR * cell.best
+    return max(cell.others[name], least) / max(cell.ours, least)
 
 
 def _by_distance(cells: list[Cell]) -> Rows:

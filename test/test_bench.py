@@ -22,7 +22,7 @@ from bench._page_rates import rates_part
 from bench._parts import PARTS
 from bench._peers import FIXED, OURS, likely_kalman, make_kalman, run_kalman
 from bench._pendulum import _fixed, _poles
-from bench._rates import RATES_HZ, rate_rows
+from bench._rates import DISTANCES, RATES_HZ, Cell, _summary, rate_rows
 from bench._record import (
     NOISES,
     POLES,
@@ -413,6 +413,13 @@ def test_rates_have_a_row_for_each_rate_lag_and_quantity() -> None:
     text = rates_part(rows, near)
     assert '| 1000 Hz, 0.1 s |' in text and 'nan' not in text
     assert all(rival in text for rival in RIVALS)
+
+
+def test_an_error_of_zero_has_a_ratio() -> None:
+    """As that of the jerk where all pieces are parabolas."""
+    none = np.ones((len(DISTANCES) - 1, 3))
+    cells = [Cell('jerk', ours, 2.0, dict.fromkeys(RIVALS, 0.5), none) for ours in (0.0, 1.0)]
+    assert _summary(cells)[next(iter(RIVALS))] == pytest.approx((0.5 / 0.02 * 0.5) ** 0.5)
 
 
 def test_paragraphs_and_lists_are_wrapped_and_tables_are_not() -> None:
