@@ -20,6 +20,8 @@ _POWERS, _MORE = 7, 2
 _COEFFICIENT, _ARM = 5.0, 10.0
 # Turning exceeds that by the noise of the angle so many times.
 _LEAST_TURNING = 16.0
+# Most squares of the steps of the turning over those about its mean.
+_MOST_STEPS = 3.5
 
 
 class Hub(NamedTuple):
@@ -49,6 +51,11 @@ def find_hub(
     columns = min(_POWERS, present)
     basis, factor = np.linalg.qr(root[:, None] * time[:, None] ** range(columns))
     position, turned = samples[:, 1] + 1j * samples[:, 2], np.exp(1j * radians * samples[:, 0])
+    seen = turned[root > 0]
+    steps = np.diff(turned)[(root[1:] > 0) & (root[:-1] > 0)]
+    about_mean = present - abs(seen.sum()) ** 2 / present
+    if np.vdot(steps, steps).real > _MOST_STEPS * about_mean:
+        return None
     found = []
     for degree in range(_POWERS):
         own = basis[:, : degree + 1]
