@@ -10,8 +10,9 @@
 #define ARM_COST 10.0
 /* Turning exceeds that by the noise of the angle so many times. */
 #define MIN_TURNING 16.0
-/* Most squares of the steps of the turning over those about its mean: steady noise has 2. A body
-   that turns there and back between two frames has 4, and any point of it would fit as a hub. */
+/* Most squares of the steps of the turning over those about its mean: white noise has 2. A body
+   that turns there and back between two frames has 4, and some point is at one place in any two
+   poses. */
 #define MAX_STEPS 3.5
 /* The polynomials of the last window without missing samples, of so many samples and with this
    instant: the next one may need the same. */
@@ -57,12 +58,29 @@ likeliest_hub(const Polynomials *p, Number product, double radians)
     return best;
 }
 
+/* Whether a body turns there and back between two frames; `turn` are cosine and sine of its angle,
+   of `length` samples that are not missing. */
+static int
+turns_within_frames(const Samples *s, double *const *turn, double length)
+{
+    Number sum = 0.0, last = 0.0;
+    double steps = 0.0;
+    int is_next = 0;
+    for (long long t = 0; t < s->count; t++) {
+        int is_there = s->weight[0][t] > 0.0 && s->weight[1][t] > 0.0;
+        Number own = turn[0][t] + I * turn[1][t];
+        if (is_there)
+            sum += own, steps += is_next ? square_of(own - last) : 0.0;
+        is_next = is_there, last = own;
+    }
+    return steps > MAX_STEPS * (length - square_of(sum) / length);
+}
+
 PRIVATE int
 find_hub(Call *call, const Stencils *by, double radians, double least, Samples *s, Hub *hub)
 {
     long long n = s->count;
-    double length = 0.0, steps = 0.0, *root, *signal[4], *moved[2], at = by->at;
-    Number sum = 0.0;
+    double length = 0.0, *root, *signal[4], *moved[2], at = by->at;
     int is_even = 1;
     KeptPolynomials *kept = kinpole_buffer(
         call, OF_HUB, sizeof *kept + (MAX_POLYNOMIALS + 6) * n * sizeof(double));
@@ -80,15 +98,9 @@ find_hub(Call *call, const Stencils *by, double radians, double least, Samples *
         signal[0][t] = own * s->x[1][t], signal[1][t] = own * s->x[2][t];
         moved[0][t] = cos(angle), moved[1][t] = sin(angle);
         signal[2][t] = own * moved[0][t], signal[3][t] = own * moved[1][t];
-        if (!(own > 0.0))
-            continue;
-        sum += moved[0][t] + I * moved[1][t];
-        if (t > 0 && s->weight[0][t - 1] > 0.0 && s->weight[1][t - 1] > 0.0)
-            steps += square_of(moved[0][t] - moved[0][t - 1] +
-                               I * (moved[1][t] - moved[1][t - 1]));
     }
     *hub = (Hub){.growth = 0.0};
-    if (steps > MAX_STEPS * (length - square_of(sum) / length))
+    if (turns_within_frames(s, moved, length))
         return DONE;
     Polynomials *p = &kept->polynomials;
     if (!is_even || n != kept->count || at != kept->at) {
