@@ -869,7 +869,7 @@ def test_play_ends_with_a_warning_where_a_reader_never_takes_its_messages(
     assert capfd.readouterr().err.count('a subscriber of /unheard does not take its messages') == 1
 
 
-def test_told_to_stop_node_and_recorder_end_at_once_and_the_recording_is_whole(
+def test_told_to_stop_node_and_recorder_end_and_the_recording_is_whole(
     peer: Peer, simulated: Bag, by_place: Path, tmp_path: Path
 ) -> None:
     logs, recording = (tmp_path / 'node', tmp_path / 'recorder'), tmp_path / 'live.mcap'

@@ -30,12 +30,12 @@ _LOST_STEP, _LONG_LOST = 4, 20  # pictures between searches, for so many picture
 _JUST_LOST = 2  # pictures that are all searched: two in a row tell how fast a tag is
 _UNKNOWN_STEP = 5  # pictures between searches until the family is known
 _LONGEST_SIDE = 2000  # pixels in which the whole picture is searched: time only
-_CORRECTED = (
-    0.4  # of the wrong bits that the family can correct; 0.2: 0.5% of blurred tags are lost
-)
-_LEAST_SIDE = 10.0  # pixels
-_LEAST_PERIMETER = 0.03  # of the longer side of the picture: smaller squares are not looked at
-_JUMP = 0.5  # of the side: a corner may be so far from where a detector of contours saw it
+# Of the wrong bits that the family can correct; 0.2: 0.5% of blurred tags are lost.
+_CORRECTED = 0.4
+_LEAST_SIDE = 10.0  # pixels; no effect on tags of 42
+# Of the longer side of the picture: smaller squares are not looked at. Half takes half more time.
+_LEAST_PERIMETER = 0.03
+_JUMP = 0.5  # of the side: a corner may be so far from where it was expected; no effect
 
 
 NO_TAGS: tuple[list[int], np.ndarray] = [], np.empty((0, 4, 2))
@@ -106,6 +106,8 @@ class TagFinder:
         side = np.linalg.norm(near[:, 1] - near[:, 0], axis=-1)
         moved = np.abs(corners - near).max(axis=(1, 2))
         good = (moved < _JUMP * side) & (side > _LEAST_SIDE)
+        # The code of a tag that is partly outside of the picture is not known there.
+        good &= ((corners > 0) & (corners < np.array(gray.shape[::-1]) - 1)).all(axis=(1, 2))
         return {tag: corners[k] for k, tag in enumerate(quads) if good[k]}
 
 

@@ -99,6 +99,18 @@ def test_blur_moves_no_corner_and_hides_no_tag() -> None:
     assert np.abs(off).max() < 0.5
 
 
+@pytest.mark.parametrize('share', [0.05, 0.15])
+def test_a_tag_that_is_partly_outside_of_the_picture_is_left_out(share: float) -> None:
+    """Its code would match, and its corners be several percent of its side off."""
+    film = Film(times(1), FOUR_BAR[:3])
+    (gray,) = film.pictures()
+    last = film.corners()[2][0, :, 0]
+    cut = round(last.max() - share * np.ptp(last))
+    finder = TagFinder('36h11')
+    assert sorted(finder.find(gray)[0]) == [0, 1, 2]
+    assert sorted(finder.find(np.ascontiguousarray(gray[:, :cut]))[0]) == [0, 1]
+
+
 @pytest.mark.filterwarnings('error')
 def test_pictures_without_tags_have_no_corners() -> None:
     random = np.random.default_rng(0)
