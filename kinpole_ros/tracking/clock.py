@@ -406,7 +406,8 @@ def _fit_clock(origin: int, since: Real, counts: np.ndarray, resolution: float) 
     phase = float(late.min())
     late -= phase
     # Half of the time before the next tick in which no frame comes.
-    free = interval - float(np.quantile(late % interval, 1 - 1 / 512))
+    ranked = np.sort(late % interval)
+    free = interval - float(np.interp((1 - 1 / 512) * (settled - 1), np.arange(settled), ranked))
     margin = min(max(free / 2, TOLERANCE * interval), interval / 2)
     largest = float(late.max())
     clock = Clock(
