@@ -200,7 +200,6 @@ UNUSED = (
     'numpy.ma',
     'numpy.random',
     'sqlite3',
-    'statistics',
 )
 
 

@@ -123,6 +123,8 @@ def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.
     newest = since[-number:]
     # Any share of the frames up to one half may have been lost, and the first may have come late.
     lost = np.arange(-1, number, 0.5) / (number - 1)
+    if np.ptp(np.diff(newest)) <= 1.0:
+        lost = np.zeros(1)  # of even frames none
     mean = (newest[-1] - newest[0]) / (number - 1)
     intervals = _likeliest(newest, np.maximum(mean / (1 + lost), 1.0), resolution, 0)[1]
     earlier = [] if before is None else [before.interval]
