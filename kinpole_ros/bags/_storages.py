@@ -1,6 +1,5 @@
 """Messages of bags in other storages than MCAP: SQLite, rosbag2's former default, and ROS 1."""
 
-import bz2
 from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -119,6 +118,8 @@ def _open_ros1(path: Path) -> Iterator[Any]:
 
 
 def _unpack_bz2(data: bytes) -> bytes:
+    import bz2
+
     return bz2.BZ2Decompressor().decompress(data, _LARGEST_ROS1_CHUNK)
 
 

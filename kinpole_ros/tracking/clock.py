@@ -119,12 +119,14 @@ def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.
             return before, near
     origin = int(stamps[0])
     since = (stamps - origin).astype(float)
+    if np.ptp(np.diff(stamps)) <= 1:
+        # No clock is likelier than the one whose frames all came, at its ticks.
+        counts = np.arange(len(stamps))
+        return _fit_clock(origin, since, counts, resolution), counts
     number = min(SEARCHED, len(since))
     newest = since[-number:]
     # Any share of the frames up to one half may have been lost, and the first may have come late.
     lost = np.arange(-1, number, 0.5) / (number - 1)
-    if np.ptp(np.diff(newest)) <= 1.0:
-        lost = np.zeros(1)  # of even frames none
     mean = (newest[-1] - newest[0]) / (number - 1)
     intervals = _likeliest(newest, np.maximum(mean / (1 + lost), 1.0), resolution, 0)[1]
     earlier = [] if before is None else [before.interval]
@@ -409,7 +411,8 @@ def _fit_clock(origin: int, since: Real, counts: np.ndarray, resolution: float) 
     late -= phase
     # Half of the time before the next tick in which no frame comes.
     ranked = np.sort(late % interval)
-    free = interval - float(np.interp((1 - 1 / 512) * (settled - 1), np.arange(settled), ranked))
+    last = len(ranked) - 1
+    free = interval - float(np.interp((1 - 1 / 512) * last, np.arange(last + 1), ranked))
     margin = min(max(free / 2, TOLERANCE * interval), interval / 2)
     largest = float(late.max())
     clock = Clock(
