@@ -76,8 +76,8 @@ def import_points(
     """
     Write the points of a file to a bag, as visualization_msgs/MarkerArray on /markers.
 
-    A marker that was not seen in a frame is not in its message. A frame without markers has no
-    message, since it would have no stamp. Poses go to /tf, too. Log times are the stamps.
+    A marker that was not seen in a frame is not in its message; a frame without markers becomes an
+    empty array. Poses go to /tf, too. Log times are the stamps.
 
     Parameters
     ----------
@@ -233,16 +233,15 @@ def write_points(
     with in_place_of(output) as part, BagWriter(part, name=output) as bag:
         for start in range(0, len(stamps), rows):
             block = slice(start, start + rows)
-            is_seen = np.isfinite(points[block]).all(axis=-1).any(axis=-1)
-            times = stamps[block][is_seen]
-            data = marker_arrays(times, _FRAME, names, points[block][is_seen])
-            columns = [('/markers', INPUT_TYPES['marker_array'], times.tolist(), data)]
+            times = stamps[block].tolist()
+            data = marker_arrays(stamps[block], _FRAME, names, points[block])
+            columns = [('/markers', INPUT_TYPES['marker_array'], times, data)]
             if poses is not None:
                 tf = [
                     poses_data('tf', stamp, _FRAME, bodies, row)
-                    for stamp, row in zip(stamps[block].tolist(), poses[block], strict=True)
+                    for stamp, row in zip(times, poses[block], strict=True)
                 ]
-                columns.append((TF, INPUT_TYPES['tf'], stamps[block].tolist(), tf))
+                columns.append((TF, INPUT_TYPES['tf'], times, tf))
             bag.write_many(columns)
             done = min(1.0, (start + rows) / len(stamps))
             if progress is not None and done >= min(due, 1.0):
