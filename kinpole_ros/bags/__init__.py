@@ -13,6 +13,7 @@ from kinpole_ros.bags._files import (
 )
 from kinpole_ros.bags._import import Imported, import_points, write_points
 from kinpole_ros.bags._marker_frames import NODE_NAME, read_frames
+from kinpole_ros.bags._repeated_frames import leave_out_repeats
 from kinpole_ros.bags._replay import replay
 from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._simulate import simulate
@@ -33,6 +34,7 @@ __all__ = [
     'definition',
     'import_points',
     'in_place_of',
+    'leave_out_repeats',
     'message_class',
     'read_blocks',
     'read_frames',

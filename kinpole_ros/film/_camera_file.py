@@ -20,7 +20,7 @@ import yaml
 
 from kinpole_ros.files import cut, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML, load_yaml
-from kinpole_ros.film._video import FilmError
+from kinpole_ros.film._frames import FilmError
 
 _COUNTS = (0, 4, 5, 8, 12, 14)  # of the coefficients of a lens, in OpenCV
 # Names in small letters, without what is no letter and no digit.
@@ -90,12 +90,14 @@ def _of_xml(text: str) -> dict[str, Any]:
     if '<!DOCTYPE' in text:  # entities can multiply
         raise ValueError('it defines entities')
     rows = ((one, one.find('data')) for one in ElementTree.fromstring(text))
-    return {one.tag: (one.text if data is None else (data.text or '').split()) for one, data in rows}
+    return {
+        one.tag: (one.text if data is None else (data.text or '').split()) for one, data in rows
+    }
 
 
 def _of_toml(text: str) -> dict[str, Any]:
     try:
-        import tomllib
+        import tomllib  # type: ignore[import-not-found]
     except ImportError:
         raise ValueError('TOML takes Python 3.11') from None
     return tomllib.loads(text)
@@ -130,9 +132,8 @@ def _camera_of(path: str | Path, content: dict[str, Any]) -> dict[str, Any]:
     }
     cameras = {k: part for k, part in cameras.items() if any(name in part for name in _MATRICES)}
     if len(cameras) > 1:
-        raise FilmError(
-            f'{path} has the cameras {", ".join(map(str, cameras))}; fix: give a file with one of them'
-        )
+        names = ', '.join(map(str, cameras))
+        raise FilmError(f'{path} has the cameras {names}; fix: give a file with one of them')
     return next(iter(cameras.values()), values)
 
 
@@ -152,9 +153,7 @@ def _check_model(path: str | Path, content: dict[str, Any]) -> None:
             )
 
 
-def _named(
-    path: str | Path, content: dict[str, Any], wanted: str, names: tuple[str, ...]
-) -> Any:
+def _named(path: str | Path, content: dict[str, Any], wanted: str, names: tuple[str, ...]) -> Any:
     """Return the first value of these names that there is; FilmError calls it by `wanted`."""
     for name in names:
         if content.get(name) is not None:

@@ -1,13 +1,13 @@
 """A camera: what its lens bends, and its matrix for pictures of any size."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from kinpole_ros.film._camera_file import read_camera_file
-from kinpole_ros.film._video import FilmError
+from kinpole_ros.film._frames import FilmError
 
 _ASPECT = 0.01  # of a picture: if it differs by more, parts of it were cut off
 
@@ -39,6 +39,12 @@ class Lens(NamedTuple):
             rays[:, None], np.zeros(3), np.zeros(3), self.matrix, self.coefficients
         )
         return np.asarray(shown.reshape(pixels.shape))
+
+
+def rectified_lens(info: Any) -> Lens | None:
+    """Return the camera of rectified pictures by a CameraInfo; None if it is not calibrated."""
+    matrix = np.array(info.p, float).reshape(3, 4)[:, :3]
+    return Lens(matrix, np.zeros(5)) if matrix[0, 0] > 0 and matrix[1, 1] > 0 else None
 
 
 def read_lens(path: str | Path, size: tuple[int, int]) -> Lens:

@@ -9,11 +9,12 @@ import numpy as np
 
 from kinpole_ros.film._film import gather
 from kinpole_ros.film._filmed import Filmed, FilmOptions, marker_names
+from kinpole_ros.film._frames import FilmError
 from kinpole_ros.film._ground import leave_out_hidden
 from kinpole_ros.film._lens import Lens
 from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._tags import TagFinder
-from kinpole_ros.film._video import FilmError, Picture, Video, ahead
+from kinpole_ros.film._video import Picture, Video, ahead
 
 _LEARNED = 45  # pictures from which the map to the plane is learned: a second and a half
 _MOST = 250  # tags

@@ -142,6 +142,9 @@ def _msg_type(kind: Any) -> str:
     return f'{_msg_type(what[0])}[{bound}]'
 
 
+# Pictures, and the camera that took them.
+IMAGE, COMPRESSED_IMAGE = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
+CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 # The classes in use.
 Time = message_class('builtin_interfaces/msg/Time')
 DiagnosticArray = message_class('diagnostic_msgs/msg/DiagnosticArray')

@@ -16,7 +16,7 @@ LENS = np.array([0.16, -0.93, 0.0042, 0.0059, 2.28])
 FLAT, FOUR = MATRIX.ravel().tolist(), LENS[:4].tolist()
 ROWS = '\n'.join(' '.join(map(str, row)) for row in MATRIX.tolist())
 ALL = f'[{", ".join(map(str, LENS.tolist()))}]'
-OST = f'# oST version 5.0 parameters\n\n\n[image]\n\nwidth\n1280\n\nheight\n720\n\n[narrow_stereo]\n\n\
+OST = f'# oST version 5.0 parameters\n\n\n[image]\n\nwidth\n1280\n\nheight\n720\n\n[narrow]\n\n\
 camera matrix\n{ROWS}\n\ndistortion\n{" ".join(map(str, LENS))}\n\nrectification\n{ROWS}\n'
 ECHO = f'header:\n  stamp:\n    sec: 1\nheight: 720\nwidth: 1280\ndistortion_model: %s\nd: {ALL}\n\
 k: {FLAT}\nbinning_x: 0\n---\nheight: 720\nwidth: 1280\n---\n'
@@ -25,7 +25,7 @@ KALIBR = f'cam0:\n  camera_model: pinhole\n  intrinsics: [1078.2, 1073.1, 684.88
 ANIPOSE = f'[cam_0]\nname = "a"\nsize = [ 1280, 720,]\nmatrix = {MATRIX.tolist()}\n\
 distortions = {ALL}\nrotation = [ 0.0, 0.0, 0.0,]\n\n[metadata]\nadjusted = false\n'
 FILES = {
-    'rows.yaml': f'camera_matrix: {MATRIX.tolist()}\ndist_coeff: [{ALL}]\nimage_size: [1280, 720]\n',
+    'rows.yaml': f'camera_matrix: {MATRIX.tolist()}\ndist_coeff: [{ALL}]\nsize: [1280, 720]\n',
     'camera.json': json.dumps({'K': MATRIX.tolist(), 'D': LENS.tolist(), 'size': SIZE}),
     'ost.txt': OST,
     'echo.yaml': ECHO % 'plumb_bob',
