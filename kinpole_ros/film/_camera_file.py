@@ -134,7 +134,9 @@ def _camera_of(path: str | Path, content: dict[str, Any]) -> dict[str, Any]:
     if len(cameras) > 1:
         names = ', '.join(map(str, cameras))
         raise FilmError(f'{path} has the cameras {names}; fix: give a file with one of them')
-    return next(iter(cameras.values()), values)
+    if not cameras:
+        raise ValueError('it has no camera_matrix')
+    return next(iter(cameras.values()))
 
 
 def _check_model(path: str | Path, content: dict[str, Any]) -> None:

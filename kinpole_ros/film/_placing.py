@@ -95,7 +95,7 @@ def _at_one_instant(seen: Seen, pixels: np.ndarray, line_time: float) -> np.ndar
     A row is exposed later than the one above it. A corner is moved to the stamp along the parabola
     through three pictures; one that is seen in fewer at a time is left out.
     """
-    stamp = (seen.stamps * 1e-9).reshape(-1, *[1] * (pixels.ndim - 2))
+    stamp = ((seen.stamps - seen.stamps[0]) * 1e-9).reshape(-1, *[1] * (pixels.ndim - 2))
     # The rows of the sensor run right, up or left in a picture that was turned upright.
     along, sign = ((1, 1), (0, 1), (1, -1), (0, -1))[seen.turns]
     row = sign * (pixels[..., along] - (seen.picture[along] - 1) / 2)

@@ -72,8 +72,9 @@ def _numbers(files: list[Path]) -> list[int]:
     """Return the number of each picture, from 0 on: that in its name, if they are in even steps."""
     own = [int(parts[-2]) if len(parts := _parts(file)) > 1 else 0 for file in files]
     steps = np.diff(own)
-    step = int(np.median(steps)) if len(steps) else 0
-    if step < 1 or (steps < 1).any() or (steps % step).any():
+    step = int(steps.min()) if len(steps) else 0
+    # Other numbers are times, or of something else.
+    if step < 1 or (steps % step).any() or (steps == step).mean() < 0.5:
         return list(range(len(files)))
     return [(number - own[0]) // step for number in own]
 

@@ -84,6 +84,7 @@ class Video:
 
     def _stamped(self) -> Iterator[tuple[int, Any]]:
         first, last = None, -1
+        begin = 0
         try:
             for time, number, frame in self._source.read():
                 if self._rate is not None:
@@ -92,9 +93,11 @@ class Video:
                     self.late += 1
                     continue
                 if first is None:
-                    first = 0 if self._source.is_absolute else time
+                    first, begin = (0, time) if self._source.is_absolute else (time, 0)
                     self.turns = quarter_turns(frame)
-                stamp = round((time - first) * self._slowing)
+                stamp = time - first
+                if self._slowing != 1:
+                    stamp = round(stamp * self._slowing)
                 if stamp <= last:
                     self.late += 1
                     continue
@@ -103,7 +106,8 @@ class Video:
         except DamagedError:
             if last < 0:
                 raise
-            self.cut = f'{self.path} is damaged after {last * 1e-9:.4g} s: what follows is lost'
+            seconds = (last - begin) * 1e-9
+            self.cut = f'{self.path} is damaged after {seconds:.4g} s: what follows is lost'
         if last < 0:
             raise FilmError(f'{self.path} has no pictures; fix: film it again, or convert it')
 

@@ -4,8 +4,6 @@ from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kinpole_ros.messages import COMPRESSED_IMAGE, DETECTIONS, IMAGE, INPUT_TYPE_NAMES
-
 if TYPE_CHECKING:
     from kinpole_ros.film import FilmOptions
 
@@ -33,6 +31,8 @@ def is_video(path: str | Path) -> bool:
 
 def is_bag_of_pictures(types: dict[str, str], topic: str | None) -> bool:
     """Return whether a bag with topics of these types is read as a film: it has no markers."""
+    from kinpole_ros.messages import COMPRESSED_IMAGE, DETECTIONS, IMAGE, INPUT_TYPE_NAMES
+
     of_film = IMAGE, COMPRESSED_IMAGE, DETECTIONS
     if topic is not None:
         return types.get(topic if topic.startswith('/') else f'/{topic}') in of_film
