@@ -21,6 +21,7 @@ _SMALL = 0.1  # of the steps before and after: so little is no motion
 # lost frame.
 _LARGE = 0.25
 _MOST_BETWEEN = 0.2  # of the repeats: more steps that are neither are noise, which has all sizes
+_FEWEST = 5  # repeats that say something of the stamps; fewer are left out
 _LONGEST = 5  # repeats in a row; what stays longer may stand still
 _SAME_WAY = 0.5  # cosine between the steps before and after; a body that turns back has -1
 _ROUNDED = 0.2  # of a step: larger steps between values are rounding, which looks like repeats
@@ -87,9 +88,11 @@ def leave_out_repeats(
         if best is None or off < 0.8 * best[0]:
             best = off, own, times, even
     assert best is not None
-    off, is_repeat, times, even = best
-    share = f'{is_repeat.sum()} of {len(stamps)} {noun} repeat the one before'
-    if off > _OFF:
+    off, own, times, even = best
+    if off > _OFF and is_repeat.sum() < _FEWEST:
+        own, times, even = is_repeat, (stamps - stamps[0])[~is_repeat], 0.0
+    share = f'{own.sum()} of {len(stamps)} {noun} repeat the one before'
+    if off > _OFF and is_repeat.sum() >= _FEWEST:
         raise BagError(
             f'{path}: {share} in no even pattern, as of a film of uneven stamps that was made '
             'even, so it is not known when the others were taken; fix: go back to the film '
@@ -98,7 +101,7 @@ def leave_out_repeats(
     made = f', as a converter makes them from {even:.4g} to {1e9 / interval:.4g} Hz' if even else ''
     made = ', and the rate is that of the others' if even and rate else made
     stamps = stamps[0] + np.rint(times).astype(np.int64)
-    return Kept(~is_repeat, stamps, f'{share}{made}, and are left out')
+    return Kept(~own, stamps, f'{share}{made}, and are left out')
 
 
 def _find(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,7 @@
 """The pictures of a camera as they come, and their tags in the plane of motion."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import closing
 
 import cv2
@@ -98,8 +98,7 @@ def live_pictures(source: str) -> Iterator[Picture]:
     camera are those of receipt. Raises FilmError if it cannot be opened.
     """
     if source.isdigit() or source.startswith('/dev/'):
-        with closing(_camera_pictures(source)) as pictures:  # type: ignore[type-var]
-            yield from ahead(pictures, 1, are_old_left_out=True)
+        yield from ahead(_camera_pictures(source), 1, are_old_left_out=True)
         return
     start = None
     with closing(Video(source).pictures()) as pictures:  # type: ignore[type-var]
@@ -110,7 +109,7 @@ def live_pictures(source: str) -> Iterator[Picture]:
             yield picture
 
 
-def _camera_pictures(source: str) -> Iterator[Picture]:
+def _camera_pictures(source: str) -> Generator[Picture, None, None]:
     camera = cv2.VideoCapture(int(source) if source.isdigit() else source)
     try:
         if not camera.isOpened():

@@ -2,8 +2,8 @@
 
 import queue
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -82,7 +82,7 @@ class Video:
         """Yield stamps and frames of the decoder; a thread decodes ahead. Raises FilmError."""
         yield from ahead(self._stamped(), _WAITING)
 
-    def _stamped(self) -> Iterator[tuple[int, Any]]:
+    def _stamped(self) -> Generator[tuple[int, Any], None, None]:
         first, last = None, -1
         begin = 0
         try:
@@ -128,7 +128,9 @@ def _even_rate(times: np.ndarray) -> float:
     return float(1e9 * np.rint(steps / np.median(steps)).sum() / steps.sum())
 
 
-def ahead(items: Iterator[Any], most: int, are_old_left_out: bool = False) -> Iterator[Any]:
+def ahead(
+    items: Generator[Any, None, None], most: int, are_old_left_out: bool = False
+) -> Iterator[Any]:
     """
     Yield items that a thread takes ahead, `most` at a time; an error among them is raised here.
 
@@ -146,13 +148,15 @@ def ahead(items: Iterator[Any], most: int, are_old_left_out: bool = False) -> It
     def take() -> None:
         end = None
         try:
-            for item in items:
-                if are_old_left_out:
-                    with suppress(queue.Empty):
-                        waiting.get_nowait()
-                put(item)
-                if is_over.is_set():
-                    return
+            # A file is closed by the thread that opened it.
+            with closing(items):
+                for item in items:
+                    if are_old_left_out:
+                        with suppress(queue.Empty):
+                            waiting.get_nowait()
+                    put(item)
+                    if is_over.is_set():
+                        return
         except Exception as error:
             end = error
         put(end)

@@ -1,6 +1,8 @@
 """When the pictures of a film were taken: by tags, headers, rates, and the rows of the sensor."""
 
-from collections.abc import Sequence
+import threading
+from collections.abc import Generator, Sequence
+from contextlib import closing
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,7 @@ from kinpole_ros.bags import BagWriter, read_frames
 from kinpole_ros.film import FilmError, FilmOptions, read_film
 from kinpole_ros.film._filmed import Seen
 from kinpole_ros.film._placing import _at_one_instant
-from kinpole_ros.film._video import Video
+from kinpole_ros.film._video import Video, ahead
 from kinpole_ros.messages import (
     CAMERA_INFO,
     COMPRESSED_IMAGE,
@@ -213,6 +215,23 @@ def test_tags_in_a_bag_are_placed(has_info: bool, tmp_path: Path) -> None:
     for tag in range(7):
         off = filmed.corners[:, tag].mean(axis=1) - (exact[tag] - exact[0])
         assert np.abs(off).max() < 0.5e-3
+
+
+def test_a_film_is_closed_by_the_thread_that_opened_it() -> None:
+    """Bags of SQLite cannot be closed by another one."""
+    threads = []
+
+    def items() -> Generator[int, None, None]:
+        try:
+            threads.append(threading.get_ident())
+            while True:
+                yield 0
+        finally:
+            threads.append(threading.get_ident())
+
+    with closing(ahead(items(), 1)) as taken:
+        assert next(taken) == 0
+    assert threads[0] == threads[1] != threading.get_ident()
 
 
 @pytest.mark.parametrize('turns', range(4))
