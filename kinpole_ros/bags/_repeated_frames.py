@@ -45,7 +45,12 @@ class Kept(NamedTuple):
 
 
 def leave_out_repeats(
-    path: str, noun: str, stamps: np.ndarray, points: np.ndarray, rate: float | None = None
+    path: str,
+    noun: str,
+    stamps: np.ndarray,
+    points: np.ndarray,
+    rate: float | None = None,
+    least_step: float = 0.0,
 ) -> Kept:
     """
     Leave out frames that repeat the one before, and estimate when the others were taken.
@@ -62,6 +67,8 @@ def leave_out_repeats(
         (T, N, D), in any unit; NaN where not seen.
     rate : float, optional
         Frames per second that the camera took, Hz, if it is known: of those that repeat no other.
+    least_step : float
+        How far points move between frames, rms, where it is no noise.
 
     Returns
     -------
@@ -76,7 +83,7 @@ def leave_out_repeats(
     everything = Kept(np.ones(len(stamps), bool), stamps, '')
     if len(stamps) < 2 * _LONGEST:
         return everything
-    is_repeat, is_known = _find(points)
+    is_repeat, is_known = _find(points, least_step)
     if not is_repeat.any():
         return everything
     interval = float(np.median(np.diff(stamps)))
@@ -95,8 +102,8 @@ def leave_out_repeats(
     if off > _OFF and is_repeat.sum() >= _FEWEST:
         raise BagError(
             f'{path}: {share} in no even pattern, as of a film of uneven stamps that was made '
-            'even, so it is not known when the others were taken; fix: go back to the film '
-            'as the camera wrote it'
+            'even, so it is not known when the others were taken; fix: take the film as the '
+            f'camera wrote it, or write each of the {noun} once, with its own time'
         )
     made = f', as a converter makes them from {even:.4g} to {1e9 / interval:.4g} Hz' if even else ''
     made = ', and the rate is that of the others' if even and rate else made
@@ -104,7 +111,7 @@ def leave_out_repeats(
     return Kept(~own, stamps, f'{share}{made}, and are left out')
 
 
-def _find(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _find(points: np.ndarray, least_step: float) -> tuple[np.ndarray, np.ndarray]:
     """Return which frames (T,) repeat the one before, and of which it is known."""
     is_repeat = np.zeros(len(points), bool)
     sizes = _step_sizes(points)
@@ -115,7 +122,7 @@ def _find(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     between = 0
     for first, last in _runs(is_small):
         before, after = sizes[first - 1], sizes[last]
-        if last - first > _LONGEST or not (before > 0 and after > 0):
+        if last - first > _LONGEST or not (before > least_step and after > least_step):
             continue
         if not _cosine(points[first] - points[first - 1], points[last + 1] - points[last]) > (
             _SAME_WAY

@@ -50,7 +50,7 @@ class CameraFile(NamedTuple):
 def read_camera_file(path: str | Path) -> CameraFile:
     """Read the file of a camera; raises FilmError that says what it lacks."""
     try:
-        content = _camera_of(path, _content(read_limited(path, MOST_YAML).decode()))
+        content = _camera_of(path, _content(_text(path)))
         _check_model(path, content)
         matrix = _matrix(path, content)
         coefficients = _numbers(_named(path, content, 'distortion_coefficients', _LENSES))
@@ -71,6 +71,13 @@ def read_camera_file(path: str | Path) -> CameraFile:
         )
     coefficients = coefficients if len(coefficients) else np.zeros(5)
     return CameraFile(matrix, coefficients, (width, height))
+
+
+def _text(path: str | Path) -> str:
+    try:
+        return read_limited(path, MOST_YAML).decode()
+    except UnicodeDecodeError:
+        raise ValueError('it is no text, as of numpy or pickle') from None
 
 
 def _content(text: str) -> dict[str, Any]:

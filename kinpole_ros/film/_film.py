@@ -18,6 +18,7 @@ from kinpole_ros.film._video import Progress, Video
 from kinpole_ros.messages import CAMERA_INFO, DETECTIONS, Detections
 
 _LEAST_FRAMES = 5  # in which a tag is seen, else it is left out
+_LEAST_STEP = 0.05  # pixels; in a still film the compression moves corners by less
 SAME_STAMP = 1e6  # ns; a picture may be so much earlier than --at
 
 
@@ -40,7 +41,7 @@ def read_film(
     video = Video(path, options.rate, options.topic)
     seen = _search(video, options, progress)
     marks = np.concatenate((seen.pixels.reshape(len(seen.stamps), -1, 2), seen.dots), axis=1)
-    kept = leave_out_repeats(video.path, 'pictures', seen.stamps, marks, options.rate)
+    kept = leave_out_repeats(video.path, 'pictures', seen.stamps, marks, options.rate, _LEAST_STEP)
     own = kept.is_kept
     seen = replace(seen, stamps=kept.stamps, pixels=seen.pixels[own], dots=seen.dots[own])
     notes = [kept.note, video.late and f'{video.late} left out whose stamps do not increase']

@@ -16,7 +16,9 @@ from rendered import FOUR_BAR, Camera, Film
 from kinpole_ros.bags import BagWriter, read_frames
 from kinpole_ros.film import FilmError, FilmOptions, read_film
 from kinpole_ros.film._filmed import Seen
+from kinpole_ros.film._frames import brightness
 from kinpole_ros.film._placing import _at_one_instant
+from kinpole_ros.film._recorded_pictures import _ENCODINGS, _frame
 from kinpole_ros.film._video import Video, ahead
 from kinpole_ros.messages import (
     CAMERA_INFO,
@@ -162,6 +164,29 @@ def test_a_bag_of_pictures_is_a_film_with_the_stamps_of_its_headers(
     np.testing.assert_array_equal(np.concatenate([part.stamps for part in frames]), stamps)
     assert main([*words, '--topic', 'x']) == 2
     assert 'no pictures on /x, which is not in it; fix: name' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('encoding', _ENCODINGS)
+def test_images_of_all_encodings_have_their_brightness(encoding: str) -> None:
+    """Rows may have padding; YUV has black at 16, and a Bayer pattern half the resolution."""
+    gray = np.add.outer(np.arange(66), np.arange(70)).astype(np.uint8) + 30
+    channels = _ENCODINGS[encoding][1]
+    if encoding == 'mono16':
+        rows = (257 * gray.astype('<u2')).view(np.uint8)
+    elif channels == 2:
+        rows = np.full((66, 140), 128, np.uint8)
+        rows[:, encoding in ('yuv422', 'uyvy') :: 2] = gray
+    else:
+        rows = np.repeat(gray, channels, axis=1)
+    own = message_class(IMAGE)(width=70, height=66, encoding=encoding, step=rows.shape[1] + 3)
+    own.data = np.pad(rows, ((0, 0), (0, 3))).ravel()
+    shown = brightness(_frame('x', own)).astype(float)
+    is_yuv = channels == 2 and encoding != 'mono16'
+    exact = (gray - 16.0) * 255 / 219 if is_yuv else gray
+    assert np.abs(shown - exact)[2:-2, 2:-2].max() < 4
+    own.data = own.data[:-4]
+    with pytest.raises(FilmError, match=r'x has \d+ bytes, too few'):
+        _frame('x', own)
 
 
 def test_what_a_bag_lacks_is_named(tmp_path: Path) -> None:
