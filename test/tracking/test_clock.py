@@ -478,6 +478,18 @@ def test_frames_that_are_lost_regularly_make_no_slower_clock(rate, every, mode):
     assert rms < 1.5 * ideal
 
 
+def test_a_stamp_is_not_later_than_by_its_rounding():
+    """Nor is that of a frame after a loss, in which a body turned too far for a polynomial."""
+    numbers = np.arange(112)
+    numbers = numbers[(numbers - 16) % 33 >= 3]
+    times = numbers / 24
+    places = 24 * (2 * times + 0.08 * np.sin(2 * np.pi * 0.7 * times))
+    points, _ = turned(places, 24)
+    tracker, *_ = track(START + np.rint(times * 1e3).astype(np.int64) * 1_000_000, points)
+    assert tracker.stamp_state().interval == pytest.approx(1 / 24, rel=1e-3)
+    assert tracker.counts['lost'] == 9
+
+
 @pytest.mark.parametrize('kind', ['uniform', '0.001', 'rounded'])
 def test_late_stamps_of_a_slow_camera_are_recognized(kind):
     """In a window of 0.3 s are fewer frames than the motion needs to decide."""
