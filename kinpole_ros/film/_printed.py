@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.files import whole_file
-from kinpole_ros.film._frames import FilmError
+from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._tags import FAMILIES, codes, family_of
 
 _PAGE = (210.0, 297.0)  # mm

@@ -15,8 +15,8 @@ from rendered import FOUR_BAR, Camera, Film
 
 from kinpole_ros.bags import BagWriter, read_frames
 from kinpole_ros.film import FilmError, FilmOptions, read_film
+from kinpole_ros.film._decoder import brightness
 from kinpole_ros.film._filmed import Seen
-from kinpole_ros.film._frames import brightness
 from kinpole_ros.film._placing import _at_one_instant
 from kinpole_ros.film._recorded_pictures import _ENCODINGS, _frame
 from kinpole_ros.film._video import Video, ahead
