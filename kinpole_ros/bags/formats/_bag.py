@@ -62,7 +62,7 @@ class _Observation(NamedTuple):
 
 def _recognizes(file: File) -> bool:
     if file.is_folder:
-        files = (file.path.glob(ending) for ending in ('metadata.yaml', '*.mcap*', '*.db3'))
+        files = (file.path.glob(ending) for ending in ('metadata.yaml', '*.mcap*', '*.db3*'))
         return any(map(any, files))
     magics = MCAP0_MAGIC, SQLITE_MAGIC, ROS1_MAGIC, ZSTD_MAGIC
     return file.head.startswith(magics)
