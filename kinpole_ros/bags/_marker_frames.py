@@ -1,13 +1,14 @@
 """The topic of markers or poses in a bag, and its frames as arrays."""
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
 from kinpole_ros import messages
-from kinpole_ros.bags._bag_reader import Progress, read_blocks, topics
+from kinpole_ros.bags._bag_reader import Progress, read_blocks, read_messages, topics
 from kinpole_ros.bags._files import BagError, Truncated
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
@@ -101,6 +102,8 @@ def frame_blocks(
 
     Those of messages of several layouts, as where markers come and go, are several `MarkerFrames`.
     """
+    if kind == 'tf' and isinstance(reader, messages.PoseReader):
+        _read_static(bag, f'{topic}_static', reader)
     blocks = read_blocks(bag, [topic], progress)
     no_times, type_name = np.zeros(0, np.int64), messages.INPUT_TYPE_NAMES[kind]
     while True:
@@ -130,6 +133,15 @@ def frame_blocks(
                 yield from (([], no_times, error) for error in items)
             else:
                 yield list(items), log_times[np.concatenate(numbers)], None
+
+
+def _read_static(bag: str | Path, topic: str, reader: messages.PoseReader) -> None:
+    """Give a reader the frames that do not move in their parents, where a bag has any."""
+    if topic in topics(bag):
+        # A bag that is cut off is reported by its other messages.
+        with suppress(Truncated):
+            for message in read_messages(bag, [topic]):
+                reader.add_static(message.data)
 
 
 def _marker_topic(bag: str | Path, topic: str | None) -> tuple[str, str]:

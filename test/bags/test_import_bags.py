@@ -461,5 +461,31 @@ def test_a_compressed_db3_that_the_disk_cannot_hold_is_refused(tmp_path, monkeyp
     path = tmp_path / 'bag.db3.zstd'
     path.write_bytes(zstandard.compress(b'SQLite format 3\0' + bytes(1 << 22)))
     monkeypatch.setattr('shutil.disk_usage', lambda _: SimpleNamespace(free=1 << 22))
-    with pytest.raises(BagError, match='half of the free space of .*; fix: free some, or set TMP'):
+    with pytest.raises(BagError, match=r'half of the free space of .*; fix: free some, or set'):
         list(read_messages(path))
+
+
+@pytest.mark.parametrize('apart', [False, True])
+def test_a_chain_of_frames_on_tf_is_multiplied_out(tmp_path, apart):
+    path = tmp_path / 'run.mcap'
+    quarter = [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]
+    with BagWriter(path) as bag:
+        for k in range(6):
+            stamp = FIRST + k * STEP
+            parts = [('map', 'lab', 9.0), ('lab', 'crank', 1.0), ('crank', 'rod', 2.0 + k)]
+            for parent, child, x in parts[k > 0 :]:
+                topic = '/tf_static' if child == 'lab' else '/tf'
+                late = STEP // 2 if apart and child == 'rod' else 0
+                row = np.array([[x, 0.0, 0.0, *quarter]])
+                data = poses_data('tf', stamp + late, parent, [child], row)
+                bag.write_many([(topic, INPUT_TYPES['tf'], [stamp + late], [data])])
+    if apart:
+        with pytest.raises(BagError, match='rod is on crank, and these never have one stamp'):
+            import_points(path, tmp_path / 'out.mcap')
+        return
+    done = import_points(path, tmp_path / 'out.mcap')
+    assert 'multiplied out into lab: rod on crank' in ' '.join(done.notes)
+    stamps, found = markers_in(tmp_path / 'out.mcap')
+    assert sorted(found) == ['crank', 'rod']
+    assert stamps == [FIRST + k * STEP for k in range(6)]
+    np.testing.assert_allclose(found['rod'], [(1.0, 2.0 + k, 0.0) for k in range(6)], atol=1e-12)
