@@ -22,7 +22,7 @@ def read_frames(
     topic: str | None = None,
     seconds: float | None = None,
     progress: Progress | None = None,
-    report: Callable[[Truncated], None] | None = None,
+    report: Callable[[BagError], None] | None = None,
     identity: str = 'auto',
 ) -> tuple[list[MarkerFrames], str]:
     """
@@ -39,7 +39,7 @@ def read_frames(
     progress : callable, optional
         Called with the fraction of bytes read, 0 to 1.
     report : callable, optional
-        Called with what is missing of a bag that is not whole.
+        Called with what is missing of a bag that is not whole, and what of it is no marker.
     identity : str
         As the parameter `marker_identity`.
 
@@ -76,6 +76,8 @@ def read_frames(
         raise BagError(
             f'{bag}: no message on {name} can be read{reason}; fix: name another with --topic'
         )
+    if report is not None and isinstance(reader, messages.MarkerReader) and reader.fault():
+        report(BagError(f'{bag}: {reader.fault()}'))
     return frames if seconds is None else _first_part(frames, seconds), name
 
 
