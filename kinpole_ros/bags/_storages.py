@@ -1,13 +1,9 @@
 """Messages of bags in other storages than MCAP: SQLite, rosbag2's former default, and ROS 1."""
 
-import bz2
-import shutil
-import sqlite3
-import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import zstandard
 
@@ -22,6 +18,9 @@ from kinpole_ros.bags._files import (
 )
 from kinpole_ros.bags._layout import unpack_lz4
 from kinpole_ros.files import open_regular, printable
+
+if TYPE_CHECKING:
+    import sqlite3
 
 _LARGEST_MESSAGE = 1 << 25  # bytes of a message in SQLite, unpacked
 _COPIED_BYTES = 1 << 20  # at a time
@@ -52,16 +51,19 @@ def _whole_database(path: Path) -> Iterator[str]:
     if not (is_packed or beside):
         yield f'{path.absolute().as_uri()}?immutable=1'
         return
+    import shutil
+    import tempfile
+
     with tempfile.TemporaryDirectory(prefix='kinpole_') as folder:
         copy = Path(folder) / 'copy.db3'
         with open_file(path) as source, open(copy, 'wb') as target:
-            _copy_bounded(path, source, target, shutil.disk_usage(folder).free)
+            _copy_bounded(path, source, target, folder, shutil.disk_usage(folder).free)
         for file in beside:
             shutil.copyfile(file, f'{copy}{str(file).removeprefix(str(path))}')
         yield copy.as_uri()
 
 
-def _copy_bounded(path: Path, source: BinaryIO, target: BinaryIO, free: int) -> None:
+def _copy_bounded(path: Path, source: BinaryIO, target: BinaryIO, folder: str, free: int) -> None:
     """Copy a file to a disk; raises BagError where it would take most of the `free` bytes."""
     size = 0
     while block := source.read(_COPIED_BYTES):
@@ -69,15 +71,17 @@ def _copy_bounded(path: Path, source: BinaryIO, target: BinaryIO, free: int) -> 
         if size > free / 2:
             raise BagError(
                 f'{path} needs a copy of more than half of the free space of '
-                f'{tempfile.gettempdir()}, {free >> 20} MiB; fix: free some, or set TMPDIR to '
+                f'{Path(folder).parent}, {free >> 20} MiB; fix: free some, or set TMPDIR to '
                 'another folder'
             )
         target.write(block)
 
 
 @contextmanager
-def _open_sqlite(path: Path) -> Iterator[sqlite3.Connection]:
+def _open_sqlite(path: Path) -> 'Iterator[sqlite3.Connection]':
     """Open a file read-only, whatever its folder allows; errors of SQLite become BagError."""
+    import sqlite3
+
     try:
         with (
             _whole_database(path) as address,
@@ -167,6 +171,8 @@ def _open_ros1(path: Path) -> Iterator[Any]:
 
 
 def _unpack_bz2(data: bytes) -> bytes:
+    import bz2
+
     return bz2.BZ2Decompressor().decompress(data, _LARGEST_ROS1_CHUNK)
 
 
