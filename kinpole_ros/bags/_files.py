@@ -36,7 +36,10 @@ _UNPACKED_BYTES = 1 << 20  # at a time
 # What YAML and records of another form raise.
 _MALFORMED = (ValueError, LookupError, TypeError, AttributeError)
 # Endings of files that `kinpole import` reads.
-_POINTS = ('.csv', '.tsv', '.txt', '.trc', '.c3d', '.h5', '.xml', '.trk', '.json')
+_POINTS = (
+    *('.csv', '.tsv', '.txt', '.trc', '.c3d', '.h5', '.nc', '.nwb', '.slp'),
+    *('.xml', '.trk', '.json'),
+)
 _IMPORT = 'fix: make a bag of it by `kinpole import {} --output {}`'
 CONVERT = 'fix: `rosbags-convert --src {} --dst NEW --dst-storage mcap` (pip install rosbags)'
 

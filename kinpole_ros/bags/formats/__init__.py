@@ -27,6 +27,7 @@ from kinpole_ros.bags.formats._file import (
 from kinpole_ros.bags.formats._keypoints import KEYPOINTS
 from kinpole_ros.bags.formats._kinovea import KINOVEA
 from kinpole_ros.bags.formats._motion_capture import MOTIVE, TRC, VICON
+from kinpole_ros.bags.formats._named_arrays import MOVEMENT, NWB
 from kinpole_ros.bags.formats._open_source_physics import TRACKER
 from kinpole_ros.bags.formats._preamble import PIXELS, read_preamble
 from kinpole_ros.bags.formats._qualisys import QUALISYS
@@ -51,6 +52,8 @@ FORMATS: dict[str, Format] = {
     for format in (
         BAG,
         SLEAP,
+        MOVEMENT,
+        NWB,
         DEEPLABCUT,
         KINOVEA,
         TRACKER,
