@@ -1,5 +1,6 @@
 """Tags and dots of a film as markers in the plane of motion: the corners of a tag, and each dot."""
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,12 +8,12 @@ import numpy as np
 
 from kinpole_ros.bags import write_points
 from kinpole_ros.film._dots import Dots
+from kinpole_ros.film._families import smallest
 from kinpole_ros.film._filmed import Filmed, FilmOptions, Seen
 from kinpole_ros.film._placing import place_seen
-from kinpole_ros.film._tags import NO_TAGS, TagFinder
+from kinpole_ros.film._tags import LEAST_PICTURES, NO_TAGS, TagFinder
 from kinpole_ros.film._video import FilmError, Progress, Video
 
-_LEAST_FRAMES = 5  # in which a tag is seen, else it is left out
 SAME_STAMP = 1e6  # ns; a picture may be so much earlier than --at
 
 
@@ -53,7 +54,7 @@ def film_to_bag(
 
 def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Seen:
     """Find the tags in all pictures, and follow the dots from that in which they are chosen."""
-    finder = None if options.ruler is not None else TagFinder(options.family)
+    finder = TagFinder(options.family)
     stamps, found, places = [], [], []
     picture, dots = (0, 0), None
     chosen = np.reshape([(place.real, place.imag) for place in options.points.values()], (-1, 2))
@@ -63,7 +64,7 @@ def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Se
             video.cut = f'{video.path}: the size of its pictures changes; what follows is left out'
             break
         picture = width, height
-        tags, corners = finder.find(gray) if finder is not None else NO_TAGS
+        tags, corners = finder.find(gray) if options.ruler is None else NO_TAGS
         stamps.append(stamp)
         found.append((tags, corners.astype(np.float32)))
         if dots is not None:
@@ -75,33 +76,51 @@ def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Se
             places.append(np.full(chosen.shape, np.nan))
         if progress is not None and video.count:
             progress(min(1.0, len(stamps) / video.count))
-    seen = gather(stamps, found, picture, finder.family if finder is not None else '')
+    seen = gather(stamps, found, picture, finder)
     if options.points and dots is None:
         raise FilmError(f'--at is {options.at:g} s, and {video.path} ends before')
-    if not seen.tags and finder is not None:
-        cut = f', and {video.cut}' if video.cut else ''
-        fix = 'tape tags of `kinpole film --print` on the links, and film nearer, in more light'
-        if options.points:
-            fix = 'give --scale'
-        raise FilmError(
-            f'{video.path} shows no tag in {_LEAST_FRAMES} pictures ({len(stamps)} were searched'
-            f'{cut}); fix: {fix}'
-        )
+    if not seen.tags and options.ruler is None:
+        raise _no_tags(video, seen, finder, bool(options.points))
     return replace(seen, dots=np.array(places))
+
+
+def _no_tags(video: Video, seen: Seen, finder: TagFinder, has_points: bool) -> FilmError:
+    """Return the error of a film without tags that can be used."""
+    count = f'{len(seen.stamps)} pictures were searched'
+    if video.cut:
+        count += f', and {video.cut}'
+    if finder.mirrored and not seen.unused:
+        return FilmError(
+            f'{video.path} shows tags of family {finder.mirrored} as in a mirror; fix: mirror it, '
+            'as by ffmpeg -i IN -vf hflip OUT.mp4'
+        )
+    fix = 'tape tags of `kinpole film --print` on the links, and film nearer, in more light'
+    if has_points:
+        fix = 'give --scale'
+    if any(finder.twice.values()):
+        fix = 'print a number once, and tape another tag on each link'
+    found = f'; seen and not used: {"; ".join(seen.unused)}' if seen.unused else ''
+    return FilmError(
+        f'{video.path} shows no tag in {LEAST_PICTURES} pictures or more ({count}{found}); '
+        f'fix: {fix}'
+    )
 
 
 def gather(
     stamps: list[int],
     found: list[tuple[list[int], np.ndarray]],
     picture: tuple[int, int],
-    family: str,
+    finder: TagFinder,
+    family: str = '',
 ) -> Seen:
-    """Return the tags, and corners (n, 4, 2), of each picture as arrays."""
-    counts: dict[int, int] = {}
-    for tags, _ in found:
-        for tag in tags:
-            counts[tag] = counts.get(tag, 0) + 1
-    kept = sorted(tag for tag, count in counts.items() if count >= _LEAST_FRAMES)
+    """
+    Return the tags, and corners (n, 4, 2), of each picture as arrays.
+
+    The family is that of the finder, but for tags that another program found.
+    """
+    counts = Counter(tag for tags, _ in found for tag in tags)
+    unused = finder.unused(counts)
+    kept = sorted(tag for tag in counts if tag not in unused)
     columns = {tag: k for k, tag in enumerate(kept)}
     pixels = np.full((len(stamps), len(kept), 4, 2), np.nan, np.float32)
     for row, (tags, places) in enumerate(found):
@@ -109,7 +128,14 @@ def gather(
             if tag in columns:
                 pixels[row, columns[tag]] = place
     no_dots = np.empty((len(stamps), 0, 2))
-    return Seen(kept, np.array(stamps, np.int64), pixels, no_dots, picture, family)
+    texts = [f'{tag} ({why})' for tag, why in unused.items()]
+    texts += [
+        f'{", ".join(map(str, tags))} (of family {smallest(name, tags)})'
+        for name, tags in finder.others.items()
+        if tags
+    ]
+    family = family or finder.name(kept)
+    return Seen(kept, np.array(stamps, np.int64), pixels, no_dots, picture, family, tuple(texts))
 
 
 def _film_line(video: Video, seen: Seen, options: FilmOptions) -> str:

@@ -129,7 +129,8 @@ class Seen:
     """
     What the pictures show: tags, stamps (T,), and pixels of corners (T, n, 4, 2), dots (T, m, 2).
 
-    `picture` is the width and height of one.
+    `picture` is the width and height of one. `unused` are tags that were found and left out, each
+    with its cause.
     """
 
     tags: list[int]
@@ -138,3 +139,4 @@ class Seen:
     dots: np.ndarray
     picture: tuple[int, int]
     family: str
+    unused: tuple[str, ...] = ()

@@ -185,7 +185,8 @@ def _tag_line(seen: Seen, corners: np.ndarray, options: FilmOptions) -> str:
     names = ', '.join(map(str, seen.tags[:_SHOWN])) + (', ...' if len(seen.tags) > _SHOWN else '')
     worst = int(shares.argmin())
     side = float(np.nanmedian(np.linalg.norm(np.diff(seen.pixels, axis=2), axis=-1)))
+    unused = f'; seen and not used: {"; ".join(seen.unused)}' if seen.unused else ''
     return (
         f'tags: {names} of family {seen.family}, {side:.3g} pixels and {options.size * 1e3:.4g} mm '
-        f'wide, seen in {shares.min():.0%} of the pictures or more (tag {seen.tags[worst]})'
+        f'wide, seen in {shares.min():.0%} of the pictures or more (tag {seen.tags[worst]}){unused}'
     )
