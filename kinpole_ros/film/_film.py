@@ -46,9 +46,7 @@ def film_to_bag(
     The arguments, and the errors, are those of `read_film`.
     """
     filmed = read_film(path, options, progress)
-    flat = filmed.places
-    points = np.stack((flat.real, flat.imag, np.where(np.isnan(flat), np.nan, 0.0)), axis=-1)
-    write_points(output, filmed.names, filmed.stamps, points)
+    write_points(output, filmed.names, filmed.stamps, filmed.points)
     return filmed
 
 

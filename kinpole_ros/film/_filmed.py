@@ -87,6 +87,9 @@ class Filmed:
         Width and height, pixels.
     assumed : list of str
         What was assumed, and the options that change it, a line each.
+    corner_heights : ndarray or None
+        (n, 4), m, of tags that turn out of the picture, over the plane of `maps`; None if they move
+        in it.
 
     """
 
@@ -99,6 +102,7 @@ class Filmed:
     lens: Lens | None
     picture: tuple[int, int]
     assumed: list[str]
+    corner_heights: np.ndarray | None = None
 
     @property
     def names(self) -> list[str]:
@@ -110,6 +114,15 @@ class Filmed:
         """The places (T, N) of the markers, complex, m."""
         corners = self.corners.reshape(len(self.stamps), -1)
         return np.column_stack((corners, *self.dots.values()))
+
+    @property
+    def points(self) -> np.ndarray:
+        """The markers (T, N, 3), m; z is 0 but for corners of tags that turn out of the picture."""
+        flat = self.places
+        z = np.zeros(flat.shape)
+        if self.corner_heights is not None:
+            z[:, : self.corner_heights.size] = self.corner_heights.ravel()
+        return np.stack((flat.real, flat.imag, np.where(np.isnan(flat), np.nan, z)), axis=-1)
 
     def to_pixels(
         self, points: np.ndarray, number: int, height: np.ndarray | float = 0.0

@@ -83,7 +83,7 @@ class LiveTags:
         seen = gather(list(range(len(self._found))), self._found, picture, self._finder, family)
         self._found.clear()
         if seen.tags:
-            filmed = place_seen(seen, self._options, self._lens)
+            filmed = place_seen(seen, self._options, self._lens, may_turn=False)
             if len(filmed.maps) > 1:
                 ground, _, _ = filmed.assumed[-1].partition('; perspective')
                 raise FilmError(

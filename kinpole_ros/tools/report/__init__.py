@@ -89,7 +89,8 @@ def report(
         'deviations': [[row.joint, f'{row.rms:.2g} m', f'{row.deviations:.1f}'] for row in joints],
         'made': f'kinpole {__version__}',
     }
-    if film is not None:
+    # Where tags turn out of the picture, the plane of motion is seen from its side.
+    if film is not None and film[1].corner_heights is None:
         from kinpole_ros.film import straightened
 
         data['film'] = straightened(*film, shown.stamp)
