@@ -9,13 +9,13 @@ PROGRESS ?= 10
 RUN := .venv/bin/python
 PIP = $(RUN) -m pip install --disable-pip-version-check
 # A worker that a test ends is not replaced: it would be given the same test again.
-PYTEST := -m pytest -p xdist -n auto --dist loadfile --max-worker-restart 0
+PYTEST := -m pytest -p xdist -n auto --dist worksteal --max-worker-restart 0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test docs oldest newest lint sanitize bags fuzz lock clean
+.PHONY: help demo test test-all docs oldest newest lint sanitize bags fuzz lock clean
 
 help:  ## list these targets
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST)
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST)
 
 ifneq ($(filter-out help clean,$(MAKECMDGOALS)),)
 # The Python beneath an active environment, which may be the very .venv that is to be made.
@@ -65,9 +65,11 @@ endif
 demo: .venv/demo-$(READY)  ## track a four-bar live over DDS; a table, and a picture under out/
 	@$(RUN) -m kinpole_ros.tools.cli demo --output out
 
-test: lint  ## lint, types and all tests; PYTEST_ARGS='-k wheel' for some of them
+test: lint  ## lint, types and one test of each kind; PYTEST_ARGS='-k wheel' for some of them
+test-all: lint  ## the same with all tests, also those of test/thorough.csv
+test test-all:
 	@PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 OPENBLAS_NUM_THREADS=1 \
-	  $(RUN) $(PYTEST) $(PYTEST_ARGS)
+	  $(RUN) $(PYTEST) $(if $(filter test-all,$@),--thorough) $(PYTEST_ARGS)
 
 oldest:  ## all tests with the oldest versions that setup.py allows, in .venv-oldest
 newest:  ## all tests with the newest versions there are, in .venv-newest
@@ -78,7 +80,7 @@ oldest newest:
 	@.venv-$@/bin/python -m pip install --quiet --constraint .venv-$@/bounds.txt \
 	  --editable '.[$($@_EXTRAS),docs$(ROS)]'
 	@PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 OPENBLAS_NUM_THREADS=1 \
-	  .venv-$@/bin/python $(PYTEST) $(PYTEST_ARGS)
+	  .venv-$@/bin/python $(PYTEST) --thorough $(PYTEST_ARGS)
 
 docs: .venv/docs-$(READY)  ## the site of the docs, in out/docs; warnings are errors
 	@OPENBLAS_NUM_THREADS=1 $(RUN) -m sphinx -q -W --keep-going -E docs out/docs

@@ -1,6 +1,7 @@
 """What several test files share: bags of scenes, made once, and the messages in a bag."""
 
 import base64
+import csv
 import json
 import os
 import re
@@ -9,6 +10,7 @@ import zlib
 from argparse import Namespace
 from array import array
 from collections.abc import Callable, Iterator, Mapping
+from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -42,24 +44,78 @@ os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 
 # An example that takes long on a busy machine is no fault of what is tested. `make test` tries the
 # same examples each time, so that what fails is the change's fault; `make fuzz` tries others.
-settings.register_profile('same', deadline=None, derandomize=True)
+settings.register_profile('same', deadline=None, derandomize=True, max_examples=30)
 settings.register_profile('fuzz', deadline=None)
 settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'same'))
+
+
+# Tests that `make test` leaves out, the cases of them that it keeps, and what covers the others.
+THOROUGH = Path(__file__).with_name('thorough.csv')
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption('--thorough', action='store_true', help='also the tests of thorough.csv')
+
+
+def thorough_tests() -> dict[str, str]:
+    """Names of tests, and for each the cases that are kept, in which * is any text."""
+    with THOROUGH.open(newline='') as file:
+        return {row['test']: row['kept'] for row in csv.DictReader(file)}
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what is thorough, unless it is asked for, or a test is named."""
+    if config.getoption('--thorough') or any('::' in str(word) for word in config.args):
+        return
+    kept = {
+        name: re.compile('|'.join(map(re.escape, cases.split(' | '))).replace(r'\*', '.*'))
+        for name, cases in thorough_tests().items()
+    }
+    left_out = []
+    for item in items:
+        name, bracket, case = item.nodeid.removeprefix('test/').partition('[')
+        if name in kept and not (bracket and kept[name].fullmatch(bracket + case)):
+            left_out.append(item)
+    unknown = kept.keys() - {item.nodeid.removeprefix('test/').split('[')[0] for item in items}
+    if unknown and config.args == config.getini('testpaths'):
+        raise pytest.UsageError(f'{THOROUGH.name} names tests that are not there: {unknown}')
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = [item for item in items if item not in {*left_out}]
+
+
+@pytest.hookimpl(optionalhook=True)  # Without the plugin there are no workers.
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than there are cores: live tests wait most of their time."""
+    return (os.cpu_count() or 1) + 1
+
+
+def shared_folder(factory: pytest.TempPathFactory, name: str) -> Path:
+    """A folder that all workers of a run have in common."""
+    base = factory.getbasetemp()
+    folder = (base.parent if 'PYTEST_XDIST_WORKER' in os.environ else base) / name
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+def made_once(path: Path, make: Callable[[Path], Any]) -> Path:
+    """A file that the first worker that needs it makes; two that make it at once do no harm."""
+    if not path.exists():
+        part = path.parent / str(os.getpid()) / path.name
+        part.parent.mkdir(exist_ok=True)
+        make(part)
+        part.rename(path)
+    return path
 
 
 @pytest.fixture(scope='session')
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """`simulated('four_bar', rate=100)` is the bag that `kinpole simulate` makes of that."""
-    folder = tmp_path_factory.mktemp('simulated')
-    made: dict[str, Path] = {}
+    folder = shared_folder(tmp_path_factory, 'simulated')
 
     def make(scene: str | Path, **options: Any) -> Path:
         key = f'{scene} {sorted(options.items())}'
-        if key not in made:
-            bag = folder / f'{len(made)}.mcap'
-            simulate(load_scene(scene), bag, **options)
-            made[key] = bag
-        return made[key]
+        bag = folder / f'{sha256(key.encode()).hexdigest()[:16]}.mcap'
+        return made_once(bag, lambda part: simulate(load_scene(scene), part, **options))
 
     return make
 
@@ -182,9 +238,9 @@ def title_of(figure: Any) -> str:
 def four_bar_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The report of a four-bar."""
     # No name that HTML or a regular expression would take for something else.
-    output = tmp_path_factory.mktemp('report') / 'four <b>bar.html'
-    report(FOUR_BAR, output, load_settings(ROOT / 'config' / 'four_bar.yaml'))
-    return output
+    output = shared_folder(tmp_path_factory, 'report') / 'four <b>bar.html'
+    configuration = load_settings(ROOT / 'config' / 'four_bar.yaml')
+    return made_once(output, lambda part: report(FOUR_BAR, part, configuration))
 
 
 @pytest.fixture(scope='session')

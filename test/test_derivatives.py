@@ -241,6 +241,7 @@ ONE_AMPLITUDE = 300.0
 @pytest.fixture
 def one_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """There is one process on a line, or a line, or rest: the first is by far the likeliest."""
+    monkeypatch.setenv('KINPOLE_CACHE', '')
     caches = _models._members, _models._functions
     monkeypatch.setattr(
         _pose_derivatives, '_tables', _pose_derivatives._Tables((), np.empty((0, 7), np.int64))

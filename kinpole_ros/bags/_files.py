@@ -19,13 +19,14 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.records import Header
-from mcap.writer import MCAP0_MAGIC
 
 from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limited, whole_file
 from kinpole_ros.files.bounded_yaml import MOST_YAML, load_yaml
 
 LIBRARY = 'kinpole_ros'  # named in bags that can be made again
 RECORDER = 'kinpole record'  # named in recordings, which cannot
+# mcap.writer has it too, and takes longer to import than the rest of mcap.
+MCAP_MAGIC = b'\x89MCAP0\r\n'
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # no CDR starts with it
 SQLITE_MAGIC = b'SQLite f'
 ROS1_MAGIC = b'#ROSBAG '
@@ -171,7 +172,7 @@ def _by_number(name: str) -> list[int | str]:
 def check_magic(path: Path) -> None:
     """Raise BagError where a file does not begin as an MCAP or SQLite file does."""
     with open_regular(path) as file:
-        magic = file.read(len(MCAP0_MAGIC))
+        magic = file.read(len(MCAP_MAGIC))
     if not magic:
         raise Truncated(f'{path} is empty (0 bytes); fix: record again')
     if magic == SQLITE_MAGIC:
@@ -180,13 +181,13 @@ def check_magic(path: Path) -> None:
         raise BagError(f'{path} is a ROS 1 bag; {_IMPORT.format(path, path.with_suffix(".mcap"))}')
     if magic.startswith(ZSTD_MAGIC):
         with open_file(path) as unpacked:
-            if unpacked.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+            if unpacked.read(len(MCAP_MAGIC)) == MCAP_MAGIC:
                 return
         raise BagError(
             f'{path} is compressed, and what is in it is not an MCAP file; '
             f'fix: see what `zstd -d {path}` gives'
         )
-    if not MCAP0_MAGIC.startswith(magic):
+    if not MCAP_MAGIC.startswith(magic):
         if path.suffix.lower() in _POINTS:
             raise BagError(
                 f'{path} is a file of points, not a bag; '
@@ -217,7 +218,7 @@ def recorder_of(path: str | Path) -> str:
     with suppress(OSError, *_MALFORMED, struct.error, EndOfFile):
         if path.is_file():
             with open_file(path) as file:
-                if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+                if file.read(len(MCAP_MAGIC)) == MCAP_MAGIC:
                     head = file.read(_HEADER_BYTES)
                     length = int.from_bytes(head[1:9], 'little')
                     library = Header.read(ReadDataStream(io.BytesIO(head[9 : 9 + length]))).library

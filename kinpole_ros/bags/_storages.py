@@ -1,11 +1,9 @@
 """Messages of bags in other storages than MCAP: SQLite, rosbag2's former default, and ROS 1."""
 
-import bz2
-import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import zstandard
 
@@ -13,6 +11,9 @@ from kinpole_ros.bags._channels import BagMessage, unpack_message
 from kinpole_ros.bags._files import CONVERT, SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
 from kinpole_ros.bags._layout import unpack_lz4
 from kinpole_ros.files import printable
+
+if TYPE_CHECKING:
+    import sqlite3
 
 _LARGEST_MESSAGE = 1 << 25  # bytes of a message in SQLite, unpacked
 _TABLES = {'topics', 'messages'}
@@ -27,8 +28,10 @@ def is_sqlite(file: BinaryIO) -> bool:
 
 
 @contextmanager
-def _open_sqlite(path: Path) -> Iterator[sqlite3.Connection]:
+def _open_sqlite(path: Path) -> 'Iterator[sqlite3.Connection]':
     """Open a file read-only, whatever its folder allows; errors of SQLite become BagError."""
+    import sqlite3
+
     try:
         with closing(sqlite3.connect(f'{path.absolute().as_uri()}?immutable=1', uri=True)) as file:
             file.execute('PRAGMA trusted_schema = OFF')
@@ -115,6 +118,8 @@ def _open_ros1(path: Path) -> Iterator[Any]:
 
 
 def _unpack_bz2(data: bytes) -> bytes:
+    import bz2
+
     return bz2.BZ2Decompressor().decompress(data, _LARGEST_ROS1_CHUNK)
 
 

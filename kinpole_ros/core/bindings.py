@@ -7,15 +7,15 @@ no others.
 """
 
 import ctypes
-import sysconfig
 from collections.abc import Mapping
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-_FILE = Path(__file__).parents[1] / f'_compiled{sysconfig.get_config_var("EXT_SUFFIX")}'
+_FILE = Path(__file__).parents[1] / f'_compiled{EXTENSION_SUFFIXES[0]}'
 _Bytes = ctypes.c_char * 0
 # An argument of type c_void_p that points to a new array, in half the time of `address_of`.
 pass_new_array = _Bytes.from_buffer

@@ -1,7 +1,7 @@
 """
 Call the compiled kernel: from poses at stamps to derivatives at instants.
 
-The tables of window kinds are kept between calls, because they take 30 to 100 ms to make.
+The tables of window kinds are kept between calls, and in files between processes.
 """
 
 from ctypes import byref, c_longlong, sizeof
@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.core.bindings import SIZES, Call, Table, library
+from kinpole_ros.derivatives._cached_tables import cached_table
 from kinpole_ros.derivatives._models import FLAT, models_of, slopes_of, stencils_of
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -179,11 +180,9 @@ def go_on(call: Call, code: int) -> _Tables:
         raise MemoryError if code < -1 else IndexError('windows lie beyond the frames')
     lacking = call.lacking
     window = lacking.count, lacking.block, bool(lacking.exact)
-    no_integers = np.empty(0, np.int64)
-    if lacking.orders > 0:
-        made = no_integers, stencils_of(*window, lacking.orders, lacking.at)
-    else:
-        made = models_of(*window) if lacking.orders == 0 else (no_integers, slopes_of(*window))
+    made = cached_table(
+        (*window, lacking.orders, lacking.at), lambda: _make(window, lacking.orders, lacking.at)
+    )
     lacking.integers, lacking.numbers = (array.ctypes.data for array in made)
     arrays = (*_tables.arrays, made)
     tables = np.concatenate((_tables.tables, np.frombuffer(bytes(lacking), np.int64)[None]))
@@ -191,3 +190,11 @@ def go_on(call: Call, code: int) -> _Tables:
     number = max(int(np.count_nonzero(sizes <= _MAX_TABLE_BYTES)), 1)
     _tables = _Tables(arrays[-number:], tables[-number:].copy())
     return pass_tables(call)
+
+
+def _make(window: tuple[int, int, bool], orders: int, at: float) -> tuple[np.ndarray, Real]:
+    """Make stencils for these `orders`, or models if it is 0, or slopes if it is negative."""
+    if orders == 0:
+        return models_of(*window)
+    numbers = stencils_of(*window, orders, at) if orders > 0 else slopes_of(*window)
+    return np.empty(0, np.int64), numbers

@@ -43,7 +43,6 @@ from kinpole_ros.settings import ParameterError, Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.tracker import Tracker
 
-_DIAGNOSTICS_INTERVAL = 1.0  # s
 _DISCOVERY_INTERVAL = 0.1  # s: how often subscribers and publishers are looked up
 # The node ends after so many failures, for so long (s), without a success between them.
 _MAX_FAILURES, _MAX_FAILING = 100, 10.0
@@ -81,7 +80,10 @@ class KinpoleNode(ParameterNode):
         # With a steady clock timers run though simulated time stands still. The second one runs in
         # every state, so that no wait is endless.
         self._diagnostics_timer = self.create_timer(
-            _DIAGNOSTICS_INTERVAL, self._publish_diagnostics, clock=self._steady, autostart=False
+            self.get_parameter('diagnostics_interval').value,
+            self._publish_diagnostics,
+            clock=self._steady,
+            autostart=False,
         )
         self.create_timer(_DISCOVERY_INTERVAL, self._discover, clock=self._steady)
         self.accept_changes()

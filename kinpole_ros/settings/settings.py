@@ -207,6 +207,9 @@ NODE_PARAMETERS = {
         'executor of rclpy.',
         START,
     ),
+    'diagnostics_interval': Parameter(
+        1.0, kinds.number(0.05, 3600.0, 's'), 'Time between messages on /diagnostics.', START
+    ),
 }
 
 

@@ -119,6 +119,10 @@ def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.
             return before, near
     origin = int(stamps[0])
     since = (stamps - origin).astype(float)
+    if np.ptp(np.diff(stamps)) <= 1:
+        # No clock is likelier than the one whose frames all came, at its ticks.
+        counts = np.arange(len(stamps))
+        return _fit_clock(origin, since, counts, resolution), counts
     number = min(SEARCHED, len(since))
     newest = since[-number:]
     # Any share of the frames up to one half may have been lost, and the first may have come late.
@@ -406,7 +410,9 @@ def _fit_clock(origin: int, since: Real, counts: np.ndarray, resolution: float) 
     phase = float(late.min())
     late -= phase
     # Half of the time before the next tick in which no frame comes.
-    free = interval - float(np.quantile(late % interval, 1 - 1 / 512))
+    ranked = np.sort(late % interval)
+    last = len(ranked) - 1
+    free = interval - float(np.interp((1 - 1 / 512) * last, np.arange(last + 1), ranked))
     margin = min(max(free / 2, TOLERANCE * interval), interval / 2)
     largest = float(late.max())
     clock = Clock(

@@ -343,7 +343,7 @@ class MarkerAssignment:
         foreign = int(np.isin(rows[corrected], named).sum())
         unknown = int(corrected.sum()) - foreign
         is_numbered = identities == tuple(map(str, range(none)))
-        unassigned = np.setdiff1d(np.arange(none), rows)
+        unassigned = np.flatnonzero(~np.isin(np.arange(none), rows))
         # Names of poses are taken at their word.
         if self.posed or self._settings.marker_identity == 'shape':
             unassigned = unassigned[:0]

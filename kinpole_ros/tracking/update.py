@@ -15,6 +15,7 @@ from kinpole_ros.tracking.noise import never_repeats
 from kinpole_ros.tracking.posed import learn_poses
 from kinpole_ros.tracking.rejection import HELD, HELD_MARKERS, NO_MARKER_REPEATS
 from kinpole_ros.tracking.state import MIN_HISTORY_FRAMES, State, restart_bodies
+from kinpole_ros.tracking.statistics import median
 from kinpole_ros.tracking.thresholds import MEMORY_FRAMES
 
 # The history has at least this many windows, and at most so many bytes, whatever the window: 30 s
@@ -104,7 +105,7 @@ def _find_deformed(state: State) -> None:
     bodies, history = state.bodies, state.history
     rows = slice(-MEMORY_FRAMES - 2, None)
     time, residual = history['time'][rows], history['residual'][rows]
-    interval = float(np.median(np.diff(time))) if len(time) > 1 else state.settings.window_ns / 2
+    interval = median(np.diff(time)) if len(time) > 1 else state.settings.window_ns / 2
     free = freedom_of(bodies, residual).sum(axis=-1)
     noise = np.fmax(bodies.noise, bodies.white)
     half = round(state.settings.window_ns / 2 / max(interval, 1.0))

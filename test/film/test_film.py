@@ -353,9 +353,32 @@ def test_a_camera_publishes_markers(four_bar: tuple[Film, Path]) -> None:
     assert frames[0].points.shape[1] == 28
 
 
+# A camera that waits for a signal before it places its first tags.
+PAUSE = """
+import sys, time
+from kinpole_ros.film import LiveTags
+from kinpole_ros.ros import executor
+from kinpole_ros.tools.cli import main
+
+place, start, requests = LiveTags.place, executor.start_ros, []
+
+def start_ros(words):
+    requests.append(start(words))
+    return requests[0]
+
+def wait_and_place(*given):
+    while not requests[0]():
+        time.sleep(0.01)
+    return place(*given)
+
+executor.start_ros, LiveTags.place = start_ros, wait_and_place
+sys.exit(main())
+"""
+
+
 def test_ctrl_c_ends_a_camera_with_its_count(four_bar: tuple[Film, Path]) -> None:
     pytest.importorskip('rclpy')
-    words = ['-m', 'kinpole_ros.tools.cli', 'camera', str(four_bar[1]), '--size', '24mm']
+    words = ['-c', PAUSE, 'camera', str(four_bar[1]), '--size', '24mm']
     command = [*LIMITED, *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
         try:

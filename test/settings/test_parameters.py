@@ -99,6 +99,7 @@ WRONG = [
     ('scene', [0, None, ['four_bar'], True], 'the name of a scene'),
     ('autostart', ['no', 0, 1, None], 'true or false'),
     ('executor', ['EventsExecutor', '', 1, None], 'one of lean, rclpy'),
+    ('diagnostics_interval', [0.0, 0.01, 1e9, 'often', True, None], '0.05 to 3600 s'),
     ('joint_state_rate', [-1.0, 1001, 'fast', True, float('nan')], '0 to 1000 Hz'),
     ('publish_tf', ['yes', 0, None], 'true or false'),
     ('topics', ['some', '', 1, None], 'one of standard, all'),

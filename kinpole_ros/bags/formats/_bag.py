@@ -12,12 +12,18 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from mcap.writer import MCAP0_MAGIC
 
 from kinpole_ros import messages
 from kinpole_ros.bags._bag_reader import read_messages, types_and_definitions
 from kinpole_ros.bags._channels import BagMessage
-from kinpole_ros.bags._files import ROS1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
+from kinpole_ros.bags._files import (
+    MCAP_MAGIC,
+    ROS1_MAGIC,
+    SQLITE_MAGIC,
+    ZSTD_MAGIC,
+    BagError,
+    Truncated,
+)
 from kinpole_ros.bags._marker_frames import read_frames
 from kinpole_ros.bags._storages import ros1_messages, ros1_topics
 from kinpole_ros.bags.formats import _series
@@ -64,7 +70,7 @@ def _recognizes(file: File) -> bool:
     if file.is_folder:
         files = (file.path.glob(ending) for ending in ('metadata.yaml', '*.mcap*', '*.db3'))
         return any(map(any, files))
-    magics = MCAP0_MAGIC, SQLITE_MAGIC, ROS1_MAGIC, ZSTD_MAGIC
+    magics = MCAP_MAGIC, SQLITE_MAGIC, ROS1_MAGIC, ZSTD_MAGIC
     return file.head.startswith(magics)
 
 

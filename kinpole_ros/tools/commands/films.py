@@ -2,7 +2,6 @@
 
 import argparse
 import re
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -124,6 +123,8 @@ def film(options: argparse.Namespace) -> int:
 
 def _write_markers(options: argparse.Namespace, given: 'FilmOptions') -> None:
     """Write the bag of a video, and the video with what follows from it drawn over it."""
+    import tempfile
+
     from kinpole_ros.film import film_to_bag
     from kinpole_ros.tools.overlay import draw_over
 

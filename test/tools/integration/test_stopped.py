@@ -33,7 +33,7 @@ FILE_SIZE = 600_000
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """So many frames of a turning body that a replay can be stopped on its way."""
     path = tmp_path_factory.mktemp('long') / 'turning.mcap'
-    times = np.arange(10_000) * 0.005
+    times = np.arange(1000) * 0.005
     corners = np.array([0.1, 0.1j, -0.1]) * np.exp(2j * np.sin(times))[:, None]
     points = np.stack((corners.real, corners.imag, np.zeros_like(corners.real)), axis=-1)
     with BagWriter(path) as writer:
@@ -43,8 +43,33 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+# The command; where a bag that it writes has become this large, it says so and waits for a signal,
+# which so never comes to one that has ended.
+PAUSE = """
+import sys, time
+from pathlib import Path
+from kinpole_ros.bags import BagWriter
+from kinpole_ros.tools.cli import main
+
+folder, write = Path(sys.argv.pop(1)), BagWriter.write_many
+
+def write_and_pause(self, columns):
+    write(self, columns)
+    if any(part.stat().st_size > 200_000 for part in folder.glob('*.part')):
+        print('on its way', flush=True)
+        while True:
+            time.sleep(1)
+
+BagWriter.write_many = write_and_pause
+sys.exit(main())
+"""
+COMMAND = ('-m', 'kinpole_ros.tools.cli')
+
+
 @contextmanager
-def kinpole(*words: object, most: int | None = None) -> Iterator['subprocess.Popen[str]']:
+def kinpole(
+    *words: object, most: int | None = None, program: tuple[str, ...] = COMMAND
+) -> Iterator['subprocess.Popen[str]']:
     """The command in a process of its own; no file it writes gets larger than `most` bytes."""
 
     def limit() -> None:
@@ -52,7 +77,7 @@ def kinpole(*words: object, most: int | None = None) -> Iterator['subprocess.Pop
             resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 
     started = subprocess.Popen(
-        [sys.executable, '-m', 'kinpole_ros.tools.cli', *map(str, words)],
+        [sys.executable, *program, *map(str, words)],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -110,9 +135,12 @@ def test_replay_killed_on_the_way_leaves_the_results_of_before(bag: Path, tmp_pa
     def parts() -> list[Path]:
         return [part for part in tmp_path.glob('out.mcap.*.part') if part not in left]
 
+    program = ('-c', PAUSE, str(tmp_path))
     for stop in (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP):
-        with kinpole('replay', bag, '--output', result, '--csv', table) as process:
-            until(lambda: any(part.stat().st_size > 200_000 for part in parts()))
+        words = ('replay', bag, '--output', result, '--csv', table)
+        with kinpole(*words, program=program) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == 'on its way\n'
             process.send_signal(stop)
             assert process.wait(30) in (-signal.SIGKILL, 128 + stop)
         assert result.read_bytes() == b'before'
@@ -296,7 +324,7 @@ def test_a_recorder_names_what_it_cannot_record_and_what_nobody_publishes(
 
 
 def test_a_player_that_is_terminated_leaves_the_network_at_once(bag: Path) -> None:
-    with peer() as other, kinpole('play', bag) as process:
+    with peer() as other, kinpole('play', bag, '--loop') as process:
         until(lambda: other.count_publishers('/markers') == 1, 15)
         process.terminate()
         assert process.wait(15) == 128 + signal.SIGTERM
@@ -376,8 +404,19 @@ def test_a_full_disk_ends_a_recording_in_one_line(tmp_path: Path) -> None:
     assert 20 <= len(readable(path)) < sent
 
 
+# The demo, which waits for a signal where it would play.
+DEMO = """
+import sys, time
+from kinpole_ros.tools import demo
+from kinpole_ros.tools.cli import main
+
+demo.play = lambda *_, **__: time.sleep(60)
+sys.exit(main())
+"""
+
+
 def test_a_demo_that_is_terminated_takes_its_processes_with_it(tmp_path: Path) -> None:
-    with kinpole('demo', '--output', tmp_path) as process:
+    with kinpole('demo', '--output', tmp_path, program=('-c', DEMO)) as process:
         children = Path(f'/proc/{process.pid}/task/{process.pid}/children')
         until((tmp_path / 'demo.mcap').exists)
         begun = children.read_text().split()
