@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.film._filmed import Filmed, FilmOptions, Seen
+from kinpole_ros.film._frames import FilmError
 from kinpole_ros.film._ground import (
     PlaneMap,
     different_views,
@@ -16,7 +17,6 @@ from kinpole_ros.film._ground import (
 from kinpole_ros.film._lens import Lens, read_lens
 from kinpole_ros.film._tags import LEAST_PICTURES
 from kinpole_ros.film._turning import Turning, place_turning
-from kinpole_ros.film._video import FilmError
 
 _MOVES = 3.0  # residuals that the ground moves in the picture, if the camera moves
 _SHOWN = 12  # tags or dots that are named
@@ -196,8 +196,11 @@ def _at_one_instant(seen: Seen, pixels: np.ndarray, line_time: float) -> np.ndar
     A row is exposed later than the one above it. A corner is moved to the stamp along the parabola
     through three pictures; one that is seen in fewer at a time is left out.
     """
-    stamp = (seen.stamps * 1e-9).reshape(-1, *[1] * (pixels.ndim - 2))
-    time = stamp + line_time * (pixels[..., 1] - (seen.picture[1] - 1) / 2)
+    stamp = ((seen.stamps - seen.stamps[0]) * 1e-9).reshape(-1, *[1] * (pixels.ndim - 2))
+    # The rows of the sensor run right, up or left in a picture that was turned upright.
+    along, sign = ((1, 1), (0, 1), (1, -1), (0, -1))[seen.turns]
+    row = sign * (pixels[..., along] - (seen.picture[along] - 1) / 2)
+    time = stamp + line_time * row
     moved = np.full(pixels.shape, np.nan)
     for first in (-1, -2, 0):  # the middle one of three pictures, else the last or the first
         steps = [first, first + 1, first + 2]
@@ -289,29 +292,33 @@ def _median(numbers: np.ndarray) -> np.ndarray:
 
 
 def _dot_line(dots: dict[str, np.ndarray], options: FilmOptions) -> str:
-    shares = {name: np.isfinite(places).mean() for name, places in dots.items()}
-    worst = min(shares, key=lambda name: shares[name])
+    is_seen = {name: np.isfinite(places) for name, places in dots.items()}
+    worst = min(is_seen, key=lambda name: int(is_seen[name].sum()))
     names = ', '.join(list(dots)[:_SHOWN]) + (', ...' if len(dots) > _SHOWN else '')
     return (
-        f'dots: {names}, chosen in the picture at {options.at:g} s, seen in {shares[worst]:.0%} of '
-        f'the pictures or more ({worst}); to change: --points, --at'
+        f'dots: {names}, chosen in the picture at {options.at:g} s, '
+        f'{_seen_least(worst, is_seen[worst])}; to change: --points, --at'
     )
 
 
 def _tag_line(seen: Seen, corners: np.ndarray, options: FilmOptions) -> str:
     whole, found = np.isfinite(corners).all(axis=-1), np.isfinite(seen.pixels).all(axis=(2, 3))
-    shares = whole.mean(axis=0)
     names = ', '.join(map(str, seen.tags[:_SHOWN])) + (', ...' if len(seen.tags) > _SHOWN else '')
-    worst = int(shares.argmin())
+    worst = int(whole.sum(axis=0).argmin())
     side = float(np.nanmedian(np.linalg.norm(np.diff(seen.pixels, axis=2), axis=-1)))
+    lost = ~whole[:, worst]
     causes = {
-        'not found': np.sum(~found[:, worst] & ~whole[:, worst]),
-        'no square': np.sum(found[:, worst] & ~whole[:, worst]),
+        'not found': (lost & ~found[:, worst]).sum(),
+        'no square': (lost & found[:, worst]).sum(),
     }
     texts = [f'{cause} in {count}' for cause, count in causes.items() if count]
-    text = f'tag {seen.tags[worst]}' + (f': {", ".join(texts)} of {len(whole)}' if texts else '')
+    cause = f' ({", ".join(texts)})' if texts else ''
     unused = f'; seen and not used: {"; ".join(seen.unused)}' if seen.unused else ''
     return (
         f'tags: {names} of family {seen.family}, {side:.3g} pixels and {options.size * 1e3:.4g} mm '
-        f'wide, each seen in {shares[worst]:.0%} of the pictures at least ({text}){unused}'
+        f'wide, {_seen_least(f"tag {seen.tags[worst]}", whole[:, worst])}{cause}{unused}'
     )
+
+
+def _seen_least(name: str, is_seen: np.ndarray) -> str:
+    return f'{name} seen least, in {int(is_seen.sum())} of {len(is_seen)} pictures'

@@ -191,6 +191,9 @@ def fields(cls: Any) -> dict[str, str]:
     return dict(message_class(type_name(cls))._kinds)
 
 
+# Pictures, and the camera that took them.
+IMAGE, COMPRESSED_IMAGE = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
+CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 # The classes in use.
 Time = message_class('builtin_interfaces/msg/Time')
 DiagnosticArray = message_class('diagnostic_msgs/msg/DiagnosticArray')

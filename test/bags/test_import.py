@@ -355,7 +355,7 @@ def test_y_points_down_in_pixels_unless_the_user_says_otherwise(tmp_path, unit) 
     table = tmp_path / 'px.csv'
     table.write_text(table_of(columns))
     (note,) = import_points(table, tmp_path / 'out.mcap', scale=1e-3).notes
-    assert 'is in pixels, so y points down; to change: --no-y-down' in note
+    assert 'is in pixels, so y points down, if not by --no-y-down' in note
     down = import_text(tmp_path, table_of(columns), scale=1e-3)
     up = import_text(tmp_path, table_of(columns), scale=1e-3, y_down=False)
     assert down[7][1]['a'][1] == pytest.approx(-up[7][1]['a'][1])

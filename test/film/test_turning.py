@@ -141,9 +141,7 @@ def test_without_a_camera_a_line_says_so_and_how_often() -> None:
     hidden = seen.pixels.copy()
     hidden[10:20], hidden[30:35, :, 2] = np.nan, hidden[30:35, :, 2] + 15
     filmed = place_seen(replace(seen, pixels=hidden), FilmOptions(size=DOOR.size), LENS)
-    text = (
-        'each seen in 88% of the pictures at least (tag 1: not found in 10, no square in 5 of 120)'
-    )
+    text = 'tag 1 seen least, in 105 of 120 pictures (not found in 10, no square in 5)'
     assert text in filmed.assumed[0]
 
 

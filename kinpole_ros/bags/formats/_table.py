@@ -139,7 +139,7 @@ def _read(file: File, options: Options) -> Points:
         sheet.notes.append(f'{path}: columns that are not read: {listed(unread)}')
     in_pixels = unit.lower() in ('px', 'pixel', 'pixels')
     if in_pixels:
-        sheet.notes.append(f'{path} is in pixels, so y points down; to change: --no-y-down')
+        sheet.notes.append(f'{path} is in pixels, so y points down, if not by --no-y-down')
     return Points(
         list(columns),
         points,
