@@ -25,6 +25,7 @@ from kinpole_ros.messages._results import (
     result_outputs,
 )
 from kinpole_ros.messages._state import STATE, read_state, read_states, state_fields
+from kinpole_ros.messages._tf_chains import chains_of, multiply_out
 from kinpole_ros.messages._types import (
     CAMERA_INFO,
     COMPRESSED_IMAGE,
@@ -35,6 +36,7 @@ from kinpole_ros.messages._types import (
     ROS_TYPE_NAMES,
     DiagnosticArray,
     MessageError,
+    NoMarkersError,
     String,
     definition,
     deserialize_message,
@@ -70,9 +72,11 @@ __all__ = [
     'DiagnosticsMaker',
     'MarkerReader',
     'MessageError',
+    'NoMarkersError',
     'Output',
     'PoseReader',
     'String',
+    'chains_of',
     'definition',
     'deletion_of_all',
     'deserialize_message',
@@ -84,6 +88,7 @@ __all__ = [
     'marker_arrays',
     'marker_reader',
     'message_class',
+    'multiply_out',
     'ns_to_stamp',
     'outputs_of',
     'poses_data',

@@ -26,6 +26,10 @@ class MessageError(ValueError):
     """A message that cannot be read; the text names the field and says how to fix it."""
 
 
+class NoMarkersError(MessageError):
+    """A message without markers, and so without a stamp."""
+
+
 class _Message:
     """A message: its fields are attributes, and the constants of its type are of the class."""
 
