@@ -207,6 +207,8 @@ class _Replaying:
                         add(estimate)
             if isinstance(self._reader, messages.PoseReader):
                 outcome.pose_problem = self._reader.fault()
+            elif drawings := self._reader.fault():
+                outcome.misnamed.append(drawings)
             self._check_frames()
         outcome.concatenated = _unlisted_files(self._bag)
         if self._positions is not None:

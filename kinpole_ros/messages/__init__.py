@@ -25,6 +25,7 @@ from kinpole_ros.messages._results import (
     result_outputs,
 )
 from kinpole_ros.messages._state import STATE, read_state, read_states, state_fields
+from kinpole_ros.messages._tf_chains import chains_of, multiply_out
 from kinpole_ros.messages._types import (
     CAMERA_INFO,
     COMPRESSED_IMAGE,
@@ -75,6 +76,7 @@ __all__ = [
     'Output',
     'PoseReader',
     'String',
+    'chains_of',
     'definition',
     'deletion_of_all',
     'deserialize_message',
@@ -86,6 +88,7 @@ __all__ = [
     'marker_arrays',
     'marker_reader',
     'message_class',
+    'multiply_out',
     'ns_to_stamp',
     'outputs_of',
     'poses_data',

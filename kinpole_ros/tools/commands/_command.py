@@ -112,6 +112,12 @@ LENGTH, TIME = measured('length', 'm'), measured('time', 's')
 FREQUENCY, DEGREES = measured('frequency', 'Hz'), measured('angle', 'deg')
 
 
+def _scale(text: str) -> float | tuple[float, float]:
+    """Read a number, or the two sides of a picture."""
+    sides = text.split(',')
+    return (float(sides[0]), float(sides[1])) if len(sides) == 2 else float(text)
+
+
 def flag(name: str, text: str, action: Any = 'store_true') -> Option:
     """Return an option without a value."""
     return Option(name, 0, {'action': action, 'help': text})
@@ -133,7 +139,11 @@ POINT_OPTIONS = (
     option(
         '--rate HZ', 'frames per second of a file of points or a film, not its times', FREQUENCY
     ),
-    option('--scale M_PER_UNIT', 'meters per unit of a file of points (as it says)', float),
+    option(
+        '--scale M_PER_UNIT',
+        'meters per unit of a file of points (as it says); WIDTH,HEIGHT of a picture in shares',
+        _scale,
+    ),
     flag(
         '--y-down',
         'y points down in a file of points, as in pictures (as its format has it)',

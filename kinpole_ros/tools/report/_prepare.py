@@ -117,7 +117,7 @@ def _read(file: str, options: Namespace, bag: str | None, progress: Progress) ->
 
 def _import_text(imported: Imported) -> str:
     notes = ''.join(f'; {note}' for note in imported.notes)
-    return f'file: {imported}{notes}; to change: --scale, --rate, --y-down'
+    return f'file: {imported}{notes}; to change: --scale, --rate, --y-down, --no-y-down'
 
 
 def found_rig(
