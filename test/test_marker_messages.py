@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from kinpole_ros.messages import (
@@ -284,7 +284,6 @@ def layouts(draw):
     return cloud, np.array(expected).reshape(-1, 3)
 
 
-@settings(max_examples=300)
 @given(layouts())
 def test_any_cloud_layout_reads_as_struct_reads_it(layout):
     cloud, expected = layout
@@ -675,7 +674,6 @@ def test_a_stamp_before_the_beginning_of_time_is_refused(kind: str) -> None:
     seed=st.integers(0, 2**32 - 1),
     share=st.sampled_from([0.0, 0.3, 1.0]),
 )
-@settings(max_examples=60, deadline=None)
 def test_arrays_of_markers_are_the_bytes_of_the_messages(names, frame_id, seed, share) -> None:
     generator = np.random.default_rng(seed)
     stamps = np.sort(generator.integers(0, 2**31 * 10**9, 5))

@@ -3,7 +3,7 @@
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from kinpole_ros.bags._bag_reader import Progress
 from kinpole_ros.bags._bag_writer import BagWriter
 from kinpole_ros.bags._files import BagError, in_place_of
+from kinpole_ros.bags._repeated_frames import leave_out_repeats
 from kinpole_ros.bags.formats import (
     SHARES,
     UNITS,
@@ -129,9 +130,15 @@ def import_points(
     if used_scale is None or (rate is None and read.times is None):
         raise _incomplete(path, name, read, used_scale, rate)
     poses = _scale(path, read, used_scale, read.y_down if y_down is None else y_down)
+    read = replace(read, poses=poses)
     stamps, stamp_notes = _stamps(path, read, rate)
-    write_points(output, read.names, stamps, read.points, progress, read.bodies, poses)
-    return _describe(name, read, stamps, used_scale, stamp_notes)
+    kept = leave_out_repeats(str(path), 'frames', stamps, _marks(read.points, poses))
+    if kept.note:
+        stamp_notes.append(f'{path}: {kept.note}')
+        own = kept.is_kept
+        read = replace(read, points=read.points[own], poses=None if poses is None else poses[own])
+    write_points(output, read.names, kept.stamps, read.points, progress, read.bodies, read.poses)
+    return _describe(name, read, kept.stamps, used_scale, stamp_notes)
 
 
 def _check_arguments(
@@ -170,6 +177,19 @@ def _scale(
     if np.isinf(read.points).any():
         raise BagError(f'scale is {scale}; fix: give the length of the unit of {path} in m')
     return poses
+
+
+def _marks(points: np.ndarray, poses: np.ndarray | None) -> np.ndarray:
+    """Return points (T, n, 3) with the tips of two axes, 1 m long, of each pose (T, B, 7)."""
+    if poses is None:
+        return points
+    x, y, z, w = np.moveaxis(poses[..., 3:], -1, 0)
+    with np.errstate(invalid='ignore', divide='ignore'):
+        square = x * x + y * y + z * z + w * w
+        first = np.stack((w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)))
+        second = np.stack((2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)))
+        tips = [np.moveaxis(axis / square, 0, -1) for axis in (first, second)]
+    return np.concatenate((points, *tips), axis=1)
 
 
 def _describe(

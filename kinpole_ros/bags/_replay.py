@@ -226,6 +226,9 @@ class _Replaying:
         if isinstance(error, Truncated):
             self._outcome.truncated = error
             return
+        if isinstance(error, messages.NoMarkersError):
+            self._outcome.empty += 1
+            return
         self._tracker.counts['unreadable'] += 1
         self._outcome.problem = self._outcome.problem or str(error)
         self._diagnostics.trouble['message'] = str(error)
@@ -268,6 +271,11 @@ class _Replaying:
         if counts['unreadable']:
             raise BagError(
                 f'{self._bag}: no message on {self._topic} can be read: {outcome.problem}'
+            )
+        if outcome.empty:
+            raise BagError(
+                f'{self._bag}: no message on {self._topic} has markers; fix: see that the tracker '
+                'sees them, or name another topic with --topic'
             )
         if outcome.pose_problem:
             raise BagError(f'{self._bag}: on {self._topic} {outcome.pose_problem}')

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from kinpole_ros.messages._offsets import Items, MarkerOffsets, MessageOffsets, text_at
-from kinpole_ros.messages._types import Marker, MessageError
+from kinpole_ros.messages._types import Marker, MessageError, NoMarkersError
 
 LISTS = (Marker.CUBE_LIST, Marker.SPHERE_LIST, Marker.POINTS)  # drawn at each of their points
 SINGLE = (Marker.CUBE, Marker.SPHERE, Marker.CYLINDER)  # drawn once, at their pose
@@ -105,7 +105,7 @@ def header_of(
     markers = offsets.markers
     first = [*rows[:1], *shown[:1], 0][0]
     if not rows and not (markers and _has_header(markers[first], data)):
-        raise MessageError(
+        raise NoMarkersError(
             'MarkerArray without markers has no stamp; see that the driver sends nothing when it '
             'sees nothing, or markers with coordinates that are not finite'
         )

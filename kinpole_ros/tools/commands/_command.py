@@ -136,7 +136,9 @@ TOPIC = option('--topic T', "topic of the markers (the parameter file's, or /mar
 BAG_OUTPUT = option('--output BAG', '.mcap file to write', required=True)
 # Options for data that a file of points may lack.
 POINT_OPTIONS = (
-    option('--rate HZ', 'frames per second of a file of points, instead of its times', FREQUENCY),
+    option(
+        '--rate HZ', 'frames per second of a file of points or a film, not its times', FREQUENCY
+    ),
     option(
         '--scale M_PER_UNIT',
         'meters per unit of a file of points (as it says); WIDTH,HEIGHT of a picture in shares',
@@ -153,6 +155,6 @@ FILM_OPTIONS = (
     option('--size M', 'side of the black square of a tag, m, or as 40mm (0.04)', LENGTH),
     option('--ground ID...', 'tags that stand still; the first is the origin (0)', int),
     option('--family NAME', 'family of the tags, as 36h11 (auto: by what is seen)'),
-    option('--camera FILE', "file of the camera, as OpenCV's calibration writes it"),
+    option('--camera FILE', 'file of the camera, as OpenCV, ROS, Kalibr or Anipose write it'),
     option('--line-time S', 'time between two rows of a rolling shutter, s, or as 20us (0)', TIME),
 )
