@@ -41,9 +41,9 @@ class Video:
     instead, Hz, and `topic` is one of a bag.
 
     `count` is the number of pictures as the container has them, 0 if unknown; `clock` says what
-    the stamps are, `mean_rate` is the mean number per second, and `turns` the quarter turns to the
-    left by which pictures are shown. `late` counts pictures left out because their stamps do not
-    increase, and `cut` says where a damaged film ends, '' for a sound one.
+    the stamps are, and `turns` are the quarter turns to the left by which pictures are shown.
+    `late` counts pictures left out because their stamps do not increase, and `cut` says where a
+    damaged film ends, '' for a sound one.
     """
 
     def __init__(
@@ -64,7 +64,6 @@ class Video:
             )
         elif self._source.capture is not None:
             self._correct_slow_motion(*self._source.capture)
-        self.mean_rate = rate or self._source.rate / self._slowing
 
     def _correct_slow_motion(self, tag: str, rate: float) -> None:
         """Take the rate of a tag, Hz, where the film is played at quite another one."""
