@@ -18,6 +18,7 @@ from kinpole_ros.bags._files import BagError
 
 _SMALL = 0.3  # of the steps before and after: so little is noise, and no motion
 _LARGE = 0.6  # of these: so much is motion
+_STILL = 0.1  # of the fast steps of a film: where all are shorter, nothing moves
 _MOST_BETWEEN = 0.2  # of the repeats: more steps that are neither are noise, which has all sizes
 _FEWEST = 5  # repeats that say something of the stamps; fewer are left out
 _AROUND = 7  # frames, of which the usual step is taken
@@ -118,6 +119,7 @@ def _find(points: np.ndarray, least_step: float) -> tuple[np.ndarray, np.ndarray
     windows = np.lib.stride_tricks.sliding_window_view(windows, 2 * _AROUND + 1)
     # The largest step may be twice as long, over a lost frame.
     usual = np.partition(windows, -2, axis=1)[:, -2]
+    usual = np.maximum(usual, _STILL * np.quantile(np.nan_to_num(sizes), 0.9))
     with np.errstate(invalid='ignore'):
         is_distinct = np.append(False, sizes >= _LARGE * usual)
         runs = list(_runs(sizes < _SMALL * usual))
@@ -203,7 +205,11 @@ def _hypotheses(
     The rate is 0 where the stamps are right: a program showed the last picture for one that was
     lost.
     """
-    if pattern := _pattern(frames, is_repeat, is_known):
+    # The first and the last frames may stand still.
+    inner = is_known.copy()
+    inner[: _LONGEST + 1] = inner[-_LONGEST - 1 :] = False
+    pattern = _pattern(frames, is_repeat, is_known) or _pattern(frames, is_repeat, inner)
+    if pattern:
         taken, per_picture = pattern
         own = np.diff(taken, prepend=-1) == 0
         length = 1e9 / rate if rate else per_picture * interval
@@ -224,7 +230,7 @@ def _pattern(
     They are those of a converter between two even rates: the last picture that was there. None if
     no such pattern has these repeats.
     """
-    distinct = 1 - is_repeat.sum() / is_known.sum()
+    distinct = 1 - is_repeat[is_known].sum() / max(is_known.sum(), 1)
     ratios = {
         Fraction(p, q) for p in range(2, _MOST_PARTS + 1) for q in range(-(-p // _LONGEST), p)
     }
@@ -259,7 +265,7 @@ def _phase(places: np.ndarray, is_repeat: np.ndarray, step: float) -> float | No
 
 def _off(points: np.ndarray, times: np.ndarray, repeats: np.ndarray) -> float:
     """
-    Return how far stamps (n,) are off near repeats, rms, of a step, where it is no noise.
+    Return how far stamps (n,) are off near repeats, of a step, where it is no noise.
 
     Each point is compared with the cubic through two frames before and after: stamps that are off
     move it along its path.
@@ -285,12 +291,13 @@ def _off(points: np.ndarray, times: np.ndarray, repeats: np.ndarray) -> float:
         along = np.where(is_fast, (error * path).sum(axis=-1) / length, np.nan)
         total = np.where(is_fast, (error**2).sum(axis=-1), np.nan)
         across = np.sqrt(np.maximum(total - along**2, 0) / max(points.shape[-1] - 1, 1))
-    step = _rms(np.where(is_fast, length, np.nan))
-    if not step or _rms(along) < _ALONG * _rms(across):
+    step = _scale(np.where(is_fast, length, np.nan)) / 1.48
+    if not step or _scale(along) < _ALONG * _scale(across):
         return 0.0
-    return _rms(along) / step
+    return _scale(along) / step
 
 
-def _rms(values: np.ndarray) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if len(finite) else 0.0
+def _scale(values: np.ndarray) -> float:
+    """Return the usual size of values: their rms, but for a few that are far larger."""
+    finite = np.abs(values[np.isfinite(values)])
+    return 1.48 * float(np.median(finite)) if len(finite) else 0.0
