@@ -42,14 +42,16 @@ class Video:
 
     `count` is the number of pictures as the container has them, 0 if unknown; `clock` says what
     the stamps are, and `turns` are the quarter turns to the left by which pictures are shown.
-    `late` counts pictures left out because their stamps do not increase, and `cut` says where a
-    damaged film ends, '' for a sound one.
+    `late` counts pictures left out because their stamps do not increase, `is_interlaced` says that
+    the fields of its frames are pictures of their own, and `cut` where a damaged film ends, '' for
+    a sound one.
     """
 
     def __init__(
         self, path: str | Path, rate: float | None = None, topic: str | None = None
     ) -> None:
         self.path, self.late, self.cut, self.turns = str(path), 0, '', 0
+        self.is_interlaced = False
         self._rate = rate
         self._source = _source_of(self.path, topic)
         self.count = self._source.pictures
@@ -91,6 +93,7 @@ class Video:
                 if time is None:
                     self.late += 1
                     continue
+                self.is_interlaced = self.is_interlaced or bool(number % 1)
                 if first is None:
                     first, begin = (0, time) if self._source.is_absolute else (time, 0)
                     self.turns = quarter_turns(frame)
