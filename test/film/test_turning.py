@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinpole_ros.bags import write_points
-from kinpole_ros.film import FilmError, FilmOptions, Lens
+from kinpole_ros.film import FilmError, FilmOptions, Lens, _turning
 from kinpole_ros.film._filmed import Filmed, Seen
 from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._turning import place_turning
@@ -117,6 +117,19 @@ def test_a_tag_on_the_wall_is_the_origin() -> None:
     assert abs((filmed.corners[:, 1] - exact).mean()) < 3e-3
     heights = filmed.corner_heights
     assert np.abs(heights[1] - heights[0].mean() - arm[0] @ DOOR.normal).max() < 2e-3
+
+
+def test_a_long_film_is_fitted_by_a_part_of_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    still = np.broadcast_to(DOOR.corners()[:1], (len(TIMES), 4, 3)) - (0.1, 0.3, 0)
+    pixels = seen_from(DOOR.corners(), still).pixels
+    pixels[:-3, 1] = np.nan  # seen in three pictures
+    whole = place_turning(pixels, DOOR.size, MATRIX, PICTURE)
+    monkeypatch.setattr(_turning, '_MOST_VIEWS', 60)
+    part = place_turning(pixels, DOOR.size, MATRIX, PICTURE)
+    assert np.abs(part.normal - whole.normal).max() < 1e-3
+    off = np.abs((part.corners - whole.corners).mean(axis=2))
+    assert np.nanmax(off) < 3e-3
+    assert np.isfinite(off).sum() == len(TIMES) + 3
 
 
 def test_tags_in_the_plane_of_the_picture_are_placed_in_it() -> None:
