@@ -14,7 +14,7 @@ import av
 import numpy as np
 
 from kinpole_ros.files import open_regular, printable
-from kinpole_ros.film._frames import (
+from kinpole_ros.film._decoder import (
     MOST_PIXELS,
     DamagedError,
     FilmError,

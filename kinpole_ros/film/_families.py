@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from kinpole_ros.film._corners import brightness_at
-from kinpole_ros.film._frames import FilmError
+from kinpole_ros.film._decoder import FilmError
 
 # Of families with equally many tags in a picture the first is taken: one with longer codes, or with
 # fewer of them, is mistaken less. The first 50 tags of 4x4_1000 are those of 4x4_50, and so on.

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.bags import leave_out_repeats, topics, write_points
+from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._dots import Dots
 from kinpole_ros.film._families import smallest
 from kinpole_ros.film._filmed import Filmed, FilmOptions, Seen
-from kinpole_ros.film._frames import FilmError
 from kinpole_ros.film._lens import Lens, rectified_lens
 from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._recorded_pictures import bag_messages, film_topic, is_bag_of_pictures

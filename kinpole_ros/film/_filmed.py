@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.film._frames import FilmError
+from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._ground import PlaneMap
 from kinpole_ros.film._lens import Lens
 from kinpole_ros.film._video import Video

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from kinpole_ros.film._camera_file import read_camera_file
-from kinpole_ros.film._frames import FilmError
+from kinpole_ros.film._decoder import FilmError
 
 _ASPECT = 0.01  # of a picture: if it differs by more, parts of it were cut off
 

@@ -7,9 +7,9 @@ from contextlib import closing
 import cv2
 import numpy as np
 
+from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._film import gather
 from kinpole_ros.film._filmed import Filmed, FilmOptions, marker_names
-from kinpole_ros.film._frames import FilmError
 from kinpole_ros.film._ground import leave_out_hidden
 from kinpole_ros.film._lens import Lens
 from kinpole_ros.film._placing import place_seen

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._filmed import Filmed, FilmOptions, Seen
-from kinpole_ros.film._frames import FilmError
 from kinpole_ros.film._ground import (
     PlaneMap,
     different_views,

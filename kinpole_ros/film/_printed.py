@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.files import whole_file
+from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._families import FAMILIES, codes, family_of, tag_count
-from kinpole_ros.film._frames import FilmError
 
 _PAGE = (210.0, 297.0)  # mm
 _MARGIN = 12.0  # mm, which printers leave white

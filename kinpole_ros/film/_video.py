@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.film._container import video_source
-from kinpole_ros.film._frames import (
+from kinpole_ros.film._decoder import (
     DamagedError,
     FilmError,
     Source,
