@@ -55,6 +55,11 @@ def place_seen(
     else:
         placed = _place_tags(seen, pixels, options, lens, may_turn)
         corners, heights, maps, assumed, lifted = placed
+        if lifted is not None and options.points:
+            raise FilmError(
+                '--points are placed in the plane of motion, which is seen from its side, as the '
+                'tags turn out of the picture; fix: leave them out, or film along the axis'
+            )
     rows = zip(dots, [maps[min(k, len(maps) - 1)] for k in range(len(dots))], strict=True)
     places = np.array([plane.to_plane(row) for row, plane in rows]).reshape(len(dots), -1)
     named = dict(zip(options.points, places.T, strict=True))

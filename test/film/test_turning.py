@@ -165,6 +165,13 @@ def test_a_motion_in_space_is_named() -> None:
         place_seen(seen_from(corners), FilmOptions(size=DOOR.size), LENS)
 
 
+def test_dots_are_not_placed_in_a_plane_that_is_seen_from_its_side() -> None:
+    seen = replace(seen_from(DOOR.corners()), dots=np.zeros((len(TIMES), 1, 2)))
+    options = FilmOptions(size=DOOR.size, points={'a_1': 1 + 2j})
+    with pytest.raises(FilmError, match='--points are placed in the plane of motion, which is'):
+        place_seen(seen, options, LENS)
+
+
 def test_tags_that_are_too_small_for_their_distance_are_refused() -> None:
     small = replace(DOOR, place=(0.1, 0, 2.5), size=0.05)
     with pytest.raises(FilmError, match='mm only along the line of sight, too little for tags'):
