@@ -156,7 +156,7 @@ BELOW = {
         'linkage',
         'messages',
     },
-    'film': {'files', 'bags'},
+    'film': {'files', 'bags', 'messages'},
     'ros': {'settings', 'tracking', 'linkage', 'messages', 'bags'},
     'tools': {
         'files',

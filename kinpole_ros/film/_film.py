@@ -1,18 +1,25 @@
 """Tags and dots of a film as markers in the plane of motion: the corners of a tag, and each dot."""
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from kinpole_ros.bags import write_points
+from kinpole_ros.bags import leave_out_repeats, topics, write_points
+from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._dots import Dots
+from kinpole_ros.film._families import smallest
 from kinpole_ros.film._filmed import Filmed, FilmOptions, Seen
+from kinpole_ros.film._lens import Lens, rectified_lens
 from kinpole_ros.film._placing import place_seen
-from kinpole_ros.film._tags import NO_TAGS, TagFinder
-from kinpole_ros.film._video import FilmError, Progress, Video
+from kinpole_ros.film._recorded_pictures import bag_messages, film_topic, is_bag_of_pictures
+from kinpole_ros.film._tags import LEAST_PICTURES, NO_TAGS, TagFinder
+from kinpole_ros.film._video import Progress, Video
+from kinpole_ros.messages import CAMERA_INFO, DETECTIONS, Detections
 
-_LEAST_FRAMES = 5  # in which a tag is seen, else it is left out
+_LEAST_STEP = 0.05  # pixels; in a still film the compression moves corners by less
 SAME_STAMP = 1e6  # ns; a picture may be so much earlier than --at
 
 
@@ -22,15 +29,72 @@ def read_film(
     """
     Find the tags of a film, follow chosen dots, and place them in the plane of motion.
 
-    `progress` is called with the fraction done. Raises FilmError if the film cannot be read, or
-    shows no tags.
+    The film is a video, a folder of pictures, or a bag of pictures or of tags that are found
+    already. `progress` is called with the fraction done. Raises FilmError if the film cannot be
+    read, or shows no tags.
     """
     options = options or FilmOptions()
     options.check()
-    video = Video(path)
+    if is_bag_of_pictures(str(path)):
+        topic, kind = film_topic(str(path), options.topic)
+        if kind == DETECTIONS:
+            return _read_detections(str(path), topic, options)
+    video = Video(path, options.rate, options.topic)
     seen = _search(video, options, progress)
+    marks = np.concatenate((seen.pixels.reshape(len(seen.stamps), -1, 2), seen.dots), axis=1)
+    kept = leave_out_repeats(video.path, 'pictures', seen.stamps, marks, options.rate, _LEAST_STEP)
+    own = kept.is_kept
+    seen = replace(seen, stamps=kept.stamps, pixels=seen.pixels[own], dots=seen.dots[own])
+    notes = [kept.note, video.late and f'{video.late} left out whose stamps do not increase']
+    interlaced = 'interlaced, so each field is a picture of its own' if video.is_interlaced else ''
+    shutter = f'{options.line_time * 1e6:.3g} us' if options.line_time else 'none'
+    changed = [f'rolling shutter: {shutter}', 'to change: --line-time, --rate']
+    line = _film_line(seen, video.clock, [*notes, interlaced, video.cut, *changed])
     filmed = place_seen(seen, options)
-    return replace(filmed, assumed=[_film_line(video, seen, options), *filmed.assumed])
+    return replace(
+        filmed,
+        assumed=[line, *filmed.assumed],
+        video=video,
+        numbers=np.flatnonzero(own),
+    )
+
+
+def _read_detections(path: str, topic: str, options: FilmOptions) -> Filmed:
+    """Place the tags that another program found in the pictures of a bag."""
+    if options.points or options.line_time or options.rate:
+        raise FilmError(
+            f'{path} has tags on {topic} and no pictures, and --points, --line-time and --rate are '
+            'for pictures; fix: leave them out'
+        )
+    found = [seen for _, seen in bag_messages(path, topic)]
+    stamps = np.array([seen.stamp for seen in found], np.int64)
+    is_later = np.diff(np.maximum.accumulate(stamps), prepend=-1) > 0
+    rows = [(found[k].tags, found[k].corners) for k in np.flatnonzero(is_later)]
+    picture, lens = _picture_of_detections(path, found)
+    family = next((seen.family for seen in found if seen.family), '')
+    finder = TagFinder()
+    seen = gather(stamps[is_later].tolist(), rows, picture, finder, family)
+    if not seen.tags:
+        raise _no_tags(path, seen, finder, '', 'see to the detector')
+    late = int((~is_later).sum())
+    notes = [late and f'{late} late ones left out']
+    line = _film_line(seen, f'by the headers of {topic}', notes)
+    filmed = place_seen(seen, options, lens)
+    return replace(filmed, assumed=[line, *filmed.assumed])
+
+
+def _picture_of_detections(
+    path: str, found: list[Detections]
+) -> tuple[tuple[int, int], Lens | None]:
+    """Return the size of pictures and the camera by the CameraInfo of a bag, if there is one."""
+    infos = [topic for topic, kind in topics(path).items() if kind == CAMERA_INFO]
+    for topic in infos if len(infos) == 1 else ():
+        for _, info in bag_messages(path, topic):
+            if min(info.width, info.height) > 0:
+                return (int(info.width), int(info.height)), rectified_lens(info)
+    corners = np.concatenate([seen.corners.reshape(-1, 2) for seen in found] or [np.ones((1, 2))])
+    width, height = np.ceil(np.append(corners, [[1, 1]], axis=0).max(axis=0)).astype(int).tolist()
+    return (width, height), None
 
 
 def film_to_bag(
@@ -45,15 +109,13 @@ def film_to_bag(
     The arguments, and the errors, are those of `read_film`.
     """
     filmed = read_film(path, options, progress)
-    flat = filmed.places
-    points = np.stack((flat.real, flat.imag, np.where(np.isnan(flat), np.nan, 0.0)), axis=-1)
-    write_points(output, filmed.names, filmed.stamps, points)
+    write_points(output, filmed.names, filmed.stamps, filmed.points)
     return filmed
 
 
 def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Seen:
     """Find the tags in all pictures, and follow the dots from that in which they are chosen."""
-    finder = None if options.ruler is not None else TagFinder(options.family)
+    finder = TagFinder(options.family)
     stamps, found, places = [], [], []
     picture, dots = (0, 0), None
     chosen = np.reshape([(place.real, place.imag) for place in options.points.values()], (-1, 2))
@@ -63,45 +125,60 @@ def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Se
             video.cut = f'{video.path}: the size of its pictures changes; what follows is left out'
             break
         picture = width, height
-        tags, corners = finder.find(gray) if finder is not None else NO_TAGS
+        tags, corners = finder.find(gray) if options.ruler is None else NO_TAGS
         stamps.append(stamp)
         found.append((tags, corners.astype(np.float32)))
         if dots is not None:
             places.append(dots.follow(gray))
-        elif options.points and stamp >= options.at * 1e9 - SAME_STAMP:
+        elif options.points and stamp - stamps[0] >= options.at * 1e9 - SAME_STAMP:
             dots = Dots(gray, list(options.points), chosen)
             places.append(dots.places)
         else:
             places.append(np.full(chosen.shape, np.nan))
         if progress is not None and video.count:
             progress(min(1.0, len(stamps) / video.count))
-    seen = gather(stamps, found, picture, finder.family if finder is not None else '')
+    seen = gather(stamps, found, picture, finder)
     if options.points and dots is None:
         raise FilmError(f'--at is {options.at:g} s, and {video.path} ends before')
-    if not seen.tags and finder is not None:
-        cut = f', and {video.cut}' if video.cut else ''
+    if not seen.tags and options.ruler is None:
         fix = 'tape tags of `kinpole film --print` on the links, and film nearer, in more light'
-        if options.points:
-            fix = 'give --scale'
-        raise FilmError(
-            f'{video.path} shows no tag in {_LEAST_FRAMES} pictures ({len(stamps)} were searched'
-            f'{cut}); fix: {fix}'
+        fix = 'give --scale' if options.points else fix
+        raise _no_tags(video.path, seen, finder, video.cut, fix)
+    return replace(seen, dots=np.array(places), turns=video.turns)
+
+
+def _no_tags(path: str, seen: Seen, finder: TagFinder, damage: str, fix: str) -> FilmError:
+    """Return the error of a film without tags that can be used."""
+    if finder.mirrored and not seen.unused:
+        return FilmError(
+            f'{path} shows tags of family {finder.mirrored} as in a mirror; fix: mirror it, as by '
+            'ffmpeg -i IN -vf hflip OUT.mp4'
         )
-    return replace(seen, dots=np.array(places))
+    if any(finder.twice.values()):
+        fix = 'print a number once, and tape another tag on each link'
+    texts = [f'seen and not used: {"; ".join(seen.unused)}'] if seen.unused else []
+    notes = ''.join(f'; {text}' for text in (*texts, damage) if text)
+    return FilmError(
+        f'{path} shows no tag: none was found in {LEAST_PICTURES} or more of its '
+        f'{len(seen.stamps)} pictures{notes}; fix: {fix}'
+    )
 
 
 def gather(
     stamps: list[int],
     found: list[tuple[list[int], np.ndarray]],
     picture: tuple[int, int],
-    family: str,
+    finder: TagFinder,
+    family: str = '',
 ) -> Seen:
-    """Return the tags, and corners (n, 4, 2), of each picture as arrays."""
-    counts: dict[int, int] = {}
-    for tags, _ in found:
-        for tag in tags:
-            counts[tag] = counts.get(tag, 0) + 1
-    kept = sorted(tag for tag, count in counts.items() if count >= _LEAST_FRAMES)
+    """
+    Return the tags, and corners (n, 4, 2), of each picture as arrays.
+
+    The family is that of the finder, but for tags that another program found.
+    """
+    counts = Counter(tag for tags, _ in found for tag in tags)
+    unused = finder.unused(counts)
+    kept = sorted(tag for tag in counts if tag not in unused)
     columns = {tag: k for k, tag in enumerate(kept)}
     pixels = np.full((len(stamps), len(kept), 4, 2), np.nan, np.float32)
     for row, (tags, places) in enumerate(found):
@@ -109,17 +186,26 @@ def gather(
             if tag in columns:
                 pixels[row, columns[tag]] = place
     no_dots = np.empty((len(stamps), 0, 2))
-    return Seen(kept, np.array(stamps, np.int64), pixels, no_dots, picture, family)
-
-
-def _film_line(video: Video, seen: Seen, options: FilmOptions) -> str:
-    count = len(seen.stamps)
-    seconds = float(seen.stamps[-1]) * 1e-9
-    rate = f' at {1e9 / float(np.median(np.diff(seen.stamps))):.4g} Hz' if count > 1 else ''
-    late = f', {video.late} left out whose stamps do not increase' if video.late else ''
-    cut = f'; {video.cut}' if video.cut else ''
-    shutter = f'{options.line_time * 1e6:.3g} us' if options.line_time else 'none'
-    return (
-        f'film: {count} pictures of {seen.picture[0]} x {seen.picture[1]} in {seconds:.4g} s{rate} '
-        f'by the stamps of the file{late}; rolling shutter: {shutter}{cut}; to change: --line-time'
+    texts = [f'{tag} ({why})' for tag, why in unused.items()]
+    texts += [
+        f'{", ".join(map(str, tags))} (of family {smallest(name, tags)})'
+        for name, tags in finder.others.items()
+        if tags
+    ]
+    family = family or finder.name(kept)
+    return Seen(
+        kept, np.array(stamps, np.int64), pixels, no_dots, picture, family, unused=tuple(texts)
     )
+
+
+def _film_line(seen: Seen, clock: str, notes: list[Any]) -> str:
+    """Say how many pictures there are, and when they were taken, with notes that are not empty."""
+    count = len(seen.stamps)
+    seconds = float(seen.stamps[-1] - seen.stamps[0]) * 1e-9
+    rate = f' at {1e9 / float(np.median(np.diff(seen.stamps))):.4g} Hz' if count > 1 else ''
+    texts = [
+        f'film: {count} pictures of {seen.picture[0]} x {seen.picture[1]} in {seconds:.4g} s{rate} '
+        f'{clock}',
+        *filter(None, notes),
+    ]
+    return '; '.join(texts)

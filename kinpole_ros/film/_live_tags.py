@@ -1,19 +1,20 @@
 """The pictures of a camera as they come, and their tags in the plane of motion."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import closing
 
 import cv2
 import numpy as np
 
+from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._film import gather
 from kinpole_ros.film._filmed import Filmed, FilmOptions, marker_names
 from kinpole_ros.film._ground import leave_out_hidden
 from kinpole_ros.film._lens import Lens
 from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._tags import TagFinder
-from kinpole_ros.film._video import FilmError, Picture, Video, ahead
+from kinpole_ros.film._video import Picture, Video, ahead
 
 _LEARNED = 45  # pictures from which the map to the plane is learned: a second and a half
 _MOST = 250  # tags
@@ -47,12 +48,16 @@ class LiveTags:
         """
         tags, places = self._finder.find(gray)
         height, width = gray.shape
-        return self.place(tags, places, (width, height), self._finder.family)
+        return self.place(tags, places, (width, height))
 
     def place(
-        self, tags: list[int], places: np.ndarray, picture: tuple[int, int], family: str
+        self, tags: list[int], places: np.ndarray, picture: tuple[int, int], family: str = ''
     ) -> tuple[list[str], np.ndarray]:
-        """Return the same of tags that are found already, with corners (n, 4, 2), pixels."""
+        """
+        Return the same of tags that are found already, with corners (n, 4, 2), pixels.
+
+        `family` is that of another program.
+        """
         if self.learned is None:
             self._learn(tags, places, picture, family)
         if self.learned is None:
@@ -76,10 +81,10 @@ class LiveTags:
             self._found.append((tags, places.astype(np.float32)))
         if len(self._found) < _LEARNED:
             return
-        seen = gather(list(range(len(self._found))), self._found, picture, family)
+        seen = gather(list(range(len(self._found))), self._found, picture, self._finder, family)
         self._found.clear()
         if seen.tags:
-            filmed = place_seen(seen, self._options, self._lens)
+            filmed = place_seen(seen, self._options, self._lens, may_turn=False)
             if len(filmed.maps) > 1:
                 ground, _, _ = filmed.assumed[-1].partition('; perspective')
                 raise FilmError(
@@ -97,8 +102,7 @@ def live_pictures(source: str) -> Iterator[Picture]:
     camera are those of receipt. Raises FilmError if it cannot be opened.
     """
     if source.isdigit() or source.startswith('/dev/'):
-        with closing(_camera_pictures(source)) as pictures:  # type: ignore[type-var]
-            yield from ahead(pictures, 1, are_old_left_out=True)
+        yield from ahead(_camera_pictures(source), 1, are_old_left_out=True)
         return
     start = None
     with closing(Video(source).pictures()) as pictures:  # type: ignore[type-var]
@@ -109,7 +113,7 @@ def live_pictures(source: str) -> Iterator[Picture]:
             yield picture
 
 
-def _camera_pictures(source: str) -> Iterator[Picture]:
+def _camera_pictures(source: str) -> Generator[Picture, None, None]:
     camera = cv2.VideoCapture(int(source) if source.isdigit() else source)
     try:
         if not camera.isOpened():

@@ -22,17 +22,20 @@ from kinpole_ros.bags import (
     read_messages,
     replay,
     type_name,
+    warnings_of,
 )
 from kinpole_ros.bags import topics as topics_of
 from kinpole_ros.messages import (
+    INPUT_TYPES,
     MARKER_TYPES,
     TF,
+    marker_arrays,
     read_markers,
     result_outputs,
     serialize_message,
     to_message,
 )
-from kinpole_ros.settings import Settings
+from kinpole_ros.settings import Settings, settings_from
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.plane import AXES
@@ -839,11 +842,29 @@ def test_another_frame_id_is_counted_and_both_parts_are_right(
 def test_rows_of_a_table_in_which_nothing_was_seen_are_left_out(
     simulated: Bag, run: Any, tmp_path: Path
 ) -> None:
-    """They are arrays without markers, and so without a stamp."""
+    """They are arrays without markers, and so without a stamp, which is no fault of a driver."""
     listed = decoded(simulated('cardan', rate=100, duration=0.6), '/markers')['/markers']
     with BagWriter(tmp_path / 'all.mcap') as writer:
         for k, message in enumerate(listed):
             writer.write('/markers', MarkerArray() if k in (20, 21, 40) else message, k)
     result = replay(tmp_path / 'all.mcap', CARDAN)
-    assert (result.frames, result.unreadable, result.resets) == (57, 3, 0)
-    assert 'without markers has no stamp' in result.problem
+    assert (result.frames, result.empty, result.resets, result.lost) == (57, 3, 0, 0)
+    assert not warnings_of(result, CARDAN)
+    with BagWriter(tmp_path / 'none.mcap') as writer:
+        writer.write('/markers', MarkerArray(), 0)
+    with pytest.raises(BagError, match='no message on /markers has markers; fix: '):
+        replay(tmp_path / 'none.mcap', CARDAN)
+
+
+def test_half_of_the_stamps_repeated_is_a_warning_with_its_fix(tmp_path):
+    path, count = tmp_path / 'half.mcap', 60
+    angles = 0.02 * np.arange(count)[:, None] + [0.0, 1.0]
+    points = np.stack((np.cos(angles), np.sin(angles), 0.0 * angles), axis=-1)
+    stamps = 10**9 + np.arange(count) // 2 * 20_000_000
+    logs = (10**9 + np.arange(count) * 10_000_000).tolist()
+    data = marker_arrays(stamps, 'lab', ['a', 'b'], points)
+    with BagWriter(path) as bag:
+        bag.write_many([('/markers', INPUT_TYPES['marker_array'], logs, data)])
+    settings = settings_from({'window': 0.3, 'lag': 0.1})
+    lines = warnings_of(replay(path, settings), settings)
+    assert '30 of 60 messages have the stamp of the one before, and are left out' in lines[0]
