@@ -913,7 +913,7 @@ def test_what_is_turned_moved_scaled_and_slowed_has_derivatives_that_are(
         found.angle_covariance / 100**scale * both,
         found.span / slower,
         found.freedom,
-        found.hub / factor * np.exp(1j * turned),
+        found.reference / factor * np.exp(1j * turned),
     )
     same(back, plain, 1e-6)
 
@@ -923,7 +923,7 @@ def test_a_body_that_turns_there_and_back_between_two_frames_has_no_hub() -> Non
     side = (-1.0) ** np.arange(COUNT)[:, None]
     errors = 1e-4 * np.random.default_rng(6).normal(size=(3, COUNT, 20))
     position = (0.3 + 0.2j) * side + errors[1] + 1j * errors[2]
-    assert not derive(stamps(COUNT), 0.2 * side + errors[0], position, 1e-4).hub.any()
+    assert not derive(stamps(COUNT), 0.2 * side + errors[0], position, 1e-4).reference.any()
 
 
 def test_more_samples_than_a_window_holds_tell_as_much_in_blocks(

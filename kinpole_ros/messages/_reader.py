@@ -229,20 +229,20 @@ class _Layout(NamedTuple):
         identities = self.names(data)
         if identities is None:
             return None
-        key, stamp = start & self.mask, self.fields.stamp
+        key, stamp = start & self.mask, self.fields.stamp_offset
         fields = layout_of_messages(self.points, self.size, stamp, self.order, self.mask, key)
         return self._replace(fields=fields, key=key, identities=identities)
 
-    def count_matches(self, data: bytes, first: int, count: int) -> int:
-        """Return how many messages from `first` on are of the layout; `data` are `count`."""
-        matches: int = library.kinpole_count_matches(byref(self.fields), data, first, count)
+    def count_matches(self, data: bytes, first: int, end: int) -> int:
+        """Return how many messages from `first` to before `end` are of the layout."""
+        matches: int = library.kinpole_count_matches(byref(self.fields), data, first, end)
         return matches
 
     def read(self, data: bytes, first: int, count: int) -> MarkerFrames:
         """Read `count` messages from `first` on, which are all of this layout."""
-        stamps, points = np.empty(count, np.int64), np.empty((count, self.fields.count, 3))
+        stamps, points = np.empty(count, np.int64), np.empty((count, self.fields.point_count, 3))
         into = pass_new_array(stamps), pass_new_array(points)
-        library.kinpole_read_messages(byref(self.fields), data, first, count, *into)
+        library.kinpole_read_messages(byref(self.fields), data, first, first + count, *into)
         if self.pose is not None:
             start, strides = first * self.size + self.pose, (self.size, 8)
             poses = np.ndarray((count, 7), f'{self.order}f8', data, start, strides)

@@ -100,7 +100,7 @@ def state(given: Plane, order: int, registered: Sequence[RegisteredQuantity] = (
     `given` is the plane of estimates that have none.
     """
     names = [*chain(*state_fields(order, registered).values())]
-    row = Row(STATE_POINTS, order, partial(_template, names), order)
+    row = Row(STATE_POINTS, 0, partial(_template, names), order)
     if added := _added(order, registered):
         first = sum(map(len, state_fields(order).values()))
         fields = [_added_fields(name, one.is_vector)[0] for one, name in added]

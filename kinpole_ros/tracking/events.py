@@ -131,7 +131,7 @@ def _poses(history: History, bodies: Bodies, hub: np.ndarray) -> tuple[np.ndarra
     angle, turns = history['angle'], history['turns']
     position = history['position'] + hub * np.exp(1j * angle)
     values = np.stack((angle + 2 * np.pi * turns, position.real, position.imag), axis=-1)
-    information = np.moveaxis(history['information'] * bodies.scale, 1, -1)
+    information = np.moveaxis(history['information'] * bodies.information_factor, 1, -1)
     turned, placed = information[..., 0], information[..., 1]
     with np.errstate(divide='ignore', invalid='ignore'):
         # Farther from the middle of the markers the error of the angle tells more.

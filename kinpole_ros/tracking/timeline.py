@@ -325,7 +325,7 @@ class Timeline:
             # The frames of the history were counted by the motion: the clock is that of the counts.
             which = np.flatnonzero(is_used)
             which = which[: len(which) - uncounted][-len(history) :]
-            own = history['count'][len(history) - len(which) :]
+            own = history['tick'][len(history) - len(which) :]
             clock, counts = clock_of(clock, counts, stamps, which, own)
         is_used = is_used[len(is_used) - len(counts) :]
         self._appended = [(stamps[len(stamps) - len(counts) :], is_used)]
@@ -390,14 +390,14 @@ class Timeline:
         first = max(len(history) - len(counts), 0)
         counts = counts[len(counts) - (len(history) - first) :]
         if self._counter is not None:
-            counts = self._keep_counts(history['count'][first:], counts)
+            counts = self._keep_counts(history['tick'][first:], counts)
         if self._counter is None:
             counts = self._start_counter(history, first, counts)
         assert self._counter is not None
         count = self._counter.count
         self._anchor = clock.origin + round(clock.phase + count * clock.interval), count
         self._counter.learn_losses(counts)
-        history['count'][first:] = counts
+        history['tick'][first:] = counts
         history['time'][first:] = self._times_of(counts)
         # Earlier frames had another rate: they are at their stamps, less the mean lateness.
         before = _increasing(history['stamp'][:first] - round(clock.lateness))

@@ -11,7 +11,7 @@ from kinpole_ros.tracking.learn import (
     learn,
     path_scale,
 )
-from kinpole_ros.tracking.noise import never_repeats
+from kinpole_ros.tracking.noise import find_repetition
 from kinpole_ros.tracking.posed import learn_poses
 from kinpole_ros.tracking.rejection import HELD, HELD_MARKERS, NO_MARKER_REPEATS
 from kinpole_ros.tracking.state import MIN_HISTORY_FRAMES, State, restart_bodies
@@ -62,7 +62,7 @@ def _update(state: State) -> bool:
     new = state.frame_count - state.learned_count
     if state.assignment.posed:
         learn_poses(bodies, history, state.settings.noise)
-        bodies.extra_turn = state.step.tracks['total_turn'].copy()
+        bodies.learned_tilt_turn = state.step.tracks['sure_tilt_turn'].copy()
     else:
         restarts, counts = learn(bodies, history, window, state.settings.noise)
         state.totals.counts.update(counts)
@@ -74,18 +74,18 @@ def _update(state: State) -> bool:
     is_measured = state.assignment.posed and not state.settings.noise
     noise = bodies.noise if is_measured else bodies.white
     degrees = 3 if state.assignment.posed else None
-    before = bodies.never_repeats
-    repeats = never_repeats(history['markers'][-MISFIT_FRAMES:], noise, degrees)
+    before = bodies.repetition
+    repetition = find_repetition(history['markers'][-MISFIT_FRAMES:], noise, degrees)
     # Of a body that starts again, what was known before holds until its noise is.
-    bodies.never_repeats = np.where(np.isnan(noise), before, repeats)
-    begins = (bodies.never_repeats == NO_MARKER_REPEATS) & (before != NO_MARKER_REPEATS)
+    bodies.repetition = np.where(np.isnan(noise), before, repetition)
+    begins = (bodies.repetition == NO_MARKER_REPEATS) & (before != NO_MARKER_REPEATS)
     if begins.any():
         last = history['markers'][-2:].copy()
         lacking = forget_held_markers(bodies, history, begins)
         if lacking.any():
             restart_bodies(state, lacking)
             history['markers'][-2:][:, lacking] = last[:, lacking]
-            bodies.never_repeats[lacking] = NO_MARKER_REPEATS
+            bodies.repetition[lacking] = NO_MARKER_REPEATS
     bodies.hub = find_hubs(bodies, history, window, bodies.hub)
     bodies.jump_scale = path_scale(history)
     if not state.assignment.posed:
@@ -137,8 +137,8 @@ def count_new_frames(state: State) -> None:
     if not new or state.assignment.plane is None:
         return
     markers, heights = (state.history[name][-new:] for name in ('markers', 'heights'))
-    for track, key in (('held', HELD), ('held_markers', HELD_MARKERS)):
-        held = state.step.tracks[track]
+    for key in (HELD, HELD_MARKERS):
+        held = state.step.tracks[key]
         if held.any():
             state.totals.counts[key] += int(held.sum())
             held[:] = 0
@@ -158,4 +158,4 @@ def drop_old_frames(state: State) -> None:
     drop = len(history) - kept
     if drop > 0:
         history.drop(drop)
-        columns.due = max(0, columns.due - drop)
+        columns.next_result = max(0, columns.next_result - drop)

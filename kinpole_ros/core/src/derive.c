@@ -313,34 +313,37 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sc
     return code;
 }
 
+/* Write the derivatives of a signal, of the body with the pose `now`: an estimate relative to that
+   pose, in units of `scale` by order, of angle and position. Without an estimate they are NaN. */
 static void
 write_results(const Call *call, long long signal, long long now, const Estimate *estimate,
               const double (*scale)[MAX_ORDERS], double span)
 {
+    const DerivativeArrays *out = &call->derivatives;
     long long orders = call->orders, all = call->instants * call->bodies;
-    double *position = call->results + 2 * signal;
-    double *angle = call->results + 2 * orders * all + signal;
-    double *of_position = angle + orders * all, *of_angle = of_position + orders * orders * all;
-    double *span_and_freedom = of_angle + orders * orders * all;
-    double *hub = span_and_freedom + 2 * all + signal;
     Number arm = estimate ? estimate->hub * scale[1][0] : NAN;
     if (arm != 0.0) /* turned into the frame of the body */
         arm *= cos(call->angle[now]) - I * sin(call->angle[now]);
     for (long long k = 0; k < orders; k++) {
-        double base[3] = {call->angle[now], call->position[2 * now], call->position[2 * now + 1]};
-        angle[k * all] = estimate ? estimate->mean[0][k] * scale[0][k] + (k ? 0.0 : base[0]) : NAN;
-        for (int c = 0; c < 2; c++)
-            position[2 * k * all + c] =
-                estimate ? estimate->mean[1 + c][k] * scale[1][k] + (k ? 0.0 : base[1 + c]) : NAN;
+        Number place = call->position[now];
+        double base[3] = {call->angle[now], creal(place), cimag(place)};
+        double value[3];
+        for (int c = 0; c < 3; c++)
+            value[c] =
+                estimate ? estimate->mean[c][k] * scale[c > 0][k] + (k ? 0.0 : base[c]) : NAN;
+        out->angle[k * all + signal] = value[0];
+        out->position[k * all + signal] = value[1] + I * value[2];
         for (long long j = 0; j < orders; j++) {
-            of_angle[(k * orders + j) * all] =
+            long long at = (k * orders + j) * all + signal;
+            out->angle_covariance[at] =
                 estimate ? estimate->covariance[0][k][j] * scale[0][k] * scale[0][j] : NAN;
-            of_position[(k * orders + j) * all] =
+            out->position_covariance[at] =
                 estimate ? estimate->covariance[1][k][j] * scale[1][k] * scale[1][j] : NAN;
         }
     }
-    hub[0] = creal(arm), hub[1] = cimag(arm);
-    span_and_freedom[0] = span, span_and_freedom[all] = estimate ? estimate->freedom : NAN;
+    out->reference[signal] = arm;
+    out->span[signal] = span;
+    out->freedom[signal] = estimate ? estimate->freedom : NAN;
 }
 
 static int

@@ -17,8 +17,8 @@ static int
 fit(const Frames *f, long long b, const Number *points, int goes_on)
 {
     const HistoryColumns *history = &f->history;
-    const BodyArrays *known = &f->bodies;
-    long long n = known->width, newest = history->end - 1, at = newest * known->count + b;
+    const BodyArrays *known = &f->known;
+    long long n = known->width, newest = history->end - 1, at = newest * known->bodies + b;
     const Number *shape = known->shape + b * n;
     const double *weights = known->weights + b * n;
     Number *residual = history->residual + at * n, middle = 0.0, mean = 0.0, cross = 0.0;
@@ -59,14 +59,14 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
         residual[k] = (points[k] - middle) * conj(turn) - (shape[k] - mean);
         found |= verdict_on_marker(f, b, k, square_of(residual[k]));
     }
-    if (goes_on && newest > history->first && cos(angle - history->angle[at - known->count]) < 0.0)
+    if (goes_on && newest > history->first && cos(angle - history->angle[at - known->bodies]) < 0.0)
         found |= ODD;
     int is_known = fits && !is_unsteady(f, b, spread);
     history->angle[at] = is_known ? angle : NAN;
     history->position[at] = is_known ? middle - turn * mean : NAN;
-    double *information = history->information + 2 * newest * known->count + b;
+    double *information = history->information + 2 * newest * known->bodies + b;
     information[0] = !is_known ? 0.0 : f->limits.posed ? 1.0 : spread;
-    information[known->count] = !is_known ? 0.0 : f->limits.posed ? 1.0 :
+    information[known->bodies] = !is_known ? 0.0 : f->limits.posed ? 1.0 :
         1.0 / (1.0 / total + square_of(mean) / spread);
     return found;
 }
@@ -76,10 +76,10 @@ void
 kinpole_unwrap(const Frames *f)
 {
     const HistoryColumns *history = &f->history;
-    const BodyArrays *known = &f->bodies;
-    for (long long b = 0; b < known->count; b++) {
-        long long at = (history->end - 1) * known->count + b;
-        double turns = history->end - 1 > history->first ? history->turns[at - known->count] : 0.0;
+    const BodyArrays *known = &f->known;
+    for (long long b = 0; b < known->bodies; b++) {
+        long long at = (history->end - 1) * known->bodies + b;
+        double turns = history->end - 1 > history->first ? history->turns[at - known->bodies] : 0.0;
         double angle = history->angle[at], last = known->last_angle[b];
         if (!isnan(angle)) {
             turns -= isnan(last) ? 0.0 : rint((angle - last) / TURN);
@@ -94,7 +94,7 @@ int
 kinpole_fit_frame(const Frames *f, const Number *markers, int goes_on)
 {
     int found = 0;
-    for (long long b = 0; b < f->bodies.count; b++)
-        found |= f->tracks.unusual[b] = fit(f, b, markers + b * f->bodies.width, goes_on);
+    for (long long b = 0; b < f->known.bodies; b++)
+        found |= f->tracks.unusual[b] = fit(f, b, markers + b * f->known.width, goes_on);
     return found;
 }

@@ -240,7 +240,7 @@ curvature_at(const Motion *m, long long t)
 
 /* The center or the diameter of the inflection circle, where the ICR is seen to move. */
 static Quantity
-circle_at(const Motion *m, long long t, int what)
+circle_at(const Motion *m, long long t, int quantity)
 {
     double rate[3];
     Number z[3];
@@ -248,7 +248,7 @@ circle_at(const Motion *m, long long t, int what)
     Quantity q = {0}, u = velocity_at(m, t);
     motion_at(m, t, 2, z, rate);
     circle(z, rate, &center, &diameter);
-    if (what == CIRCLE_DIAMETER) {
+    if (quantity == CIRCLE_DIAMETER) {
         linear = &diameter;
         double length = cabs(diameter.value);
         Number along = conj(diameter.value) / length;
@@ -283,21 +283,21 @@ kinpole_rate(const Motion *m, long long t, int order)
 }
 
 Quantity
-kinpole_quantity(const Motion *m, long long t, int what)
+kinpole_quantity(const Motion *m, long long t, int quantity)
 {
-    switch (what) {
+    switch (quantity) {
     case POLE_1: case POLE_2: case POLE_3: case POLE_4:
-        return pole_at(m, t, what);
+        return pole_at(m, t, quantity);
     case FREE_POLE_1: case FREE_POLE_2: case FREE_POLE_3: case FREE_POLE_4:
-        return free_pole(m, t, what - FREE);
+        return free_pole(m, t, quantity - FREE);
     case VELOCITY:
         return velocity_at(m, t);
     case CURVATURE:
         return curvature_at(m, t);
     case CIRCLE_CENTER: case CIRCLE_DIAMETER:
-        return circle_at(m, t, what);
+        return circle_at(m, t, quantity);
     case RATE_1: case RATE_2: case RATE_3: case RATE_4:
-        return kinpole_rate(m, t, what - RATE);
+        return kinpole_rate(m, t, quantity - RATE);
     default:
         return (Quantity){NAN, {NAN, NAN, NAN}, 0};
     }
@@ -343,26 +343,25 @@ store(const Quantity *q, long long at, Number *values, double *spreads, unsigned
     spread[0] = q->spread[0], spread[1] = spread[2] = q->spread[1], spread[3] = q->spread[2];
 }
 
-/* Computes quantity `what` at all instants. `values` (count,) are complex, `spreads` (count, 2, 2),
-   and `flags` (count,) bits. */
 void
-kinpole_quantities(int what, const Motion *m, Number *values, double *spreads, unsigned char *flags)
+kinpole_quantities(int quantity, const Motion *m, Number *values, double *covariances,
+                   unsigned char *flags)
 {
-    for (long long t = 0; t < m->count; t++) {
-        Quantity q = kinpole_quantity(m, t, what);
-        store(&q, t, values, spreads, flags);
+    for (long long t = 0; t < m->poses; t++) {
+        Quantity q = kinpole_quantity(m, t, quantity);
+        store(&q, t, values, covariances, flags);
     }
 }
 
-/* Computes the relative centers of `pairs` (2, number), all j and all i, at all instants. */
 void
 kinpole_relative_centers(const Motion *m, long long bodies, const long long *pairs,
-                         long long number, Number *values, double *spreads, unsigned char *flags)
+                         long long number, Number *values, double *covariances,
+                         unsigned char *flags)
 {
-    for (long long t = 0; t < m->count / bodies; t++)
+    for (long long t = 0; t < m->poses / bodies; t++)
         for (long long k = 0; k < number; k++) {
             long long j = t * bodies + pairs[k], i = t * bodies + pairs[number + k];
             Quantity q = kinpole_relative_center(m, j, i);
-            store(&q, t * number + k, values, spreads, flags);
+            store(&q, t * number + k, values, covariances, flags);
         }
 }

@@ -18,7 +18,7 @@ typedef struct {
 int kinpole_is_known(const Motion *m, long long t);
 /* Of the body and instant `t`, or of `j` with respect to `i`. */
 Quantity kinpole_rate(const Motion *m, long long t, int order);
-Quantity kinpole_quantity(const Motion *m, long long t, int what);
+Quantity kinpole_quantity(const Motion *m, long long t, int quantity);
 Quantity kinpole_relative_rate(const Motion *m, long long j, long long i);
 Quantity kinpole_relative_center(const Motion *m, long long j, long long i);
 

@@ -50,13 +50,13 @@ path_of(const Frames *f, long long b, Path *path)
     long long rows[LOOK_BACK];
     int count = 0;
     for (long long row = newest; row >= begin && count < LONGEST + NODES; row--)
-        if (history->information[2 * row * f->bodies.count + b] > 0.0)
+        if (history->information[2 * row * f->known.bodies + b] > 0.0)
             rows[count++] = row;
     path->count = count;
     if (count < 5 || rows[0] != newest)
         return 0;
     for (int k = 0; k < count; k++) {
-        long long row = rows[count - 1 - k], at = row * f->bodies.count + b;
+        long long row = rows[count - 1 - k], at = row * f->known.bodies + b;
         path->row[k] = row;
         path->time[k] = (history->time[row] - history->time[newest]) * 1e-9;
         path->value[0][k] = history->angle[at] + TURN * history->turns[at];
@@ -148,27 +148,27 @@ doubtful_newest(const Path *p, const double *most)
 void
 kinpole_follow_paths(const Frames *f)
 {
-    const BodyArrays *known = &f->bodies;
+    const BodyArrays *known = &f->known;
     const FrameLimits *limits = &f->limits;
-    long long *wrong = f->tracks.wrong, *newest = f->tracks.newest;
-    for (long long b = 0; b < known->count; b++) {
+    long long *wrong = f->tracks.wrong, *newest = f->tracks.left_out;
+    for (long long b = 0; b < known->bodies; b++) {
         double least[2] = {limits->near, limits->near * known->size[b]}, most[2], more[2];
         Path path;
         newest[b] = 0;
-        if (!(isfinite(known->jump_scale[b]) && isfinite(known->jump_scale[known->count + b])) ||
+        if (!(isfinite(known->jump_scale[b]) && isfinite(known->jump_scale[known->bodies + b])) ||
             !path_of(f, b, &path))
             continue;
         for (int s = 0; s < 2; s++) {
-            most[s] = limits->far * known->jump_scale[s * known->count + b];
+            most[s] = limits->far * known->jump_scale[s * known->bodies + b];
             more[s] = larger(limits->newest_factor * most[s], least[s]);
         }
         double turns;
         int length = wrong_before_last(&path, most, least, &turns);
         for (int k = path.count - 2; k < path.count; k++)
-            f->history.turns[path.row[k] * known->count + b] -= turns;
+            f->history.turns[path.row[k] * known->bodies + b] -= turns;
         for (int k = path.count - 2 - length; k < path.count - 2; k++) {
-            double *information = f->history.information + 2 * path.row[k] * known->count + b;
-            information[0] = information[known->count] = 0.0;
+            double *information = f->history.information + 2 * path.row[k] * known->bodies + b;
+            information[0] = information[known->bodies] = 0.0;
         }
         wrong[b] += length;
         if (length && !path_of(f, b, &path))
@@ -184,7 +184,7 @@ repeats(const Frames *f, long long b, const Number *points, long long k, long lo
     const HistoryColumns *history = &f->history;
     long long row = history->end - 1 - rows_before;
     return row >= history->first &&
-        points[k] == history->markers[(row * f->bodies.count + b) * f->bodies.width + k];
+        points[k] == history->markers[(row * f->known.bodies + b) * f->known.width + k];
 }
 
 /* Whether the markers (n,) of a body repeat those of the row before to the last bit, while measured
@@ -193,9 +193,9 @@ int
 kinpole_is_held(const Frames *f, long long b, const Number *points)
 {
     long long seen = 0;
-    if (f->bodies.never_repeats[b] == MAY_REPEAT)
+    if (f->known.repetition[b] == MAY_REPEAT)
         return 0;
-    for (long long k = 0; k < f->bodies.width; k++) {
+    for (long long k = 0; k < f->known.width; k++) {
         if (isnan(creal(points[k])))
             continue;
         if (!repeats(f, b, points, k, 1))
@@ -210,7 +210,7 @@ kinpole_is_held(const Frames *f, long long b, const Number *points)
 int
 kinpole_is_marker_held(const Frames *f, long long b, const Number *points, long long k)
 {
-    return f->bodies.never_repeats[b] == NO_MARKER_REPEATS && repeats(f, b, points, k, 1) &&
+    return f->known.repetition[b] == NO_MARKER_REPEATS && repeats(f, b, points, k, 1) &&
         repeats(f, b, points, k, 2);
 }
 
@@ -219,18 +219,19 @@ int
 kinpole_holds_on_pin(const Frames *f, long long oldest, long long b)
 {
     const HistoryColumns *history = &f->history;
-    const BodyArrays *known = &f->bodies;
+    const BodyArrays *known = &f->known;
     if (!(isfinite(creal(known->pin[b])) && known->pin_since[b] <= history->time[oldest]))
         return 0;
     int off = 0;
     for (long long row = oldest; row < history->end; row++) {
-        const double *information = history->information + 2 * row * known->count + b;
-        if (!(information[0] > 0.0 && information[known->count] > 0.0))
+        const double *information = history->information + 2 * row * known->bodies + b;
+        if (!(information[0] > 0.0 && information[known->bodies] > 0.0))
             continue;
-        long long at = row * known->count + b;
-        double turned = known->error[b] / (information[0] * known->scale[b]);
+        long long at = row * known->bodies + b;
+        const double *factor = known->information_factor + b;
+        double turned = known->error[b] / (information[0] * factor[0]);
         double placed =
-            known->error[b] / (information[known->count] * known->scale[known->count + b]);
+            known->error[b] / (information[known->bodies] * factor[known->bodies]);
         Number turn = cos(history->angle[at]) + I * sin(history->angle[at]);
         double square = square_of(history->position[at] + turn * known->pin_arm[b] - known->pin[b]);
         double variance = placed + square_of(known->pin_arm[b]) * turned;
@@ -243,11 +244,11 @@ int
 kinpole_reason(const Frames *f, long long now, long long b)
 {
     const HistoryColumns *history = &f->history;
-    const BodyArrays *known = &f->bodies;
-    const double *information = history->information + 2 * now * known->count + b;
-    int seen = information[0] > 0.0 && information[known->count] > 0.0 &&
-        now < history->end - f->tracks.newest[b];
+    const BodyArrays *known = &f->known;
+    const double *information = history->information + 2 * now * known->bodies + b;
+    int seen = information[0] > 0.0 && information[known->bodies] > 0.0 &&
+        now < history->end - f->tracks.left_out[b];
     if (seen)
         return known->reason[b];
-    return isnan(history->angle[now * known->count + b]) ? NOT_SEEN : OFF_PATH;
+    return isnan(history->angle[now * known->bodies + b]) ? NOT_SEEN : OFF_PATH;
 }

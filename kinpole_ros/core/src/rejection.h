@@ -15,9 +15,9 @@
 static inline int
 verdict_on_marker(const Frames *f, long long b, long long k, double square)
 {
-    long long at = b * f->bodies.width + k;
-    int is_doubtful = square > f->bodies.doubtful[at];
-    return (square > f->bodies.largest[at] ? ODD : 0) | (is_doubtful ? NAME_DOUBTFUL : 0);
+    long long at = b * f->known.width + k;
+    int is_doubtful = square > f->known.doubtful[at];
+    return (square > f->known.largest[at] ? ODD : 0) | (is_doubtful ? NAME_DOUBTFUL : 0);
 }
 
 /* Whether a pose is fitted to markers too close together for their noise, of this spread, while
@@ -25,7 +25,7 @@ verdict_on_marker(const Frames *f, long long b, long long k, double square)
 static inline int
 is_unsteady(const Frames *f, long long b, double spread)
 {
-    return f->bodies.spread[b] > f->bodies.loosest[b] && spread < f->bodies.loosest[b];
+    return f->known.spread[b] > f->known.loosest[b] && spread < f->known.loosest[b];
 }
 
 /* Leaves out the poses that the newest row shows to be off their paths; see `wrong` and

@@ -34,9 +34,9 @@ quantity_of(const Task *task)
     const Motion *m = task->motion;
     const Row *row = task->row;
     long long other = task->t * task->bodies + row->other;
-    switch (row->what) {
+    switch (row->quantity) {
     case GIVEN: {
-        const double *spread = row->spread + 4 * task->t;
+        const double *spread = row->covariance + 4 * task->t;
         int flags = row->determined[task->t] ? DETERMINED : 0;
         return (Quantity){row->value[task->t], {spread[0], spread[1], spread[3]}, flags};
     }
@@ -45,7 +45,7 @@ quantity_of(const Task *task)
     case RELATIVE_CENTER:
         return kinpole_relative_center(m, other, task->at);
     default:
-        return kinpole_quantity(m, task->at, (int)row->what);
+        return kinpole_quantity(m, task->at, (int)row->quantity);
     }
 }
 
@@ -239,13 +239,13 @@ fill_state_pose(const Pose *pose, double angle, StatePoint *point)
 /* Writes a quantity of a body, zeros if it is undetermined, and returns where it ends. The next bit
    of `determined` says which it is. */
 static unsigned char *
-write_state_quantity(const Task *task, long long at, int what, unsigned *bit, unsigned *determined,
-                     unsigned char *out)
+write_state_quantity(const Task *task, long long at, int quantity, unsigned *bit,
+                     unsigned *determined, unsigned char *out)
 {
-    Quantity q = kinpole_quantity(task->motion, at, what);
+    Quantity q = kinpole_quantity(task->motion, at, quantity);
     StateVector vector = {0};
     StateScalar scalar = {0};
-    int is_scalar = what > RATE || what == CURVATURE || what == CIRCLE_DIAMETER;
+    int is_scalar = quantity > RATE || quantity == CURVATURE || quantity == CIRCLE_DIAMETER;
     if (q.flags & DETERMINED) {
         vector = state_vector(q.value, q.spread[0], q.spread[1], q.spread[2]);
         scalar = (StateScalar){creal(q.value), root_of(q.spread[0])};
@@ -282,8 +282,8 @@ write_state_point(const Task *task, long long at, int order, unsigned char *out)
         next = write_state_quantity(task, at, VELOCITY, &bit, &point.determined, next);
     if (order >= 3)
         next = write_state_quantity(task, at, CURVATURE, &bit, &point.determined, next);
-    for (int what = CIRCLE_CENTER; order >= 2 && what <= CIRCLE_DIAMETER; what++)
-        next = write_state_quantity(task, at, what, &bit, &point.determined, next);
+    for (int k = CIRCLE_CENTER; order >= 2 && k <= CIRCLE_DIAMETER; k++)
+        next = write_state_quantity(task, at, k, &bit, &point.determined, next);
     memcpy(out, &point, sizeof point);
     long long count = task->row->added_count;
     if (count > 0)
@@ -298,13 +298,13 @@ write_message(const Task *task, unsigned char *out)
     const Row *row = task->row;
     long long stamp = task->motion->stamp[task->t];
     int time[] = {(int)(stamp / SECOND), (int)(stamp % SECOND)};
-    memcpy(out, row->template, row->size);
+    memcpy(out, row->template, row->message_bytes);
     /* A list has its length before the header of its first item. */
     memcpy(out + (row->kind == FRAME ? 8 : 4), time, sizeof time);
     out += row->head;
     if (row->kind == STATE) {
         for (long long b = 0; b < task->bodies; b++)
-            out = write_state_point(task, task->t * task->bodies + b, (int)row->what, out);
+            out = write_state_point(task, task->t * task->bodies + b, (int)row->order, out);
         return 1;
     }
     Doubles doubles;
@@ -318,14 +318,12 @@ write_message(const Task *task, unsigned char *out)
     return count > 0;
 }
 
-/* Writes the messages of `number` rows, of all instants of each, to `out`, and to `made` (number,
-   instants) whether there is one. */
 void
 kinpole_write_rows(const Motion *motion, long long bodies, const Plane *plane, const Row *rows,
                    long long number, unsigned char *out, unsigned char *made)
 {
     for (const Row *row = rows; row < rows + number; row++)
-        for (long long t = 0; t < motion->count / bodies; t++, out += row->size) {
+        for (long long t = 0; t < motion->poses / bodies; t++, out += row->message_bytes) {
             Task task = {motion, plane, row, bodies, t, t * bodies + row->body};
             *made++ = (unsigned char)write_message(&task, out);
         }

@@ -11,7 +11,7 @@
 static int
 write_point(const Slots *slots, const double *points, long long row, double *point)
 {
-    int is_finite = row < slots->points, is_near = is_finite;
+    int is_finite = row < slots->point_count, is_near = is_finite;
     for (int i = 0; i < 3 && is_finite; i++) {
         is_finite = isfinite(points[3 * row + i]);
         point[i] = points[3 * row + i] * slots->scale;
@@ -22,19 +22,16 @@ write_point(const Slots *slots, const double *points, long long row, double *poi
     return is_finite && !is_near;
 }
 
-/* Writes the points (T, slots, 3) of frames, m, into `in_space`. If that is NULL, writes them as
-   complex numbers of the plane (T, slots), and their heights over it. Returns how many are too
-   far. */
 long long
 kinpole_assign(const Slots *slots, const double *points, long long frames, double *flat,
                double *heights, double *in_space)
 {
     const long long *axes = slots->axes;
     long long too_far = 0;
-    for (long long at = 0; at < frames * slots->count; at++) {
+    for (long long at = 0; at < frames * slots->slots; at++) {
         double p[3], turned[3];
-        const double *frame = points + at / slots->count * slots->points * 3;
-        too_far += write_point(slots, frame, slots->rows[at % slots->count], p);
+        const double *frame = points + at / slots->slots * slots->point_count * 3;
+        too_far += write_point(slots, frame, slots->row_of_slot[at % slots->slots], p);
         if (in_space) {
             memcpy(in_space + 3 * at, p, sizeof p);
             continue;
