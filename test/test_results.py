@@ -31,8 +31,9 @@ from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.plane import plane_along
+from kinpole_ros.tracking.registered import RegisteredQuantity
 from kinpole_ros.tracking.tracker import Tracker
-from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, RegisteredQuantity, Vectors
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Vectors
 
 # Along the two axes of each plane, and its normal.
 PLANES = {plane: np.roll(np.eye(3), shift, axis=0) for plane, shift in (('xy', 0), ('yz', -1))}

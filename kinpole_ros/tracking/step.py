@@ -18,9 +18,9 @@ from kinpole_ros.derivatives import go_on, new_call, pass_tables
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins
-from kinpole_ros.tracking.estimate import Results, new_results
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.rejection import FAR, GAP, NEAR, NEWEST_FACTOR, reasons_of
+from kinpole_ros.tracking.result_arrays import Results, new_results
 from kinpole_ros.tracking.thresholds import N_SIGMA
 
 # Why the compiled loop ends: see call.h and frames.h.

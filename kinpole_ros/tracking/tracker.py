@@ -13,12 +13,13 @@ from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.before_plane import keep_frame, take_again
 from kinpole_ros.tracking.correction import correct_next
 from kinpole_ros.tracking.deformed_results import add_deformation
-from kinpole_ros.tracking.estimate import Estimate, Results, estimate_of
+from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.events import FRAMES_BEHIND, BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import note_gap
 from kinpole_ros.tracking.placed_frames import PlacedFrames
 from kinpole_ros.tracking.rejection import EXCHANGED
+from kinpole_ros.tracking.result_arrays import Results, estimate_of
 from kinpole_ros.tracking.result_layout import DEFORMED, FILLED
 from kinpole_ros.tracking.state import new_totals, start, widen
 from kinpole_ros.tracking.summary import TrackerSummary
