@@ -804,7 +804,7 @@ def test_a_body_of_all_markers_lacks_some_only_where_less_than_two_are_left() ->
     maker = DiagnosticsMaker('kinpole')
 
     def told(*names: str) -> str:
-        stamps = np.array([10**18 + STEP * (tracker.counts['frames'] + 1)])
+        stamps = np.array([10**18 + STEP * (tracker.update_counts()['frames'] + 1)])
         points = np.random.default_rng(0).normal(size=(1, len(names), 3))
         tracker.add(MarkerFrames(stamps, FRAME, names, points), None)
         return str(maker.make(10**18, tracker, None, 1.0, {}).status[1].message)
@@ -826,7 +826,7 @@ def test_markers_that_no_message_has_are_named_until_they_come() -> None:
 
     def told(*names: str) -> tuple[bytes, str]:
         for _ in range(3):
-            stamps = np.array([10**18 + STEP * (tracker.counts['frames'] + 1)])
+            stamps = np.array([10**18 + STEP * (tracker.update_counts()['frames'] + 1)])
             points = np.random.default_rng(0).normal(size=(1, len(names), 3))
             tracker.add(MarkerFrames(stamps, FRAME, names, points), None)
         status = maker.make(10**18, tracker, None, 1.0, {}).status[1]

@@ -36,7 +36,7 @@ from kinpole_ros.tracking.thresholds import (
     RECENT_FRAMES,
 )
 
-# What is counted in `Tracker.counts`.
+# What is counted in `Tracker.update_counts`.
 REGROUPED, BY_SHAPE, UNCERTAIN = 'markers_regrouped', 'frames_by_shape', 'bodies_ambiguous'
 # If the parameters name points 0 to n - 1, a cloud of exactly n points counts as so many clouds of
 # another size, while the usual size is learned.

@@ -33,8 +33,8 @@ here.
 | a result | TOO_NOISY | `MAX_ANGLE_NOISE` | `reasons_of` | a reason |
 | a result | NOISE_UNKNOWN | less than `MIN_SAMPLES` frames | `reasons_of` | a reason |
 
-What is counted is a key of `Tracker.counts`, which diagnostics print. A verdict without a count
-leads to another one. A reason stands with the results that are missing for it.
+What is counted is a key of `Tracker.update_counts`, which diagnostics print. A verdict without a
+count leads to another one. A reason stands with the results that are missing for it.
 """
 
 from typing import NamedTuple

@@ -22,9 +22,17 @@ class TrackerSummary:
 
     state: State
 
-    @property
-    def counts(self) -> Counter[str]:
-        """Numbers of frames and markers that were dropped, corrected or not seen, by cause."""
+    def count(self, what: str, number: int = 1) -> None:
+        """Count something that the readers of messages found."""
+        self.state.totals.counts[what] += number
+
+    def update_counts(self) -> Counter[str]:
+        """
+        Count up to the last frame, and return the counts.
+
+        They are the numbers of frames and markers that were dropped, corrected or not seen, by
+        cause.
+        """
         count_new_frames(self.state)
         self.state.timeline.count_lost()
         return self.state.totals.counts
