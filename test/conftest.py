@@ -44,7 +44,7 @@ os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 
 # An example that takes long on a busy machine is no fault of what is tested. `make test` tries the
 # same examples each time, so that what fails is the change's fault; `make fuzz` tries others.
-settings.register_profile('same', deadline=None, derandomize=True, max_examples=30)
+settings.register_profile('same', deadline=None, derandomize=True, max_examples=15)
 settings.register_profile('fuzz', deadline=None)
 settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'same'))
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from derivatives_reference import _models as stacked
 from derivatives_reference import _sizes, _steps
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bench._polynomial import derivative_weights
@@ -884,7 +884,6 @@ def test_an_instant_is_the_same_beside_others_that_have_gaps(other: str) -> None
         same(alone, Derivatives(*(field[..., k : k + 1, :] for field in together)), 1e-8)
 
 
-@settings(max_examples=25)
 @given(
     turn=st.floats(-4, 4),
     scale=st.floats(-3, 3),

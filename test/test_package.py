@@ -173,7 +173,7 @@ BELOW = {
         'linkage',
         'messages',
     },
-    'film': {'files', 'bags'},
+    'film': {'files', 'bags', 'messages'},
     'ros': {'settings', 'tracking', 'linkage', 'messages', 'bags'},
     'tools': {
         'files',

@@ -14,6 +14,7 @@ from kinpole_ros.bags._files import (
     recorder_of,
 )
 from kinpole_ros.bags._marker_frames import NODE_NAME, read_frames
+from kinpole_ros.bags._repeated_frames import leave_out_repeats
 from kinpole_ros.bags._replay import replay
 from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._warnings import assumed_body, warnings_of
@@ -37,6 +38,7 @@ __all__ = [
     'definition',
     'import_points',
     'in_place_of',
+    'leave_out_repeats',
     'message_class',
     'read_blocks',
     'read_frames',

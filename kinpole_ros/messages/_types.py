@@ -26,6 +26,10 @@ class MessageError(ValueError):
     """A message that cannot be read; the text names the field and says how to fix it."""
 
 
+class NoMarkersError(MessageError):
+    """A message without markers, and so without a stamp."""
+
+
 class _Message:
     """A message: its fields are attributes, and the constants of its type are of the class."""
 
@@ -191,6 +195,9 @@ def fields(cls: Any) -> dict[str, str]:
     return dict(message_class(type_name(cls))._kinds)
 
 
+# Pictures, and the camera that took them.
+IMAGE, COMPRESSED_IMAGE = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
+CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 # The classes in use.
 Time = message_class('builtin_interfaces/msg/Time')
 DiagnosticArray = message_class('diagnostic_msgs/msg/DiagnosticArray')

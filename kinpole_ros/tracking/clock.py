@@ -149,6 +149,19 @@ def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.
     return clock, count_frames(stamps[-number:], clock)
 
 
+def even_clock(stamps: np.ndarray, on_grid: Clock) -> tuple[Clock, np.ndarray] | None:
+    """
+    Return the clock that ticks at each step of a grid, and counts (N,), instead of a slower one.
+
+    None where frames have the same stamp (N,), ns, or step back.
+    """
+    counts = np.asarray((stamps - stamps[0]) // round(on_grid.resolution))
+    if np.diff(counts).min() < 1:
+        return None
+    since = (stamps - stamps[0]).astype(float)
+    return _fit_clock(int(stamps[0]), since, counts, on_grid.resolution), counts
+
+
 def _rate_has_changed(
     since: Real,
     counts: np.ndarray,

@@ -37,8 +37,7 @@ def update_clock(state: State) -> None:
     """Estimate the clock again, after an update of what is due."""
     # The clock depends on the noise, which is to be the same live and in replay.
     state.names_changed = update_if_due(state)
-    samples = int(state.step.columns.samples)
-    state.timeline.update_clock(state.history, samples, state.bodies.noise)
+    state.timeline.update_clock(state.history, state.bodies.noise)
 
 
 def learn_if_due(state: State) -> None:

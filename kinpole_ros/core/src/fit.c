@@ -10,9 +10,14 @@
 #include "numbers.h"
 #include "rejection.h"
 
+/* Markers nearer together than this part of their distance from the origin are at one place: four
+   units of rounding. No length below the least normal double is a direction. */
 static const double ROUNDING = 4 * 2.220446049250313e-16, TINY = 2.2250738585072014e-308;
 
-/* Fits the pose of body `b` to its markers (n,), and writes the newest row; what is unusual. */
+/* Fits the pose of body `b` to its markers `points` (n), m, by weighted least squares: turn and
+   position that bring its shape nearest to them (Procrustes). A marker is used if it has a weight,
+   is seen, and does not repeat while measured ones never do. There is no pose (NaN) without two
+   markers at different places. Writes the newest row; returns UNUSUAL_BITS. */
 static int
 fit(const Frames *f, long long b, const Number *points, int goes_on)
 {
@@ -22,7 +27,7 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
     const Number *shape = known->shape + b * n;
     const double *weights = known->weights + b * n;
     Number *residual = history->residual + at * n, middle = 0.0, mean = 0.0, cross = 0.0;
-    double total = 0.0, spread = 0.0, reach = 0.0, own_reach = 0.0;
+    double total = 0.0, spread = 0.0, reach = 0.0, shape_reach = 0.0;
     int found = 0;
     for (long long k = 0; k < n; k++) {
         int is_seen = !isnan(creal(points[k])) && !kinpole_is_marker_held(f, b, points, k);
@@ -36,24 +41,27 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
             found |= weights[k] > 0.0 || !is_seen ? 0 : NEW_MARKER;
         }
     }
-    middle /= total, mean /= total;
+    middle /= total;
+    mean /= total;
     for (long long k = 0; k < n; k++)
         if (history->used[at * n + k]) {
-            Number arm = points[k] - middle, own = shape[k] - mean;
-            double square = square_of(own), far = square_of(arm);
-            cross += weights[k] * conj(own) * arm;
+            Number arm = points[k] - middle, shape_arm = shape[k] - mean;
+            double square = square_of(shape_arm);
+            cross += weights[k] * conj(shape_arm) * arm;
             spread += weights[k] * square;
-            reach = far > reach ? far : reach, own_reach = square > own_reach ? square : own_reach;
+            reach = larger(reach, square_of(arm));
+            shape_reach = larger(shape_reach, square);
         }
     double length = cabs(cross);
     int fits = !kinpole_is_held(f, b, points) && length > TINY &&
         sqrt(reach) > ROUNDING * cabs(middle) &&
-        sqrt(own_reach) > ROUNDING * cabs(mean);
+        sqrt(shape_reach) > ROUNDING * cabs(mean);
     Number turn = fits ? cross / length : NAN;
     double angle = fits ? atan2(cimag(turn), creal(turn)) : NAN;
     for (long long k = 0; k < n; k++) {
         if (!history->used[at * n + k] || !fits) {
-            history->used[at * n + k] = 0, residual[k] = NAN + NAN * I;
+            history->used[at * n + k] = 0;
+            residual[k] = NAN + NAN * I;
             continue;
         }
         residual[k] = (points[k] - middle) * conj(turn) - (shape[k] - mean);
@@ -71,7 +79,6 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
     return found;
 }
 
-/* Counts the whole turns of the newest angles from the last ones that were known. */
 void
 kinpole_unwrap(const Frames *f)
 {
@@ -89,7 +96,6 @@ kinpole_unwrap(const Frames *f)
     }
 }
 
-/* Fits a frame of markers (B, n) into the newest row; what is unusual of any body. */
 int
 kinpole_fit_frame(const Frames *f, const Number *markers, int goes_on)
 {

@@ -2,7 +2,8 @@
  * The loop from the markers of frames to derivatives, which live and replay share.
  *
  * An unusual frame ends the loop, and is taken in Python. The result of a frame is computed when it
- * is due, from the window of frames up to the newest.
+ * is due, from the window of frames up to the newest. Arrays and shapes are those of frames.h: B
+ * bodies with up to n markers. A row is one of the history, counted from the begin of its memory.
  */
 
 #include <math.h>
@@ -13,24 +14,28 @@
 #include "numbers.h"
 #include "rejection.h"
 
-/* The poses of a window, and their derivatives. `heading` is the angle of the body, and `angle`
-   that by which its hub moves: the heading plus what a tilted body turns beyond it. */
+/* The poses of the N frames of a window, as `Call` takes them. */
 typedef struct {
-    double *angle, *heading, *turn_information, *place_information;
-    Number *position, *hub;
-    long long frames[3];
+    double *heading;           /* (N, B), rad: angle of the frame of the body */
+    double *angle;             /* (N, B), rad: the heading, and `tilt_turn` of a tilted body */
+    double *turn_information;  /* (N, B): inverse variance of the angle, times noise squared */
+    double *place_information; /* (N, B): the same of a coordinate of the position */
+    Number *position;          /* (N, B), m: of the hubs */
+    Number *hub;               /* (B), m: point that stands for the body, in its frame */
+    long long frames[3];       /* of the instant, the oldest, and the newest, of the N */
 } Poses;
 
 /* A result is due this share of an interval before its frame is as old as the lag. */
 static const double EARLY = 0.75;
 
+/* The unit vector at an angle, rad. */
 static Number
 unit_at(double angle)
 {
     return cos(angle) + I * sin(angle);
 }
 
-/* Number of frames in the history with a time before `at`, ns. */
+/* The number of frames in the history with a time before `at`, ns, by bisection. */
 static long long
 number_before(const Frames *f, long long at)
 {
@@ -46,7 +51,7 @@ number_before(const Frames *f, long long at)
     return low - history->first;
 }
 
-/* Whether the next frame follows the newest without a gap. */
+/* Whether the next frame follows the newest without a gap: after `gap` intervals at most. */
 static int
 next_goes_on(const Frames *f)
 {
@@ -56,7 +61,6 @@ next_goes_on(const Frames *f)
             f->limits.gap * history->interval;
 }
 
-/* Fits `markers` (B, n) of the next frame into the row after the newest; what is unusual. */
 int
 kinpole_try_frame(Frames *f, const Number *markers)
 {
@@ -67,10 +71,11 @@ kinpole_try_frame(Frames *f, const Number *markers)
     return found;
 }
 
-/* How far a body turned about the normal beyond the change of its heading, rad, between two tilts
-   at the begin and the end of a rotation with constant angular velocity. The heading is the twist
-   about the normal in the swing-twist decomposition. While a body is tilted, its rate is not the
-   angular velocity along the normal, and the integral of the difference depends on the path: it
+/* How far a body turned about the normal beyond the change of its heading, rad, from the tilt
+   `before` to the tilt `after`, while its heading changed by `heading`, rad, in a rotation with
+   constant angular velocity. A tilt is x + i y of the quaternion of the swing. The heading is the
+   twist about the normal in the swing-twist decomposition. While a body is tilted, its rate is not
+   the angular velocity along the normal, and the integral of the difference depends on the path: it
    does not return to zero with the pose. The result is 0 where either tilt is not known. */
 static double
 tilt_turn_between(Number before, Number after, double heading)
@@ -89,8 +94,8 @@ tilt_turn_between(Number before, Number after, double heading)
     return isnan(extra) ? 0.0 : extra;
 }
 
-/* Adds what tilting bodies turn beyond their headings to the newest row; only poses that are
-   certainly right count for the rows after it. */
+/* Writes `tilt_turn` of the newest row, from the `tilts` (B) of its poses. It adds up from one pose
+   that is surely right to the next, the `sure` tracks. */
 static void
 follow_tilts(const Frames *f, const Number *tilts)
 {
@@ -102,13 +107,16 @@ follow_tilts(const Frames *f, const Number *tilts)
         double heading = angle - tracks->sure_angle[b];
         double turned = tilt_turn_between(tracks->sure_tilt[b], tilts[b], heading);
         history->tilt_turn[at] = tracks->sure_tilt_turn[b] + turned;
-        if (!isnan(angle) && tracks->left_out[b] == 0)
-            tracks->sure_tilt_turn[b] = history->tilt_turn[at], tracks->sure_angle[b] = angle,
+        if (!isnan(angle) && tracks->left_out[b] == 0) {
+            tracks->sure_tilt_turn[b] = history->tilt_turn[at];
+            tracks->sure_angle[b] = angle;
             tracks->sure_tilt[b] = tilts[b];
+        }
     }
 }
 
-/* Notes that a body is seen, and the gap before if it was as long as a window. */
+/* Notes that body `b` has a pose at `stamp`, ns, in `seen_last`, and the gap before in `outages`,
+   if it was as long as a window. */
 static void
 note_seen(const Frames *f, long long b, long long stamp)
 {
@@ -125,17 +133,42 @@ note_seen(const Frames *f, long long b, long long stamp)
     }
 }
 
-/* Takes the next frame, if it is usual or was corrected. */
+/* Copies the next frame into a row: times, markers and heights, and the mean height of the markers
+   of each body that are seen in `fitted` (B, n). */
+static void
+copy_frame(const Frames *f, long long row, const Number *fitted)
+{
+    const HistoryColumns *history = &f->history;
+    const NewFrames *incoming = &f->incoming;
+    long long frame = incoming->frame, bodies = f->known.bodies, width = f->known.width;
+    const double *heights = incoming->heights + frame * bodies * width;
+    history->stamp[row] = incoming->stamp[frame];
+    history->time[row] = incoming->time[frame];
+    history->tick[row] = incoming->tick[frame];
+    memcpy(history->markers + row * bodies * width, incoming->points + frame * bodies * width,
+           bodies * width * sizeof *incoming->points);
+    memcpy(history->heights + row * bodies * width, heights, bodies * width * sizeof *heights);
+    for (long long b = 0; b < bodies; b++) {
+        double sum = 0.0;
+        long long seen = 0;
+        for (long long i = b * width; i < (b + 1) * width; i++)
+            if (!isnan(creal(fitted[i])))
+                sum += heights[i], seen++;
+        history->height[row * bodies + b] = seen ? sum / seen : NAN;
+    }
+}
+
+/* Takes the next frame into the history, if it is usual or was corrected, and writes the tracks.
+   Returns DONE, or UNUSUAL if it is not taken. */
 static int
 take_frame(Frames *f)
 {
     HistoryColumns *history = &f->history;
-    const BodyArrays *known = &f->known;
     NewFrames *incoming = &f->incoming;
-    long long all = known->bodies * known->width, row = history->end, k = incoming->frame;
-    const Number *points = incoming->points + k * all;
+    long long bodies = f->known.bodies, width = f->known.width, all = bodies * width;
+    long long row = history->end;
+    const Number *points = incoming->points + incoming->frame * all;
     const Number *fitted = incoming->corrected ? incoming->corrected : points;
-    const double *heights = incoming->heights + k * all;
     if (incoming->hidden_is_unusual && !incoming->corrected)
         for (long long i = 0; i < all; i++)
             if (isnan(creal(points[i])))
@@ -146,39 +179,29 @@ take_frame(Frames *f)
         history->end--;
         return UNUSUAL;
     }
-    incoming->corrected = NULL;
-    history->stamp[row] = incoming->stamp[k], history->time[row] = incoming->time[k];
-    history->tick[row] = incoming->tick[k];
+    copy_frame(f, row, fitted);
     history->goes_on[row] = goes_on;
-    memcpy(history->markers + row * all, points, all * sizeof *points);
-    memcpy(history->heights + row * all, heights, all * sizeof *heights);
-    for (long long b = 0; b < known->bodies; b++) {
-        double sum = 0.0;
-        long long seen = 0;
-        for (long long i = b * known->width; i < (b + 1) * known->width; i++)
-            if (!isnan(creal(fitted[i])))
-                sum += heights[i], seen++;
-        history->height[row * known->bodies + b] = seen ? sum / seen : NAN;
-        history->tilt_turn[row * known->bodies + b] = 0.0;
-    }
+    memset(history->tilt_turn + row * bodies, 0, bodies * sizeof *history->tilt_turn);
     kinpole_unwrap(f);
     kinpole_follow_paths(f);
     if (incoming->tilts)
-        follow_tilts(f, incoming->tilts + k * known->bodies);
-    for (long long b = 0; b < known->bodies; b++)
-        if (!isnan(history->angle[row * known->bodies + b]))
+        follow_tilts(f, incoming->tilts + incoming->frame * bodies);
+    for (long long b = 0; b < bodies; b++, points += width) {
+        if (!isnan(history->angle[row * bodies + b]))
             note_seen(f, b, history->stamp[row]);
         else
-            f->tracks.poses_held[b] += kinpole_is_held(f, b, points + b * known->width);
-    for (long long i = 0; i < all; i++) {
-        long long b = i / known->width, k = i % known->width;
-        f->tracks.markers_held[b] += kinpole_is_marker_held(f, b, points + b * known->width, k);
+            f->tracks.poses_held[b] += kinpole_is_held(f, b, points);
+        for (long long k = 0; k < width; k++)
+            f->tracks.markers_held[b] += kinpole_is_marker_held(f, b, points, k);
     }
-    incoming->frame++, incoming->until_update--;
+    incoming->corrected = NULL;
+    incoming->frame++;
+    incoming->until_update--;
     return DONE;
 }
 
-/* Computes the poses of the hubs in the window from `oldest` on; whether any body tilts. */
+/* Fills the arrays of `poses` from the rows `oldest` to the newest, for the hubs in it. Returns
+   whether any body tilts in the window. */
 static int
 fill_window(const Frames *f, long long oldest, Poses *poses)
 {
@@ -220,7 +243,7 @@ fill_window(const Frames *f, long long oldest, Poses *poses)
     return tilts;
 }
 
-/* The weighted mean of the markers used in a row, in the frame of the body. */
+/* The weighted mean of the markers of body `b` used in a row, m, in its frame; NaN without any. */
 static Number
 middle_of_used(const Frames *f, long long row, long long b)
 {
@@ -235,7 +258,8 @@ middle_of_used(const Frames *f, long long row, long long b)
     return total > 0.0 ? sum / total : NAN;
 }
 
-/* Copies the derivatives of one instant into the results; NaN for bodies without any. */
+/* Copies the derivatives of `call`, of one instant, into the results after those filled; NaN for a
+   body whose `reason` is worse than NOT_FULL. */
 static void
 copy_derivatives(const Call *call, Results *r)
 {
@@ -259,15 +283,16 @@ copy_derivatives(const Call *call, Results *r)
     }
 }
 
-/* Replaces the angles by those of the headings of tilted bodies, and turns the hubs into their
-   axes. Returns the same as `kinpole_derive`. */
+/* Replaces the derived angles of order 0 (B), rad, by those of the headings, for bodies that tilt,
+   and turns the hubs of `poses` into their axes. Returns the same as `kinpole_derive`. */
 static int
 derive_headings(Call *call, Poses *poses)
 {
     DerivativeArrays derived = call->derivatives;
     if (kinpole_lay_out_derivatives(call, OF_HEADINGS, call->bodies, &call->derivatives))
         return NO_MEMORY;
-    call->angle = poses->heading, call->next = 0;
+    call->angle = poses->heading;
+    call->next = 0;
     int code = kinpole_derive(call);
     const double *heading = call->derivatives.angle;
     for (long long b = 0; b < call->bodies && !code; b++) {
@@ -281,7 +306,9 @@ derive_headings(Call *call, Poses *poses)
     return code;
 }
 
-/* Computes the result of the frame in row `now` from the window of those from `oldest` on. */
+/* Computes the result of the frame in row `now` from the window of those from `oldest` on, and adds
+   it to the results. `poses` is memory for them. Returns the same as `kinpole_derive`; the results
+   are as before if that is not DONE. */
 static int
 compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long oldest,
                long long now)
@@ -297,14 +324,21 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
         poses->hub[b] = pinned ? 0.0 : known->hub[b];
     }
     int tilts = fill_window(f, oldest, poses);
-    call->frames = history->end - oldest, call->bodies = bodies;
-    poses->frames[0] = now - oldest, poses->frames[1] = 0, poses->frames[2] = newest - oldest;
-    call->time = history->time + oldest, call->turns = history->turns + oldest * bodies;
-    call->windows = poses->frames, call->left_out = f->tracks.left_out;
-    call->angle = poses->angle, call->position = poses->position;
+    poses->frames[0] = now - oldest;
+    poses->frames[1] = 0;
+    poses->frames[2] = newest - oldest;
+    call->frames = history->end - oldest;
+    call->bodies = bodies;
+    call->time = history->time + oldest;
+    call->turns = history->turns + oldest * bodies;
+    call->windows = poses->frames;
+    call->left_out = f->tracks.left_out;
+    call->angle = poses->angle;
+    call->position = poses->position;
     call->angle_information = poses->turn_information;
     call->position_information = poses->place_information;
-    call->noise = known->noise, call->next = 0;
+    call->noise = known->noise;
+    call->next = 0;
     if (kinpole_lay_out_derivatives(call, OF_DERIVATIVES, bodies, &call->derivatives))
         return NO_MEMORY;
     int code = kinpole_derive(call);
@@ -324,7 +358,8 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
         int found = isfinite(derived->angle[bodies + b]) && isfinite(creal(velocity)) &&
             isfinite(cimag(velocity));
         r->reason[to] = missing ? missing : found ? KNOWN : NOT_FULL;
-        r->size[to] = known->size[b], r->height[to] = history->height[at];
+        r->size[to] = known->size[b];
+        r->height[to] = history->height[at];
         r->derivatives.reference[to] = poses->hub[b];
         r->frame_angle[to] = history->angle[at] + TURN * history->turns[at];
         r->frame_position[to] = history->position[at];
@@ -338,14 +373,18 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
     copy_derivatives(call, r);
     memcpy(r->shape + t * bodies * known->width, known->places,
            bodies * known->width * sizeof *r->shape);
-    r->stamp[t] = history->stamp[now], r->due[t] = f->incoming.frame - 1;
-    r->rows[3 * t] = now - history->first, r->rows[3 * t + 1] = oldest - history->first;
-    r->rows[3 * t + 2] = newest - history->first;
-    r->filled++, r->deformed += deforms;
+    r->stamp[t] = history->stamp[now];
+    r->due[t] = f->incoming.frame - 1;
+    for (int k = 0; k < 3; k++)
+        r->rows[3 * t + k] = poses->frames[k] + oldest - history->first;
+    r->filled++;
+    r->deformed += deforms;
     return DONE;
 }
 
-/* Computes the results that are due with the newest frame. */
+/* Computes the results that are due with the newest frame, and moves `next_result` behind them. A
+   frame is due once it is as old as the lag. Also writes `samples` and `interval` of the window.
+   Returns DONE, FULL without memory for another result, or what `kinpole_derive` returns. */
 static int
 compute_due(Frames *f, Call *call, Results *r)
 {
@@ -391,8 +430,6 @@ compute_due(Frames *f, Call *call, Results *r)
     return DONE;
 }
 
-/* Takes frames while they are usual, and computes the results that are due. Returns DONE, or why it
-   has to be called again after step.py has done its part. */
 int
 kinpole_follow(Frames *f, Call *call, Results *r)
 {

@@ -9,8 +9,9 @@
 #include "numbers.h"
 #include "poles.h"
 
-/* Adds the angle or rate of a body `seconds` after an instant, by its Taylor series up to the
-   acceleration; or the variance of that. Returns whether the body is known. */
+/* Adds to `sums` (2) the angle, rad, and the rate, rad/s, of a body `seconds` after instant `t`,
+   times `sign`, by Taylor series up to the acceleration; or the variances of these. A body of -1 is
+   the ground, which adds nothing. Returns whether the body is known. */
 static int
 add_state(const Motion *m, const Joints *joints, long long body, long long t, double seconds,
           double sign, double *sums)
@@ -35,7 +36,8 @@ add_state(const Motion *m, const Joints *joints, long long body, long long t, do
     return kinpole_is_known(m, at);
 }
 
-/* Writes an integer aligned to its 4 bytes, and returns where it ends. */
+/* Writes an integer at `out`, or up to 3 bytes later, so that it is a multiple of 4 bytes after
+   `start`; returns where it ends. */
 static unsigned char *
 put_integer(unsigned char *start, unsigned char *out, int value)
 {
@@ -44,7 +46,8 @@ put_integer(unsigned char *start, unsigned char *out, int value)
     return out + sizeof value;
 }
 
-/* Writes the message of an instant, extrapolated to a stamp, and returns its bytes; 0 without
+/* Writes the message of instant `t`, extrapolated to a stamp, ns, to `out`: a header, the names of
+   the joints whose bodies are known, their angles, and their rates. Returns its bytes; 0 without
    joints. */
 static long long
 write_joint_state(const Motion *m, const Joints *joints, long long t, long long stamp,
