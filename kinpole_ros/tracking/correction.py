@@ -31,7 +31,7 @@ from kinpole_ros.tracking.rejection import (
     REVERSED,
     SLOW_STEP,
 )
-from kinpole_ros.tracking.state import State, restart_bodies
+from kinpole_ros.tracking.state import State, put_bodies, restart_bodies
 from kinpole_ros.tracking.statistics import mean_square
 from kinpole_ros.tracking.thresholds import MIN_SAMPLES, RECENT_FRAMES
 
@@ -55,15 +55,16 @@ def correct_next(state: State, placed: PlacedFrames, k: int) -> Complex:
     """Return the markers (B, n) that frame `k` is fitted to, NaN for those left out."""
     bodies, counts = state.bodies, state.totals.counts
     if state.matcher.arrange(placed, k, counts):
-        restart_bodies(state, np.ones(bodies.count, bool))
+        bodies = restart_bodies(state, bodies, np.ones(bodies.count, bool))
+        put_bodies(state, bodies)
     markers, heights = placed.points[k], placed.heights[k]
     if len(bodies.fitting.unseen):
         # Not from a marker that repeats: see `forget_held_markers`.
         last = state.history['markers'][-2:]
         may_be_held = (bodies.repetition == NO_MARKER_REPEATS)[:, None]
         is_held = may_be_held & (last == markers).all(axis=0)
-        bodies.begin(np.where(is_held, complex(np.nan, np.nan), markers))
-        state.step.bind(bodies, state.pins, state.history)
+        bodies = bodies.begin(np.where(is_held, complex(np.nan, np.nan), markers))
+        put_bodies(state, bodies)
     if bodies.fitting.incomplete and (bodies.fitting.unknown_slots & ~np.isnan(markers)).any():
         # New markers are learned as soon as they are seen.
         state.next_update = min(state.next_update, state.frame_count + 1)

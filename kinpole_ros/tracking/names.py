@@ -82,6 +82,8 @@ class Matcher:
     ----------
     given : GivenShapes
         What the parameters say.
+    bodies : Bodies
+        What is known now, put in by `put_bodies` of state.py.
     notes : Counter of str
         Corrected names, and how often each correction began.
     regrouped : list of (str, str, str)
@@ -94,12 +96,11 @@ class Matcher:
     def __init__(
         self, settings: Settings, assignment: MarkerAssignment, bodies: Bodies, history: History
     ) -> None:
-        self._assignment, self._bodies, self._history = assignment, bodies, history
+        self._assignment, self._history = assignment, history
         self.given = given_shapes(settings, bodies.width)
+        self.bodies = bodies.give(self.given.shapes) if self.given.has_shape.any() else bodies
         self.notes: Counter[str] = Counter()
         self.regrouped: list[tuple[str, str, str]] = []
-        if self.given.has_shape.any():
-            bodies.give(self.given.shapes)
         self.full_count = 0
         # How many of the first clouds without names had which number of points.
         self._cloud_sizes: Counter[int] = Counter()
@@ -179,13 +180,13 @@ class Matcher:
         points = points[~np.isnan(points)]
         if not len(points):
             return False
-        shapes, limit = self._bodies.fitting.places, self._bodies.fitting.limit
+        shapes, limit = self.bodies.fitting.places, self.bodies.fitting.limit
         predicted = fit.position[:, None] + np.exp(1j * fit.angle)[:, None] * shapes
         predicted = np.where(hidden, predicted, np.nan)
         if (np.abs(predicted[..., None] - points) <= limit[:, None, None]).any():
             return True
         # A body without a pose is doubtful if it and the unassigned points have enough markers.
-        lost = np.isnan(fit.angle) & (self._bodies.fitting.learned_count >= 2) & ~self.withheld
+        lost = np.isnan(fit.angle) & (self.bodies.fitting.learned_count >= 2) & ~self.withheld
         return bool((lost & (len(points) + (~hidden).sum(axis=1) >= 2)).any())
 
     def correct_names(self, placed: PlacedFrames, k: int, counts: Counter[str]) -> bool:
@@ -193,14 +194,14 @@ class Matcher:
         # One body that has all points, and poses, cannot be confused.
         layout, frames = placed.layout, len(placed.frames.stamps) - k
         is_alone = len(self.given.names) == 1 and not len(layout.unassigned)
-        if self.given.by_shape or placed.arranged == k or is_alone or self._assignment.posed:
+        if self.given.by_shape or placed.arranged == k or is_alone or self.bodies.are_measured:
             return False
         points, _ = self._assignment.project_all(placed, k)
         assigned = np.where(layout.rows < len(points), layout.rows, -1)
         hidden = (assigned >= 0) & np.isnan(np.append(points, np.nan)[assigned])
         named = np.where(hidden, -1, assigned)
         named[self.withheld] = -1
-        fits = self._fits_by_name(points, named, self._bodies.fitting.places)
+        fits = self._fits_by_name(points, named, self.bodies.fitting.places)
         rows = merge_names(self._match(placed, k, points, named, fits), named)
         if rows is None:
             return False
@@ -267,11 +268,11 @@ class Matcher:
         """
         found = {}
         for b in np.flatnonzero(self.given.has_shape & ~self.withheld).tolist():
-            given, learned, name = self.given.shapes[b], self._bodies.shape[b], self.given.names[b]
+            given, learned, name = self.given.shapes[b], self.bodies.shape[b], self.given.names[b]
             markers = given[~np.isnan(given)]
             size = np.abs(markers - markers.mean()).max()
             limit = max(
-                N_SIGMA * float(np.nan_to_num(self._bodies.fitting.limit[b])), NEGLIGIBLE * size
+                N_SIGMA * float(np.nan_to_num(self.bodies.fitting.limit[b])), NEGLIGIBLE * size
             )
             indices = np.where(np.isnan(given), -1, np.arange(len(given)))
             if not fit_points(learned, np.nan_to_num(given), indices)[2] <= limit:
@@ -316,7 +317,7 @@ class Matcher:
         """
         points, heights = self._assignment.project_all(placed, k)
         # Learned shapes are void after a restart.
-        shapes = self.given.shapes if restarts else self._bodies.fitting.places
+        shapes = self.given.shapes if restarts else self.bodies.fitting.places
         has_shape = (~np.isnan(shapes)).sum(axis=1) >= 2
         rows = placed.layout.rows
         named = np.where(rows < len(points), rows, -1)
@@ -343,7 +344,7 @@ class Matcher:
         named = np.where(np.isnan(shapes), -1, named)
         _, turn, worst = fit_points(points, np.where(np.isnan(shapes), 0, shapes), named)
         enough = (named >= 0).sum(axis=1) >= 2
-        return np.asarray(enough & np.isfinite(turn) & (worst <= self._bodies.fitting.limit))
+        return np.asarray(enough & np.isfinite(turn) & (worst <= self.bodies.fitting.limit))
 
     def _check_order(self, in_order: np.ndarray) -> None:
         """Withhold bodies if points come in random order; `in_order` (B,) is of one frame."""
@@ -362,7 +363,7 @@ class Matcher:
         shapes: Complex | None = None,
     ) -> Match:
         """Match the points of a frame by shape, and by the predicted poses."""
-        shapes = self._bodies.fitting.places if shapes is None else shapes
+        shapes = self.bodies.fitting.places if shapes is None else shapes
         if self.withheld.any():
             shapes = np.where(self.withheld[:, None], np.nan, shapes)
         # Most best fits are right, so their median variance is that of the noise.
@@ -372,7 +373,7 @@ class Matcher:
         expected = Expected(
             *self._predict(placed.frames.stamps[k]), named, fits, variance, self.given.pins
         )
-        found = match(points, shapes, self._bodies.fitting.limit, expected)
+        found = match(points, shapes, self.bodies.fitting.limit, expected)
         self._variances.extend(found.variance[np.isfinite(found.variance)].tolist())
         return found
 
@@ -390,5 +391,5 @@ class Matcher:
         shapes = self.given.shapes[b : b + 1].conj()
         nowhere = np.full(1, complex(np.nan, np.nan))
         expected = Expected(nowhere, nowhere, np.full(shapes.shape, -1), np.zeros(1, bool))
-        found = match(points, shapes, self._bodies.fitting.limit[b : b + 1], expected)
+        found = match(points, shapes, self.bodies.fitting.limit[b : b + 1], expected)
         return bool(np.isfinite(found.turn[0]) or found.uncertain[0])

@@ -93,6 +93,11 @@ class MarkerAssignment:
         self._upside_down = np.full(len(self.markers), -1)
 
     @property
+    def points_each(self) -> int:
+        """Number of points that stand for a marker."""
+        return len(POSE_POINTS) if self.posed else 1
+
+    @property
     def count(self) -> int:
         """Number of markers of all bodies."""
         return sum(map(len, self.markers))

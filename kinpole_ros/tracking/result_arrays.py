@@ -93,7 +93,7 @@ def estimate_of(
     bodies: tuple[str, ...],
     run: int,
     plane: Plane | None,
-    posed: bool,
+    are_measured: bool,
     events: tuple[BodyEvent, ...] = (),
 ) -> Estimate:
     """
@@ -118,7 +118,7 @@ def estimate_of(
             return stored('freedom') - 1
         if name != 'missing':
             return stored(name)
-        reasons = (REASONS_OF_POSES if posed else REASONS_OF_MARKERS)[stored('reason')]
+        reasons = (REASONS_OF_POSES if are_measured else REASONS_OF_MARKERS)[stored('reason')]
         if plane is None:
             reasons[...] = 'plane not known yet'
         return reasons

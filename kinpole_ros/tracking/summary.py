@@ -73,7 +73,9 @@ class TrackerSummary:
 
     def angle_noise(self) -> np.ndarray | None:
         """Return the noise (B,) of the angles of input poses, rad; None for markers."""
-        return self.state.bodies.angle_noise if self.state.assignment.posed else None
+        bodies = self.state.bodies
+        known = np.where(np.isinf(bodies.angle_noise), np.nan, bodies.angle_noise)
+        return known if bodies.are_measured else None
 
     def rigidity_residual(self) -> np.ndarray:
         """Return the rms residual (B,) of each body, m, per axis; 0 for one that is rigid."""

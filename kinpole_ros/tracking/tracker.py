@@ -36,11 +36,11 @@ class Tracker(TrackerSummary):
         self._results: list[tuple[Results, np.ndarray]] = []
         self._events: list[BodyEvent] = []
         self._events_needed = False
-        self.state = start(settings, False, new_totals(len(self.bodies)), None)
+        self.state = start(settings, False, new_totals(len(self.bodies)), before=None)
 
     def reset(self) -> None:
         """Forget all frames and everything learned from them."""
-        self._start(self.state.assignment.posed)
+        self._start(self.state.bodies.are_measured)
 
     def recover(self, failures: int) -> str:
         """
@@ -53,11 +53,11 @@ class Tracker(TrackerSummary):
             return 'starts anew'
         return recover(self.state, failures)
 
-    def _start(self, posed: bool, before: Timeline | None = None) -> None:
+    def _start(self, are_measured: bool, before: Timeline | None = None) -> None:
         """Start from nothing, but with the clock of the timeline `before` a jump of the stamps."""
         self._events = []
         self.state.timeline.count_lost()
-        self.state = start(self.settings, posed, self.state.totals, before)
+        self.state = start(self.settings, are_measured, self.state.totals, before)
 
     def add(self, frames: MarkerFrames, order: int | None, events: bool = False) -> list[Estimate]:
         """
@@ -96,8 +96,8 @@ class Tracker(TrackerSummary):
         for frames in parts:
             if not len(frames.stamps):
                 continue
-            posed = frames.axes is not None
-            if frames.frame_id != self._frame_id or posed != self.state.assignment.posed:
+            is_other = frames.has_poses != self.state.bodies.are_measured
+            if frames.frame_id != self._frame_id or is_other:
                 estimates += self._change_frame(frames)
             estimates += self._accept(frames, number, order)
             number += len(frames.stamps)
@@ -105,13 +105,13 @@ class Tracker(TrackerSummary):
 
     def _change_frame(self, frames: MarkerFrames) -> list[Estimate]:
         """Start again with another frame_id, or with poses instead of markers."""
-        state, posed = self.state, frames.axes is not None
+        state = self.state
         estimates = self._flush_results()
         used = len(state.history) > 0
         state.totals.counts['frame_changes'] += used
         self._frame_id = frames.frame_id
-        if used or posed != state.assignment.posed:
-            self._start(posed)
+        if used or frames.has_poses != state.bodies.are_measured:
+            self._start(frames.has_poses)
         return estimates
 
     def _accept(self, frames: MarkerFrames, number: int, order: int | None) -> list[Estimate]:
@@ -144,7 +144,7 @@ class Tracker(TrackerSummary):
         if stamp > newest:
             note_gap(state.totals.outages, newest, stamp - newest)
         state.totals.counts['resets'] += 1
-        self._start(state.assignment.posed, state.timeline)
+        self._start(state.bodies.are_measured, state.timeline)
 
     def _take(self, timed: TimedFrames, order: int | None) -> list[Estimate]:
         """Take frames whose times are known; return the results before a restart."""
@@ -230,8 +230,7 @@ class Tracker(TrackerSummary):
         state, history, search = self.state, self.state.history, self.state.event_search
         settled = max(history.first, history.end - 1 - FRAMES_BEHIND)
         if history.columns['time'][settled] >= search.due:
-            pin, numbers = state.pins.center, numbers[: len(times)]
-            self._events += search.search(history, state.bodies, pin, numbers)
+            self._events += search.search(history, state.bodies, numbers[: len(times)])
 
     def _keep_results(self, results: Results, numbers: np.ndarray) -> None:
         """Keep results for the next estimate; `numbers` count the frames passed to the step."""
@@ -244,14 +243,13 @@ class Tracker(TrackerSummary):
         if not results:
             return []
         events, self._events = self._events, []
-        names = self.state.assignment
         estimate = estimate_of(
             results,
             self._frame_id,
             self.bodies,
             run=self.state.run,
-            plane=names.plane,
-            posed=names.posed,
+            plane=self.state.assignment.plane,
+            are_measured=self.state.bodies.are_measured,
             events=tuple(events),
         )
         return [estimate]
