@@ -16,12 +16,11 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError
 
-_SMALL = 0.1  # of the steps before and after: so little is no motion
-# Of the largest step around: so much is motion, also where another step is twice as long, over a
-# lost frame.
-_LARGE = 0.25
+_SMALL = 0.3  # of the steps before and after: so little is noise, and no motion
+_LARGE = 0.6  # of these: so much is motion
 _MOST_BETWEEN = 0.2  # of the repeats: more steps that are neither are noise, which has all sizes
 _FEWEST = 5  # repeats that say something of the stamps; fewer are left out
+_AROUND = 7  # frames, of which the usual step is taken
 _LONGEST = 5  # repeats in a row; what stays longer may stand still
 _SAME_WAY = 0.5  # cosine between the steps before and after; a body that turns back has -1
 _ROUNDED = 0.2  # of a step: larger steps between values are rounding, which looks like repeats
@@ -115,33 +114,40 @@ def _find(points: np.ndarray, least_step: float) -> tuple[np.ndarray, np.ndarray
     """Return which frames (T,) repeat the one before, and of which it is known."""
     is_repeat = np.zeros(len(points), bool)
     sizes = _step_sizes(points)
-    windows = np.pad(np.nan_to_num(sizes), _LONGEST, mode='edge')
-    windows = np.lib.stride_tricks.sliding_window_view(windows, 2 * _LONGEST + 1)
+    windows = np.pad(np.nan_to_num(sizes), _AROUND, mode='edge')
+    windows = np.lib.stride_tricks.sliding_window_view(windows, 2 * _AROUND + 1)
+    # The largest step may be twice as long, over a lost frame.
+    usual = np.partition(windows, -2, axis=1)[:, -2]
     with np.errstate(invalid='ignore'):
-        is_small = sizes < _LARGE * windows.max(axis=1)
+        is_distinct = np.append(False, sizes >= _LARGE * usual)
+        runs = list(_runs(sizes < _SMALL * usual))
+        is_dip = sizes[1:-1] < _LARGE * np.minimum(sizes[:-2], sizes[2:])
     between = 0
-    for first, last in _runs(is_small):
+    for first, last in [*runs, *((k, k + 1) for k in (1 + np.flatnonzero(is_dip)).tolist())]:
         before, after = sizes[first - 1], sizes[last]
-        if last - first > _LONGEST or not (before > least_step and after > least_step):
+        ratio = sizes[first:last].max() / max(min(before, after), least_step, 1e-300)
+        if last - first > _LONGEST or not ratio < _LARGE:
             continue
-        if not _cosine(points[first] - points[first - 1], points[last + 1] - points[last]) > (
-            _SAME_WAY
-        ):
+        if _cosine(points[first] - points[first - 1], points[last + 1] - points[last]) < _SAME_WAY:
             continue
-        if sizes[first:last].max() < _SMALL * min(before, after):
+        if ratio < _SMALL:
             is_repeat[first + 1 : last + 1] = True
         else:
             between += 1
     if not is_repeat.any() or between > _MOST_BETWEEN * is_repeat.sum() or _is_rounded(points):
         return np.zeros(len(points), bool), is_repeat
-    is_distinct = np.append(False, ~is_small & (sizes > 0))
-    # The first and the last frame may repeat others, too.
-    first, last = np.flatnonzero(is_distinct)[[0, -1]]
-    for ends, beside in ((slice(0, first - 1), first - 1), (slice(last, None), last - 1)):
-        own = sizes[ends]
-        if 0 < len(own) <= _LONGEST and own.max() < _SMALL * sizes[beside]:
-            is_repeat[1:][ends] = True
+    # The first and the last frames may repeat others, too.
+    is_repeat[1 : 1 + _edge(sizes)] = True
+    is_repeat[len(points) - _edge(sizes[::-1]) :] = True
     return is_repeat, is_repeat | is_distinct
+
+
+def _edge(sizes: np.ndarray) -> int:
+    """Return how many of the first steps are small beside the one that follows."""
+    for count in range(1, min(_LONGEST + 1, len(sizes))):
+        if sizes[:count].max() < _SMALL * sizes[count]:
+            return count
+    return 0
 
 
 def _step_sizes(points: np.ndarray) -> np.ndarray:

@@ -9,6 +9,8 @@ from kinpole_ros.messages import body_faults, faults
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.rejection import OFF_PATH
 
+_FEW_REPEATED = 0.02  # of all frames: messages that a network sent twice
+_STAMP_FIX = 'see that the driver sets header.stamp to the time of capture'
 _NO_POSE = 'no pose of it came'
 # By the reasons that the tracker gives.
 _FIXES = {
@@ -56,6 +58,11 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
             f'{files[0]} to {files[-1]}, {len(files)} files, were read as '
             'one recording, since the folder has no metadata.yaml to tell, but the stamps do not '
             'run on; if they are several, give each file by itself'
+        )
+    if result.repeated > _FEW_REPEATED * result.frames and result.estimates:
+        lines.append(
+            f'{result.repeated} of {result.frames} messages have the stamp of the one before, and '
+            f'are left out; fix: {_STAMP_FIX}'
         )
     if result.stamps is not None and (fault := faults.jitter_fault(result.stamps, settings.stamps)):
         lines.append(fault)
@@ -149,13 +156,12 @@ def _no_results(result: Replayed, settings: Settings) -> str:
     """Say why there are no results."""
     seconds = (result.last - result.first) / 1e9
     taken = result.frames - result.repeated - result.late
-    capture_fix = 'see that the driver sets header.stamp to the time of capture'
     if not result.frames:
         reason, fix = 'the topic has no messages', 'record again, or name another --topic'
     elif result.repeated and result.repeated + 1 == result.frames:
-        reason, fix = 'all stamps are the same', capture_fix
+        reason, fix = 'all stamps are the same', _STAMP_FIX
     elif result.late and taken == 1:
-        reason, fix = 'the stamps run backward', capture_fix
+        reason, fix = 'the stamps run backward', _STAMP_FIX
     elif result.resets:
         reason = f'the stamps jump by more than the parameter window, {settings.window:g} s'
         fix = 'raise it, or see to the stamps'

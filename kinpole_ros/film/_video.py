@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.film._container import video_source
-from kinpole_ros.film._frames import (
+from kinpole_ros.film._decoder import (
     DamagedError,
     FilmError,
     Source,
@@ -43,13 +43,15 @@ class Video:
     `count` is the number of pictures as the container has them, 0 if unknown; `clock` says what
     the stamps are, `mean_rate` is the mean number per second, and `turns` the quarter turns to the
     left by which pictures are shown. `late` counts pictures left out because their stamps do not
-    increase, and `cut` says where a damaged film ends, '' for a sound one.
+    increase, `is_interlaced` that the fields of its frames are pictures of their own, and `cut`
+    says where a damaged film ends, '' for a sound one.
     """
 
     def __init__(
         self, path: str | Path, rate: float | None = None, topic: str | None = None
     ) -> None:
         self.path, self.late, self.cut, self.turns = str(path), 0, '', 0
+        self.is_interlaced = False
         self._rate = rate
         self._source = _source_of(self.path, topic)
         self.count = self._source.pictures
@@ -92,6 +94,8 @@ class Video:
                 if time is None:
                     self.late += 1
                     continue
+                if number % 1 and not self.is_interlaced:
+                    self.is_interlaced, self.mean_rate = True, 2 * self.mean_rate
                 if first is None:
                     first, begin = (0, time) if self._source.is_absolute else (time, 0)
                     self.turns = quarter_turns(frame)

@@ -56,6 +56,16 @@ def test_the_rate_before_a_conversion_is_found(
     )
 
 
+def test_repeats_that_a_tracker_saw_with_noise_are_found() -> None:
+    """A tenth of a step, anew in each frame, as of a film that was compressed again."""
+    stamps, points, taken = converted(np.arange(120) / 24, 30, 0.0, turning)
+    random = np.random.default_rng(0)
+    points = points + 4e-4 * random.standard_normal(points.shape)
+    kept = leave_out_repeats('f', 'pictures', stamps, points)
+    assert np.ptp(kept.stamps * 1e-9 - taken[kept.is_kept]) < 1e-5
+    assert 'from 24 to 30 Hz' in kept.note
+
+
 def test_uneven_stamps_that_were_made_even_are_not_known() -> None:
     random = np.random.default_rng(2)
     taken = np.cumsum(random.uniform(0.026, 0.05, 120))

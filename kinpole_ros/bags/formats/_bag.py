@@ -97,7 +97,7 @@ def _read(file: File, options: Options) -> Points:
     if not any(part.stamps.any() for part in series):
         file.notes.append(f'{file.path} has no stamps in its messages: log times are taken')
         series = [part._replace(stamps=part.log_times) for part in series]
-    series = _series.first_pass(file, series)
+    series = _series.without_repeats(file, _series.first_pass(file, series))
     _series.check_clocks(file, series)
     stamps, rows = _series.group_into_frames(series)
     markers, bodies = (_series.number_columns(series, width) for width in (3, 7))
