@@ -24,38 +24,53 @@ _FORGOTTEN = (
     *('fits', 'misfit', 'noise', 'white', 'jump_scale', 'freedom', 'given', 'begun'),
     *('repetition', 'pin', 'pin_variance'),
 )
+# Arrays from which the others follow.
+_CAUSES = {
+    'placement': {'shape', 'frames', 'relative'},
+    'fitting': {
+        *('shape', 'frames', 'relative', 'fits', 'misfit', 'noise', 'least_noise'),
+        *('angle_noise', 'pose_middle', 'hub'),
+    },
+    'are_measured': {'angle_noise'},
+}
 
 
-class Fitting(NamedTuple):
+class Placement(NamedTuple):
     """
-    What follows from what is known of B bodies.
-
-    Arrays that `BodyArrays` of frames.h has are explained there.
+    What follows from places of markers and their weights.
 
     Attributes
     ----------
+    places, spread, weights
+        See `BodyArrays` of frames.h.
     learned_count : (B,) int
         Number of markers with a place; `unseen` are the bodies that have none.
     unknown_slots : (B, n) bool
         Slots of markers without a place; `incomplete` says whether there are any.
     factors : ProcrustesFactors
         What the fit to all markers needs.
-    mature : (B,) bool
-        Whether the misfit is known.
-    limit : (B,) float
-        See `MarkerLimits`, as for `largest`, `doubtful` and `loosest`.
 
     """
 
     places: Complex
+    spread: Real
+    weights: Real
     learned_count: np.ndarray
     unseen: np.ndarray
     unknown_slots: np.ndarray
     incomplete: bool
-    spread: Real
-    size: Real
-    weights: Real
     factors: ProcrustesFactors
+
+
+class Fitting(NamedTuple):
+    """
+    What follows from places and noise.
+
+    `mature` (B,) says whether the misfit is known. For `limit` (B,) see `MarkerLimits`, for the
+    others `BodyArrays` of frames.h.
+    """
+
+    size: Real
     middle: Complex
     reference: Complex
     mature: np.ndarray
@@ -74,7 +89,7 @@ class Bodies:
     """
     What is known of B bodies of up to n markers; an update makes new arrays.
 
-    C sees those arrays, and those of `fitting`, that `BodyArrays` of frames.h names.
+    C sees those arrays, and those that follow from them, that `BodyArrays` of frames.h names.
 
     Attributes
     ----------
@@ -166,22 +181,42 @@ class Bodies:
         """Whether poses of the bodies are measured, not fitted to markers."""
         return not np.isnan(self.angle_noise).any()
 
+    def change(self, **arrays: np.ndarray) -> 'Bodies':
+        """Return bodies with other arrays; what follows from the others is not computed again."""
+        bodies, followed = replace(self, **arrays), vars(self)
+        for name, causes in _CAUSES.items():
+            if name in followed and causes.isdisjoint(arrays):
+                vars(bodies)[name] = followed[name]
+        return bodies
+
     @cached_property
-    def fitting(self) -> Fitting:
-        """What follows from this."""
+    def placement(self) -> Placement:
+        """What follows from places of markers and their weights."""
         is_learned = self.frames > 0
         learned_count = is_learned.sum(axis=1)
-        count = np.maximum(learned_count, 1)
-        mean = np.where(is_learned, self.shape, 0).sum(axis=1) / count
+        mean = np.where(is_learned, self.shape, 0).sum(axis=1) / np.maximum(learned_count, 1)
         arms = np.where(is_learned, self.shape - mean[:, None], 0)
-        spread = (arms.real**2 + arms.imag**2).sum(axis=1)
-        size = 2 * np.sqrt(spread / count)
         # A place learned from N frames adds 1 / N to the variance of its marker.
         weights = self.frames / (self.frames + 1.0) / self.relative
-        factors = procrustes_factors(self.shape, weights)
-        mature = self.fits >= MIN_SAMPLES
+        return Placement(
+            places=np.where(is_learned, self.shape, complex(np.nan, np.nan)),
+            spread=(arms.real**2 + arms.imag**2).sum(axis=1),
+            weights=weights,
+            learned_count=learned_count,
+            unseen=np.flatnonzero(learned_count == 0),
+            unknown_slots=~is_learned,
+            incomplete=not is_learned.all(),
+            factors=procrustes_factors(self.shape, weights),
+        )
+
+    @cached_property
+    def fitting(self) -> Fitting:
+        """What follows from places and noise."""
+        placement, mature = self.placement, self.fits >= MIN_SAMPLES
+        spread = placement.spread
+        size = 2 * np.sqrt(spread / np.maximum(placement.learned_count, 1))
         limits = marker_limits(mature, self.misfit, self.error, spread, size, self.relative)
-        middle, reference, factor = factors.mean, self.hub, np.ones((2, self.count))
+        middle, reference, factor = placement.factors.mean, self.hub, np.ones((2, self.count))
         if self.are_measured:
             # Distance from their mean of markers with such noise.
             arm = self.noise / self.angle_noise
@@ -191,15 +226,7 @@ class Bodies:
             # The derivatives assume independent errors of position and angle: so at the middle.
             reference = np.where(self.hub == 0, middle, self.hub)
         return Fitting(
-            places=np.where(is_learned, self.shape, complex(np.nan, np.nan)),
-            learned_count=learned_count,
-            unseen=np.flatnonzero(learned_count == 0),
-            unknown_slots=~is_learned,
-            incomplete=bool((~is_learned).any()),
-            spread=spread,
             size=size,
-            weights=weights,
-            factors=factors,
             middle=middle,
             reference=reference,
             mature=mature,
@@ -226,9 +253,9 @@ class Bodies:
     def fit(self, markers: Complex) -> Fit:
         """Fit the poses of all bodies to their markers (..., B, n), m, NaN for those not seen."""
         unseen = np.isnan(markers)
-        factors = self.fitting.factors
+        factors = self.placement.factors
         if np.count_nonzero(unseen):
-            factors = procrustes_factors(self.shape, np.where(unseen, 0.0, self.fitting.weights))
+            factors = procrustes_factors(self.shape, np.where(unseen, 0.0, self.placement.weights))
         fit = fit_pose_with_factors(markers, factors)
         if self.are_measured:
             fit = fit._replace(spread=np.ones_like(fit.spread), weight=np.ones_like(fit.weight))
@@ -241,19 +268,19 @@ class Bodies:
         mean = np.where(seen, markers, 0).sum(axis=1) / np.maximum(number, 1)
         arms = np.where(seen, markers - mean[:, None], 0)
         distinct = np.abs(arms).max(axis=1) > ROUNDING * np.abs(mean)
-        new = ((self.fitting.learned_count == 0) & (number >= 2) & distinct)[:, None] & seen
+        new = ((self.placement.learned_count == 0) & (number >= 2) & distinct)[:, None] & seen
         return self._with_places(new, arms) if new.any() else self
 
     def give(self, shapes: Complex) -> 'Bodies':
         """Start from given shapes (B, n), NaN for none, which are refined like learned ones."""
         given = ~np.isnan(shapes)
         bodies = self._with_places(given, shapes)
-        return replace(bodies, given=self.given | given.any(axis=1))
+        return bodies.change(given=self.given | given.any(axis=1))
 
     def _with_places(self, which: np.ndarray, places: Complex) -> 'Bodies':
         """Return bodies with these places of some markers (B, n), as seen in one frame."""
         shape, frames = np.where(which, places, self.shape), np.where(which, 1, self.frames)
-        return replace(self, shape=shape, frames=frames)
+        return self.change(shape=shape, frames=frames)
 
     def restart(self, which: np.ndarray) -> 'Bodies':
         """Forget some bodies (B,), which start again when they are seen next."""
@@ -263,7 +290,7 @@ class Bodies:
             name: np.where(part, getattr(fresh, name), getattr(self, name))
             for name, part in parts.items()
         }
-        return replace(self, **arrays)
+        return self.change(**arrays)
 
     def widen(self, width: int) -> 'Bodies':
         """Make room for up to `width` markers per body."""
@@ -271,7 +298,7 @@ class Bodies:
         arrays = {
             name: np.hstack((getattr(self, name), getattr(added, name))) for name in _OF_MARKERS
         }
-        return replace(self, **arrays)
+        return self.change(**arrays)
 
 
 def new_bodies(count: int, width: int, are_measured: bool = False) -> Bodies:

@@ -7,7 +7,6 @@ gives c. A pin has degree 0 over all poses, a hub a low degree over each window.
 is smoother than that of a point on the rim, so the hub represents the position of the body.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -115,7 +114,7 @@ def update_pins(
         search.count[b] += len(at)
     # Poses are weighed by their noise, which is 0 until it is known.
     which = np.flatnonzero((search.count >= MIN_SAMPLES) & (bodies.error > 0))
-    bodies = replace(bodies, pin_since=since)
+    bodies = bodies.change(pin_since=since)
     return _fit_pins(bodies, search, which) if len(which) else (bodies, search)
 
 
@@ -161,7 +160,7 @@ def _fit_pins(bodies: Bodies, search: PinSearch, which: np.ndarray) -> tuple[Bod
         changes[name][pinned] = values[is_pinned]
     dropped = np.zeros(bodies.count, bool)
     dropped[which[contradicted]] = True
-    return _drop(replace(bodies, **changes), search, dropped)
+    return _drop(bodies.change(**changes), search, dropped)
 
 
 def _drop(bodies: Bodies, search: PinSearch, which: np.ndarray) -> tuple[Bodies, PinSearch]:
@@ -170,8 +169,7 @@ def _drop(bodies: Bodies, search: PinSearch, which: np.ndarray) -> tuple[Bodies,
         return bodies, search
     more = np.minimum(8 * search.required, MEMORY_FRAMES)
     required = np.where(which & np.isfinite(bodies.pin), more, search.required)
-    bodies = replace(
-        bodies,
+    bodies = bodies.change(
         pin=np.where(which, complex(np.nan, np.nan), bodies.pin),
         pin_variance=np.where(which, np.nan, bodies.pin_variance),
     )

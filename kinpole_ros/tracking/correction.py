@@ -58,14 +58,14 @@ def correct_next(state: State, placed: PlacedFrames, k: int) -> Complex:
         bodies = restart_bodies(state, bodies, np.ones(bodies.count, bool))
         put_bodies(state, bodies)
     markers, heights = placed.points[k], placed.heights[k]
-    if len(bodies.fitting.unseen):
+    if len(bodies.placement.unseen):
         # Not from a marker that repeats: see `forget_held_markers`.
         last = state.history['markers'][-2:]
         may_be_held = (bodies.repetition == NO_MARKER_REPEATS)[:, None]
         is_held = may_be_held & (last == markers).all(axis=0)
         bodies = bodies.begin(np.where(is_held, complex(np.nan, np.nan), markers))
         put_bodies(state, bodies)
-    if bodies.fitting.incomplete and (bodies.fitting.unknown_slots & ~np.isnan(markers)).any():
+    if bodies.placement.incomplete and (bodies.placement.unknown_slots & ~np.isnan(markers)).any():
         # New markers are learned as soon as they are seen.
         state.next_update = min(state.next_update, state.frame_count + 1)
     unusual = state.step.try_next(markers)
@@ -147,14 +147,14 @@ def correct_frame(
 
 def _correct_body(bodies: Bodies, angles: Real, markers: Complex, b: int) -> Correction:
     """Correct the markers (n,) of one body."""
-    fitting, shape = bodies.fitting, bodies.shape[b]
+    fitting, placement, shape = bodies.fitting, bodies.placement, bodies.shape[b]
     limit = float(fitting.limit[b])
-    weights = np.where(np.isnan(markers), 0.0, fitting.weights[b])
+    weights = np.where(np.isnan(markers), 0.0, placement.weights[b])
     predicted, is_slow = predict_angle(angles)
     fit = fit_pose(markers, shape, weights)
     order, counts = np.arange(len(markers)), Counter[str]()
     is_reversed = is_slow and np.cos(fit.angle - predicted) < np.cos(REVERSED)
-    if is_reversed and limit**2 < fitting.spread[b]:
+    if is_reversed and limit**2 < placement.spread[b]:
         turned = half_turn_order(shape, weights, limit)
         if turned is not None:
             order, markers = turned, markers[turned]
@@ -162,7 +162,7 @@ def _correct_body(bodies: Bodies, angles: Real, markers: Complex, b: int) -> Cor
     if not (fitting.mature[b] and (np.abs(fit.residual) > np.sqrt(fitting.largest[b])).any()):
         return Correction(markers, order, counts)
     noise_ratio = np.sqrt(bodies.relative[b])
-    found = correct_markers(markers, shape, fitting.weights[b], limit, predicted, noise_ratio)
+    found = correct_markers(markers, shape, placement.weights[b], limit, predicted, noise_ratio)
     points, counts = found.points, found.counts
     fit = fit_pose(points, shape, np.where(np.isnan(points), 0, weights))
     square = mean_square(fit.residual / noise_ratio, fit.freedom)[0]

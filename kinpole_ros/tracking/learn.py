@@ -1,7 +1,6 @@
 """Learn shapes, noise and weights of the bodies from the history."""
 
 from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 
@@ -45,7 +44,7 @@ def refit(bodies: Bodies, history: History) -> None:
     before = history['angle'].copy()
     left_out = (history['information'] == 0).all(axis=1) & np.isfinite(before)
     fit = bodies.fit(np.where(history['used'], history['markers'], np.nan))
-    unsteady = is_unsteady(bodies.fitting.spread, fit.spread, bodies.fitting.loosest)
+    unsteady = is_unsteady(bodies.placement.spread, fit.spread, bodies.fitting.loosest)
     has_pose = np.isfinite(fit.angle) & ~unsteady
     with np.errstate(invalid='ignore'):
         turns = np.nan_to_num(np.rint((before - fit.angle) / (2 * np.pi)))
@@ -143,9 +142,9 @@ def forget_held_markers(
     history['used'][held] = False
     # The places of the others were learned with a wrong one: they move again.
     frames = np.where(wrong[:, None], np.minimum(bodies.frames, 1), bodies.frames)
-    bodies = replace(bodies, frames=np.where(is_learned_so, 0, frames))
+    bodies = bodies.change(frames=np.where(is_learned_so, 0, frames))
     refit(bodies, history)
-    return bodies, wrong & (bodies.fitting.learned_count < 2)
+    return bodies, wrong & (bodies.placement.learned_count < 2)
 
 
 def _restart_with_outliers(
@@ -172,7 +171,8 @@ def _restart_with_outliers(
         history['used'][rows, b] = used
         frames[b] = used.sum(axis=0)
         restarted[b] = True
-    bodies = replace(bodies, begun=bodies.begun | due, shape=shape, frames=frames)
+    if due.any():
+        bodies = bodies.change(begun=bodies.begun | due, shape=shape, frames=frames)
     return bodies, restarted, counts
 
 
@@ -184,6 +184,8 @@ def _relearn_moved_markers(bodies: Bodies, history: History) -> tuple[Bodies, bo
     used = history['used'][rows]
     seen = ~np.isnan(history['markers'][rows]) & np.isfinite(history['angle'][rows])[..., None]
     moved = (seen.sum(axis=0) >= 0.5 * MOVED_FRAMES) & ~used.any(axis=0) & (bodies.frames > 0)
+    if not moved.any():
+        return bodies, False
     shape, frames = bodies.shape.copy(), bodies.frames.copy()
     for b, k in zip(*moved.nonzero(), strict=True):
         at = np.flatnonzero(seen[:, b, k])
@@ -196,7 +198,7 @@ def _relearn_moved_markers(bodies: Bodies, history: History) -> tuple[Bodies, bo
         shape[b, k] = local[near].mean()
         frames[b, k] = near.sum()
         used[at[near], b, k] = True
-    return replace(bodies, shape=shape, frames=frames), bool(moved.any())
+    return bodies.change(shape=shape, frames=frames), True
 
 
 def _update_shapes(bodies: Bodies, history: History) -> tuple[Bodies, bool]:
@@ -213,13 +215,13 @@ def _update_shapes(bodies: Bodies, history: History) -> tuple[Bodies, bool]:
     recent_mean = np.where(used[recent], residual[recent], 0).sum(axis=0)
     recent_mean = recent_mean / np.maximum(recent_count, 1)
     limit = MAX_MEAN_RESIDUAL * np.sqrt(
-        np.maximum(bodies.misfit, ROUNDED**2 * bodies.fitting.spread)
+        np.maximum(bodies.misfit, ROUNDED**2 * bodies.placement.spread)
     )
     contradicted = np.abs(recent_mean) > limit[:, None]
     contradicted &= is_settled & (recent_count >= MEMORY_FRAMES // 2)
     step = np.where(contradicted, recent_mean, np.where(is_settled, 0, mean))
     # A new marker is at its mean place in the frame of its body.
-    is_new = (bodies.frames == 0) & (bodies.fitting.learned_count >= 2)[:, None]
+    is_new = (bodies.frames == 0) & (bodies.placement.learned_count >= 2)[:, None]
     has_new, shape, frames = False, bodies.shape.copy(), bodies.frames.copy()
     for b, k in zip(*is_new.nonzero(), strict=True):
         seen = has_pose[:, b] & ~np.isnan(history['markers'][:, b, k])
@@ -234,7 +236,7 @@ def _update_shapes(bodies: Bodies, history: History) -> tuple[Bodies, bool]:
     uses_changed = bool((history['used'].sum(axis=0) != count).any() and not is_settled.all())
     frames = np.minimum(np.maximum(frames, count), SETTLED_FRAMES)
     has_changed = has_new or bool(step.any()) or uses_changed
-    return replace(bodies, shape=shape + step, frames=frames), has_changed
+    return bodies.change(shape=shape + step, frames=frames), has_changed
 
 
 def _without_noisy(bodies: Bodies, residual: Complex) -> Complex:
@@ -244,8 +246,8 @@ def _without_noisy(bodies: Bodies, residual: Complex) -> Complex:
 
 def freedom_of(bodies: Bodies, residual: Complex) -> Real:
     """Return the expected square of each residual (N, B, n) for unit variance of a coordinate."""
-    seen, weights = ~np.isnan(residual), bodies.fitting.weights
-    freedom = np.broadcast_to(bodies.fitting.factors.freedom, residual.shape)
+    seen, weights = ~np.isnan(residual), bodies.placement.weights
+    freedom = np.broadcast_to(bodies.placement.factors.freedom, residual.shape)
     frames, lacking = (seen != (weights > 0)).any(axis=-1).nonzero()
     if len(frames):
         own = np.where(seen[frames, lacking], weights[lacking], 0.0)
@@ -262,7 +264,7 @@ def find_deformed(bodies: Bodies, history: History, window: int) -> Bodies:
     free = freedom_of(bodies, residual).sum(axis=-1)
     noise, half = np.fmax(bodies.noise, bodies.white), round(window / 2 / max(interval, 1.0))
     freedom, factor = deformed_freedom(residual, free, noise, bodies.degrees, half)
-    return replace(bodies, freedom=freedom, hidden_factor=factor)
+    return bodies.change(freedom=freedom, hidden_factor=factor)
 
 
 def _update_misfit(bodies: Bodies, history: History) -> Bodies:
@@ -277,7 +279,7 @@ def _update_misfit(bodies: Bodies, history: History) -> Bodies:
     misfit, is_measured = bodies.misfit.copy(), count > 0
     if is_measured.any():
         misfit[is_measured] = bulk_maximum(squares.T[is_measured]) / MISFIT_RATIO
-    return replace(bodies, fits=np.maximum(bodies.fits, count), misfit=misfit)
+    return bodies.change(fits=np.maximum(bodies.fits, count), misfit=misfit)
 
 
 def _update_noise(bodies: Bodies, history: History, window: int, given: float) -> Bodies:
@@ -298,8 +300,7 @@ def _update_noise(bodies: Bodies, history: History, window: int, given: float) -
     if given > 0:
         noise = np.full(bodies.count, given)
     farthest = np.nan_to_num(np.abs(history['markers'][rows])).max(axis=(0, 2))
-    return replace(
-        bodies,
+    return bodies.change(
         noise=np.maximum(noise, ROUNDING * farthest),
         white=white,
         degrees=degrees,
@@ -328,8 +329,9 @@ def _update_weights(bodies: Bodies, history: History) -> tuple[Bodies, bool]:
         relative[b], deviation[b] = marker_variances(
             residual[:, b], goes_on, bodies.shape[b], bodies.relative[b], bodies.deviation[b]
         )
+    bodies = bodies.change(deviation=deviation)
     has_changed = bool((relative != bodies.relative).any())
-    return replace(bodies, relative=relative, deviation=deviation), has_changed
+    return bodies.change(relative=relative) if has_changed else bodies, has_changed
 
 
 def path_scale(history: History) -> Real:

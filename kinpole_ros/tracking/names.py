@@ -180,13 +180,13 @@ class Matcher:
         points = points[~np.isnan(points)]
         if not len(points):
             return False
-        shapes, limit = self.bodies.fitting.places, self.bodies.fitting.limit
+        shapes, limit = self.bodies.placement.places, self.bodies.fitting.limit
         predicted = fit.position[:, None] + np.exp(1j * fit.angle)[:, None] * shapes
         predicted = np.where(hidden, predicted, np.nan)
         if (np.abs(predicted[..., None] - points) <= limit[:, None, None]).any():
             return True
         # A body without a pose is doubtful if it and the unassigned points have enough markers.
-        lost = np.isnan(fit.angle) & (self.bodies.fitting.learned_count >= 2) & ~self.withheld
+        lost = np.isnan(fit.angle) & (self.bodies.placement.learned_count >= 2) & ~self.withheld
         return bool((lost & (len(points) + (~hidden).sum(axis=1) >= 2)).any())
 
     def correct_names(self, placed: PlacedFrames, k: int, counts: Counter[str]) -> bool:
@@ -201,7 +201,7 @@ class Matcher:
         hidden = (assigned >= 0) & np.isnan(np.append(points, np.nan)[assigned])
         named = np.where(hidden, -1, assigned)
         named[self.withheld] = -1
-        fits = self._fits_by_name(points, named, self.bodies.fitting.places)
+        fits = self._fits_by_name(points, named, self.bodies.placement.places)
         rows = merge_names(self._match(placed, k, points, named, fits), named)
         if rows is None:
             return False
@@ -317,7 +317,7 @@ class Matcher:
         """
         points, heights = self._assignment.project_all(placed, k)
         # Learned shapes are void after a restart.
-        shapes = self.given.shapes if restarts else self.bodies.fitting.places
+        shapes = self.given.shapes if restarts else self.bodies.placement.places
         has_shape = (~np.isnan(shapes)).sum(axis=1) >= 2
         rows = placed.layout.rows
         named = np.where(rows < len(points), rows, -1)
@@ -363,7 +363,7 @@ class Matcher:
         shapes: Complex | None = None,
     ) -> Match:
         """Match the points of a frame by shape, and by the predicted poses."""
-        shapes = self.bodies.fitting.places if shapes is None else shapes
+        shapes = self.bodies.placement.places if shapes is None else shapes
         if self.withheld.any():
             shapes = np.where(self.withheld[:, None], np.nan, shapes)
         # Most best fits are right, so their median variance is that of the noise.

@@ -6,7 +6,6 @@ poses: of the angle, and of the point whose error is independent of that of the 
 """
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -37,8 +36,7 @@ def learn_poses(bodies: Bodies, history: History, given: float) -> Bodies:
     )
     is_unknown = np.isnan(measured.angle)
     noise = np.where(is_unknown, np.nan, given) if given > 0 else measured.position
-    return replace(
-        bodies,
+    return bodies.change(
         angle_noise=np.where(is_unknown, np.inf, measured.angle),
         pose_middle=measured.middle,
         lasting=measured.underestimated,

@@ -98,7 +98,7 @@ class Step:
         """Use these arrays, after an update of the bodies or growth of the history."""
         known, self._history = self.known, history
         known.bodies, known.width = bodies.shape.shape
-        fields = bodies.fitting._asdict() | vars(bodies)
+        fields = bodies.placement._asdict() | bodies.fitting._asdict() | vars(bodies)
         for name in BodyArrays.elements:
             known.bind(name, np.ascontiguousarray(fields[name]))
         self.bind_history()

@@ -1,7 +1,5 @@
 """Learn from the history when an update is due: the last stage of a frame."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from kinpole_ros.tracking.bodies import Bodies
@@ -64,8 +62,7 @@ def _update(state: State) -> bool:
     state.learned_count = state.frame_count
     drop_old_frames(state)
     bodies = _learn_without_held_markers(state, bodies)
-    bodies = replace(
-        bodies,
+    bodies = bodies.change(
         hub=find_hubs(bodies, state.history, state.settings.window_ns, bodies.hub),
         jump_scale=path_scale(state.history),
     )
@@ -86,7 +83,7 @@ def _learn_shapes_and_noise(state: State, bodies: Bodies) -> tuple[Bodies, np.nd
     """Learn what fits need; return also which bodies (B,) started again from earlier frames."""
     settings, history, tracks = state.settings, state.history, state.step.tracks
     if bodies.are_measured:
-        bodies = replace(bodies, learned_tilt_turn=tracks['sure_tilt_turn'].copy())
+        bodies = bodies.change(learned_tilt_turn=tracks['sure_tilt_turn'].copy())
         return learn_poses(bodies, history, settings.noise), np.zeros(bodies.count, bool)
     bodies, restarted, counts = learn(bodies, history, settings.window_ns, settings.noise)
     state.totals.counts.update(counts)
@@ -103,7 +100,7 @@ def _learn_without_held_markers(state: State, bodies: Bodies) -> Bodies:
     found = find_repetition(history['markers'][-MISFIT_FRAMES:], bodies.white, degrees)
     # Of a body that starts again, what was known before holds until its noise is.
     repetition = np.where(np.isnan(bodies.white), before, found)
-    bodies = replace(bodies, repetition=repetition)
+    bodies = bodies.change(repetition=repetition)
     begins = (repetition == NO_MARKER_REPEATS) & (before != NO_MARKER_REPEATS)
     if not begins.any():
         return bodies
@@ -113,7 +110,7 @@ def _learn_without_held_markers(state: State, bodies: Bodies) -> Bodies:
         return bodies
     bodies = restart_bodies(state, bodies, lacking)
     history['markers'][-2:][:, lacking] = last[:, lacking]
-    return replace(bodies, repetition=repetition)
+    return bodies.change(repetition=repetition)
 
 
 def recover(state: State, failures: int) -> str:

@@ -3,7 +3,7 @@
 import ast
 import re
 from collections import defaultdict
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -128,9 +128,12 @@ def test_bodies_are_stored_once_and_an_update_makes_new_arrays() -> None:
             np.testing.assert_array_equal(getattr(before, name), array, err_msg=name)
         bodies, known = tracker.state.bodies, tracker.state.step.known
         assert bodies is not before
+        for kept, computed in zip(bodies.fitting, replace(bodies).fitting, strict=True):
+            np.testing.assert_array_equal(kept, computed)
+        owners = vars(bodies), bodies.placement._asdict(), bodies.fitting._asdict()
         for name in known.elements:
-            owner = bodies if name in FIELDS else bodies.fitting
-            assert getattr(known, name) == bindings.address_of(getattr(owner, name)), name
+            (array,) = (owner[name] for owner in owners if name in owner)
+            assert getattr(known, name) == bindings.address_of(array), name
 
 
 def test_shapes_are_those_of_the_sizes() -> None:
