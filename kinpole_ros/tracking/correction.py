@@ -54,7 +54,8 @@ class Correction(NamedTuple):
 def correct_next(state: State, placed: PlacedFrames, k: int) -> Complex:
     """Return the markers (B, n) that frame `k` is fitted to, NaN for those left out."""
     bodies, counts = state.bodies, state.totals.counts
-    if state.matcher.arrange(placed, k, counts):
+    restarts, is_arranged = state.matcher.arrange(placed, k, counts)
+    if restarts:
         bodies = restart_bodies(state, bodies, np.ones(bodies.count, bool))
         put_bodies(state, bodies)
     markers, heights = placed.points[k], placed.heights[k]
@@ -69,8 +70,8 @@ def correct_next(state: State, placed: PlacedFrames, k: int) -> Complex:
         # New markers are learned as soon as they are seen.
         state.next_update = min(state.next_update, state.frame_count + 1)
     unusual = state.step.try_next(markers)
-    is_name_doubtful = unusual & NAME_DOUBTFUL or len(placed.layout.unassigned)
-    if is_name_doubtful and _correct_names(state, placed, k, unusual):
+    is_name_doubtful = unusual & NAME_DOUBTFUL or len(state.assignment.layout_of(placed).unassigned)
+    if is_name_doubtful and _correct_names(state, placed, k, unusual, is_arranged):
         unusual = state.step.try_next(markers)
     if not unusual & ODD:
         return markers
@@ -87,19 +88,22 @@ def correct_next(state: State, placed: PlacedFrames, k: int) -> Complex:
     return fitted
 
 
-def _correct_names(state: State, placed: PlacedFrames, k: int, unusual: int) -> bool:
+def _correct_names(
+    state: State, placed: PlacedFrames, k: int, unusual: int, is_arranged: bool
+) -> bool:
     """Correct wrong names of markers in the frame; return whether there were any."""
     if not unusual & NAME_DOUBTFUL:
         markers = placed.points[k]
         unseen = np.isnan(markers)
-        if not unseen.any():
+        if is_arranged or not unseen.any():
             return False
         if not state.matcher.is_doubtful(placed, k, state.bodies.fit(markers), unseen):
             return False
     # Bodies that are not rigid are doubtful in every frame, and a search takes long.
     if state.frame_count < state.next_search:
         return False
-    corrected = state.matcher.correct_names(placed, k, state.totals.counts)
+    # A frame that was matched by shape has no names.
+    corrected = not is_arranged and state.matcher.correct_names(placed, k, state.totals.counts)
     state.futile_searches = 0 if corrected else state.futile_searches + 1
     state.next_search = state.frame_count + min(
         2 ** max(state.futile_searches - 1, 0), MAX_SEARCH_INTERVAL

@@ -136,10 +136,8 @@ class Estimate:
         self.run = run
         self.plane = plane
         self._make_frame_poses = frame_poses
-        self._poles: dict[int, Vectors] = {}
-        self._origins: dict[int, np.ndarray] = {}
-        self._rates: dict[int, Numbers] = {}
-        self._registered: dict[tuple[Any, ...], Any] = {}
+        # By the function and its arguments.
+        self._computed: dict[tuple[Any, ...], Any] = {}
 
     @classmethod
     def of_arrays(
@@ -183,7 +181,8 @@ class Estimate:
         events = tuple(event for event, number in found_with if number == instant)
         one = Estimate(column, *shared, events)
         # Quantities of all instants are not computed again for one.
-        one._poles = {order: _at(instant, pole) for order, pole in self._poles.items()}
+        poles = [key for key in self._computed if key[0] is _pole]
+        one._computed = {key: _at(instant, self._computed[key]) for key in poles}
         for name, quantity in vars(self).items():
             if isinstance(quantity, Vectors | Numbers):
                 vars(one)[name] = _at(instant, quantity)
@@ -217,19 +216,11 @@ class Estimate:
 
     def origin(self, order: int) -> np.ndarray:
         """Return the origins of the bodies' frames (T, B), or a derivative, complex, m/s^order."""
-        if order not in self._origins:
-            origin = self.position[0] - self.reference * np.exp(1j * self.angle[0])
-            if order > 0:
-                origin = planar.body_point_derivative(order, origin, self.position, self.angle)
-            self._origins[order] = np.asarray(origin)
-        return self._origins[order]
+        return self.once(_origin, order)
 
     def rate(self, order: int) -> Numbers:
         """Return the derivative of the angle of order 1 to 4, rad/s^order."""
-        if order not in self._rates:
-            value, variance = self.angle[order], self.angle_covariance[order, order]
-            self._rates[order] = Numbers(value, variance, np.isfinite(value))
-        return self._rates[order]
+        return self.once(_rate, order)
 
     @cached_property
     def compiled_motion(self) -> Motion:
@@ -238,15 +229,11 @@ class Estimate:
 
     def general_pole(self, order: int) -> Vectors:
         """Return the pole of order 1 to 4, m, from the motion alone, without pins."""
-        value, spread, flags = compute_quantity(FREE + order, self.compiled_motion)
-        return Vectors(value, spread, flags > 0)
+        return _pole(FREE + order, self)
 
     def pole(self, order: int) -> Vectors:
         """Return ICR, IAP, IJP or ISP, m, for order 1 to 4; the pin of a pinned body."""
-        if order not in self._poles:
-            value, spread, flags = compute_quantity(order, self.compiled_motion)
-            self._poles[order] = Vectors(value, spread, flags > 0)
-        return self._poles[order]
+        return self.once(_pole, order)
 
     def motion(self, body: int) -> str:
         """
@@ -312,9 +299,9 @@ class Estimate:
     def once(self, compute: Callable[..., _Computed], *arguments: Any) -> _Computed:
         """Return `compute` of these arguments and this estimate, computed when first asked for."""
         key = compute, *arguments
-        if key not in self._registered:
-            self._registered[key] = compute(*arguments, self)
-        found: _Computed = self._registered[key]
+        if key not in self._computed:
+            self._computed[key] = compute(*arguments, self)
+        found: _Computed = self._computed[key]
         return found
 
     @property
@@ -393,6 +380,27 @@ class Estimate:
         return {
             name: np.where(self.missing == '', why, self.missing) for name, why in reasons.items()
         }
+
+
+def _origin(order: int, estimate: Estimate) -> np.ndarray:
+    """Return the origins of the bodies' frames, or a derivative."""
+    origin = estimate.position[0] - estimate.reference * np.exp(1j * estimate.angle[0])
+    if order > 0:
+        motion = estimate.position, estimate.angle
+        origin = planar.body_point_derivative(order, origin, *motion)
+    return np.asarray(origin)
+
+
+def _rate(order: int, estimate: Estimate) -> Numbers:
+    """Return a derivative of the angle."""
+    value, variance = estimate.angle[order], estimate.angle_covariance[order, order]
+    return Numbers(value, variance, np.isfinite(value))
+
+
+def _pole(order: int, estimate: Estimate) -> Vectors:
+    """Return a pole, with pins, or without for FREE + its order."""
+    value, spread, flags = compute_quantity(order, estimate.compiled_motion)
+    return Vectors(value, spread, flags > 0)
 
 
 def _at(instant: int, arrays: _Arrays) -> _Arrays:

@@ -134,14 +134,15 @@ class Matcher:
         self._update_full_count(placed)
         return placed.size != self.full_count
 
-    def arrange(self, placed: PlacedFrames, k: int, counts: Counter[str]) -> bool:
+    def arrange(self, placed: PlacedFrames, k: int, counts: Counter[str]) -> tuple[bool, bool]:
         """
         Match frame `k` by shape if names mean nothing.
 
-        Returns whether all bodies have to start again, since earlier frames were assigned wrongly.
+        Returns whether all bodies have to start again, since earlier frames were assigned wrongly,
+        and whether the frame was matched.
         """
         if not placed.is_nameless:
-            return False
+            return False, False
         restarts = False
         if self._arranged < MIN_SAMPLES:
             has_changed = self._update_full_count(placed)
@@ -151,13 +152,12 @@ class Matcher:
                 self._assignment.ordered_size = self.full_count
         is_full = placed.size == self.full_count
         if is_full and not self.given.by_shape:
-            return restarts
+            return restarts, False
         was_in_order = not self.disordered
         ambiguous = self._arrange_by_shape(placed, k, is_full, restarts)
         counts.update({BY_SHAPE: 1, UNCERTAIN: ambiguous})
-        placed.arranged = k
         # Frames before the disorder was noticed did not show the bodies they were taken for.
-        return restarts or (was_in_order and self.disordered)
+        return restarts or (was_in_order and self.disordered), True
 
     def is_doubtful(self, placed: PlacedFrames, k: int, fit: Fit, hidden: np.ndarray) -> bool:
         """
@@ -173,8 +173,8 @@ class Matcher:
             Markers that were not seen.
 
         """
-        unassigned = placed.layout.unassigned
-        if not len(unassigned) or placed.arranged == k:
+        unassigned = self._assignment.layout_of(placed).unassigned
+        if not len(unassigned):
             return False
         points = self._assignment.project_all(placed, k)[0][unassigned]
         points = points[~np.isnan(points)]
@@ -192,9 +192,9 @@ class Matcher:
     def correct_names(self, placed: PlacedFrames, k: int, counts: Counter[str]) -> bool:
         """Correct the names from frame `k` on; return whether any was wrong."""
         # One body that has all points, and poses, cannot be confused.
-        layout, frames = placed.layout, len(placed.frames.stamps) - k
+        layout, frames = self._assignment.layout_of(placed), len(placed.frames.stamps) - k
         is_alone = len(self.given.names) == 1 and not len(layout.unassigned)
-        if self.given.by_shape or placed.arranged == k or is_alone or self.bodies.are_measured:
+        if self.given.by_shape or is_alone or self.bodies.are_measured:
             return False
         points, _ = self._assignment.project_all(placed, k)
         assigned = np.where(layout.rows < len(points), layout.rows, -1)
@@ -209,7 +209,7 @@ class Matcher:
         # A hidden marker that found no other point keeps its name.
         rows = np.where(hidden & (rows < 0), assigned, rows)
         self._assignment.correct_names(placed, rows, not placed.is_nameless)
-        count_misnamed(counts, placed.layout, frames)
+        count_misnamed(counts, self._assignment.layout_of(placed), frames)
         self._note_corrections(placed)
         self._assignment.assign_again(placed, k)
         return True
@@ -284,7 +284,7 @@ class Matcher:
 
     def _note_corrections(self, placed: PlacedFrames) -> None:
         """Remember which markers were corrected."""
-        layout, names = placed.layout, placed.identities
+        layout, names = self._assignment.layout_of(placed), placed.identities
         if placed.is_nameless:
             return
         corrected = (layout.rows != layout.named_rows) & (layout.rows < len(names))
@@ -319,7 +319,7 @@ class Matcher:
         # Learned shapes are void after a restart.
         shapes = self.given.shapes if restarts else self.bodies.placement.places
         has_shape = (~np.isnan(shapes)).sum(axis=1) >= 2
-        rows = placed.layout.rows
+        rows = self._assignment.layout_of(placed).rows
         named = np.where(rows < len(points), rows, -1)
         # While it is not known whether the order is stable, the names are tried first.
         learns_order = is_full and self._arranged < MIN_SAMPLES and not self.disordered

@@ -161,7 +161,8 @@ class Tracker(TrackerSummary):
             learns = state.frame_count >= state.next_update or state.names_changed
             if learns and update_if_due(state):
                 state.assignment.assign_again(placed, first)
-                state.step.incoming.hidden_is_unusual = len(placed.layout.unassigned) > 0
+                unassigned = state.assignment.layout_of(placed).unassigned
+                state.step.incoming.hidden_is_unusual = len(unassigned) > 0
             if state.assignment.plane is not state.space.plane:
                 self._keep_results(results, numbers)
                 estimates += self._flush_results()
@@ -184,7 +185,7 @@ class Tracker(TrackerSummary):
         if state.assignment.width > state.step.known.width:
             widen(state)
         new_frames = frames.stamps, *times, placed.points, placed.heights, placed.tilts
-        hidden_is_unusual = len(placed.layout.unassigned) > 0
+        hidden_is_unusual = len(state.assignment.layout_of(placed).unassigned) > 0
         state.step.pass_frames(len(frames.stamps), new_frames, hidden_is_unusual)
         return placed
 
