@@ -31,7 +31,7 @@ from kinpole_ros.tracking.rejection import (
     REVERSED,
     SLOW_STEP,
 )
-from kinpole_ros.tracking.state import State, put_bodies, restart_bodies
+from kinpole_ros.tracking.state import NameSearch, State, put_bodies, restart_bodies
 from kinpole_ros.tracking.statistics import mean_square
 from kinpole_ros.tracking.thresholds import MIN_SAMPLES, RECENT_FRAMES
 
@@ -100,14 +100,13 @@ def _correct_names(
         if not state.matcher.is_doubtful(placed, k, state.bodies.fit(markers), unseen):
             return False
     # Bodies that are not rigid are doubtful in every frame, and a search takes long.
-    if state.frame_count < state.next_search:
+    if state.frame_count < state.name_search.due:
         return False
     # A frame that was matched by shape has no names.
     corrected = not is_arranged and state.matcher.correct_names(placed, k, state.totals.counts)
-    state.futile_searches = 0 if corrected else state.futile_searches + 1
-    state.next_search = state.frame_count + min(
-        2 ** max(state.futile_searches - 1, 0), MAX_SEARCH_INTERVAL
-    )
+    futile = 0 if corrected else state.name_search.futile + 1
+    pause = min(2 ** max(futile - 1, 0), MAX_SEARCH_INTERVAL)
+    state.name_search = NameSearch(futile, state.frame_count + pause)
     return corrected
 
 

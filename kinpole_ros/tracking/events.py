@@ -64,12 +64,17 @@ class EventSearch:
     """
 
     def __init__(self, window: int, bodies: int) -> None:
-        self._window, self._share = window, window // _SHARE
+        self._window = window
         self.due = _ALWAYS
         # Where the search goes on, ns; the last event of each body, ns.
         self._next: int | None = None
         self._is_paused = False
         self._last = [-window] * bodies
+
+    @property
+    def _share(self) -> int:
+        """Length of the parts of time that are searched at once, ns."""
+        return self._window // _SHARE
 
     def pause(self) -> None:
         """Go on only with frames that come after the next call of `search`."""

@@ -40,8 +40,6 @@ class MarkerAssignment:
     ----------
     markers : list of list of str
         Names of the markers of each body.
-    width : int
-        Number of slots of each body.
     unknown : int
         Rows of the last new layout that no body names.
     posed : bool
@@ -73,9 +71,6 @@ class MarkerAssignment:
             or [f'{body}_{k}' for k in range(0 if posed else len(settings.shapes.get(body, ())))]
             for body, markers in settings.bodies.items()
         ]
-        self.width = (
-            len(POSE_POINTS) if posed else max(2, *(len(markers) for markers in self.markers))
-        )
         self.unknown, self.ordered_size = 0, NOT_ORDERED
         # A body of all markers takes any point for a marker.
         self.takes_all = not any(self.markers)
@@ -86,11 +81,17 @@ class MarkerAssignment:
         # parameters, and the slot that takes the place of each, counted through all bodies.
         self._aliases: dict[str, tuple[int, int]] = {}
         self._regrouped: np.ndarray | None = None
-        self.order = np.tile(np.arange(self.width), (len(self.markers), 1))
+        width = len(POSE_POINTS) if posed else max(2, *map(len, self.markers))
+        self.order = np.tile(np.arange(width), (len(self.markers), 1))
         self.uncounted: np.ndarray | None = None
         self.withheld = np.zeros(len(self.markers), bool)
         # Of poses: see `project_poses`.
         self._upside_down = np.full(len(self.markers), -1)
+
+    @property
+    def width(self) -> int:
+        """Number of slots of each body."""
+        return self.order.shape[1]
 
     @property
     def points_each(self) -> int:
@@ -385,5 +386,4 @@ class MarkerAssignment:
         markers += new[: MOST_MARKERS - len(markers)]
         if len(markers) > self.width:
             self.order = np.hstack((self.order, np.arange(self.width, len(markers))[None]))
-            self.width = len(markers)
             self._layouts.clear()

@@ -45,6 +45,16 @@ def new_totals(bodies: int) -> Totals:
     return Totals(Counter(), no_outages(bodies), np.zeros(bodies, np.int64))
 
 
+class NameSearch(NamedTuple):
+    """Searches for names in a row without a result, and the frame from which to search again."""
+
+    futile: int
+    due: int
+
+
+_NOT_SEARCHED = NameSearch(0, 0)
+
+
 @dataclass
 class State:
     """
@@ -83,8 +93,8 @@ class State:
         The frame at which to learn next.
     names_changed : bool
         Whether names stand for other markers since the frames in hand were placed.
-    futile_searches, next_search : int
-        Searches for names in a row without a result, and the frame from which to search again.
+    name_search : NameSearch
+        When to search for names again.
 
     """
 
@@ -109,8 +119,7 @@ class State:
     counted_count: int = 0
     next_update: int = 1
     names_changed: bool = False
-    futile_searches: int = 0
-    next_search: int = 0
+    name_search: NameSearch = _NOT_SEARCHED
 
 
 def start(settings: Settings, are_measured: bool, totals: Totals, before: Timeline | None) -> State:
@@ -146,8 +155,7 @@ def start_bodies(state: State) -> None:
     about = state.settings, state.totals, state.assignment, state.bodies.are_measured
     state.bodies, state.history, state.pins, state.matcher, state.step = _new_bodies(*about)
     state.frame_count = state.learned_count = state.counted_count = 0
-    state.futile_searches = state.next_search = 0
-    state.next_update, state.names_changed = 1, False
+    state.next_update, state.names_changed, state.name_search = 1, False, _NOT_SEARCHED
 
 
 def _new_bodies(

@@ -31,12 +31,17 @@ class Tracker(TrackerSummary):
     """Tracks the bodies of `settings` from frame to frame."""
 
     def __init__(self, settings: Settings) -> None:
-        self.settings, self.bodies = settings, tuple(settings.bodies)
+        self.settings = settings
         self._frame_id = ''
         self._results: list[tuple[Results, np.ndarray]] = []
         self._events: list[BodyEvent] = []
         self._events_needed = False
         self.state = start(settings, False, new_totals(len(self.bodies)), before=None)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies."""
+        return tuple(self.settings.bodies)
 
     def reset(self) -> None:
         """Forget all frames and everything learned from them."""
