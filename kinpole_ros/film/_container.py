@@ -42,7 +42,6 @@ def video_source(path: str) -> Source:
             'the stamps of the file' if kind is None else f'is {kind}',
             kind is None,
             int(stream.frames),
-            float(stream.average_rate or 0.0),
             capture=_capture_rate({**container.metadata, **stream.metadata}),
             times=lambda: _times(path),
         )

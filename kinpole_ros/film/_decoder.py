@@ -56,8 +56,6 @@ class Source(NamedTuple):
     has_times : bool
     pictures : int
         Number of frames, 0 if it is not known.
-    rate : float
-        Their mean number per second, 0 if it is not known.
     is_absolute : bool
         Whether times count from 1970, and not from the first frame.
     capture : tuple, optional
@@ -71,7 +69,6 @@ class Source(NamedTuple):
     clock: str
     has_times: bool = True
     pictures: int = 0
-    rate: float = 0.0
     is_absolute: bool = False
     capture: tuple[str, float] | None = None
     times: Callable[[], np.ndarray] | None = None

@@ -47,7 +47,9 @@ def read_film(
     seen = replace(seen, stamps=kept.stamps, pixels=seen.pixels[own], dots=seen.dots[own])
     notes = [kept.note, video.late and f'{video.late} left out whose stamps do not increase']
     interlaced = 'interlaced, so each field is a picture of its own' if video.is_interlaced else ''
-    line = _film_line(seen, options, video.clock, [*notes, interlaced, video.cut])
+    shutter = f'{options.line_time * 1e6:.3g} us' if options.line_time else 'none'
+    changed = [f'rolling shutter: {shutter}', 'to change: --line-time, --rate']
+    line = _film_line(seen, video.clock, [*notes, interlaced, video.cut, *changed])
     filmed = place_seen(seen, options)
     return replace(
         filmed,
@@ -75,9 +77,8 @@ def _read_detections(path: str, topic: str, options: FilmOptions) -> Filmed:
     if not seen.tags:
         raise _no_tags(path, seen, finder, '', 'see to the detector')
     late = int((~is_later).sum())
-    line = _film_line(
-        seen, options, f'by the headers of {topic}', [late and f'{late} late ones left out']
-    )
+    notes = [late and f'{late} late ones left out']
+    line = _film_line(seen, f'by the headers of {topic}', notes)
     filmed = place_seen(seen, options, lens)
     return replace(filmed, assumed=[line, *filmed.assumed])
 
@@ -197,17 +198,14 @@ def gather(
     )
 
 
-def _film_line(seen: Seen, options: FilmOptions, clock: str, notes: list[Any]) -> str:
+def _film_line(seen: Seen, clock: str, notes: list[Any]) -> str:
     """Say how many pictures there are, and when they were taken, with notes that are not empty."""
     count = len(seen.stamps)
     seconds = float(seen.stamps[-1] - seen.stamps[0]) * 1e-9
     rate = f' at {1e9 / float(np.median(np.diff(seen.stamps))):.4g} Hz' if count > 1 else ''
-    shutter = f'{options.line_time * 1e6:.3g} us' if options.line_time else 'none'
     texts = [
         f'film: {count} pictures of {seen.picture[0]} x {seen.picture[1]} in {seconds:.4g} s{rate} '
         f'{clock}',
         *filter(None, notes),
-        f'rolling shutter: {shutter}',
-        'to change: --line-time, --rate',
     ]
     return '; '.join(texts)

@@ -123,7 +123,9 @@ class Filmed:
     def frames(self) -> Iterator[tuple[int, Any]]:
         """Yield the row of each picture and its frame; raises FilmError if there are none."""
         if self.video is None:
-            raise FilmError('there are no pictures, only tags that were found in them')
+            raise FilmError(
+                'there are tags, but no pictures that show them; fix: record pictures, too'
+            )
         wanted = iter(enumerate(self.numbers.tolist()))
         row, own = next(wanted)
         for number, (_, frame) in enumerate(self.video.frames()):

@@ -27,6 +27,7 @@ _MUCH_NEARER, _MORE = 0.5, 1.1  # they are taken if corners are so much nearer, 
 # Of the side: corners that scatter by more do not show which of them are on one body, and those
 # that are farther off do not move in one plane.
 _MOST_SCATTER, _MOST_OFF_PLANE = 0.03, 0.02
+_MOST_UNCERTAIN = 0.05  # rad: an axis of the motion that is known less well is none
 
 
 def place_seen(
@@ -54,6 +55,11 @@ def place_seen(
     else:
         placed = _place_tags(seen, pixels, options, lens, may_turn)
         corners, heights, maps, assumed, lifted = placed
+        if lifted is not None and options.points:
+            raise FilmError(
+                '--points are placed in the plane of motion, which is seen from its side, as the '
+                'tags turn out of the picture; fix: leave them out, or film along the axis'
+            )
     rows = zip(dots, [maps[min(k, len(maps) - 1)] for k in range(len(dots))], strict=True)
     places = np.array([plane.to_plane(row) for row, plane in rows]).reshape(len(dots), -1)
     named = dict(zip(options.points, places.T, strict=True))
@@ -117,6 +123,11 @@ def _placed_in_space(seen: Seen, turning: Turning, options: FilmOptions, pixel: 
             f'the tags turn out of the picture, and are {turning.residual:.2g} pixels off any '
             'motion in one plane: the camera moves, or the motion is in space; fix: hold the '
             'camera by a tripod, and see that each tag is stiff'
+        )
+    if not turning.deviation < _MOST_UNCERTAIN:
+        raise FilmError(
+            'the tags turn out of the picture, and show the axis of their motion to '
+            f'{np.degrees(turning.deviation):.2g} deg only; fix: film a wider motion'
         )
     if turning.scatter > _MOST_SCATTER * options.size:
         raise FilmError(

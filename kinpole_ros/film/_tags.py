@@ -89,17 +89,19 @@ class TagFinder:
         """Return why tags, that were found in so many pictures each, are not used."""
         reasons = {}
         for tag in sorted({*counts, *self.twice}):
-            if self.twice[tag] >= _LEAST_TWICE:
+            is_rare = counts.get(tag, 0) < LEAST_PICTURES
+            if self.twice[tag] >= _LEAST_TWICE or (self.twice[tag] and is_rare):
                 reasons[tag] = 'at two places at once'
             elif self._given and tag >= tag_count(self._given):
                 reasons[tag] = f'not of family {self._given}'
-            elif counts.get(tag, 0) < LEAST_PICTURES:
-                reasons[tag] = f'in {counts.get(tag, 0)} pictures only'
+            elif is_rare:
+                reasons[tag] = f'in {counts[tag]} pictures only'
         return reasons
 
     def name(self, tags: Sequence[int]) -> str:
         """Return the name of the family: the given one, or the smallest that has these tags."""
-        return self._given or smallest(self.family, tags)
+        name = self._given or smallest(self.family, tags)
+        return f'{name}, white on black' if self.is_inverse else name
 
     def _find_family(self, gray: np.ndarray) -> bool:
         """Take the family of which most tags are seen, and return whether there is one."""

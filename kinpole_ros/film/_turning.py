@@ -22,8 +22,8 @@ _ROUNDS = 30
 _POSE_ROUNDS = 5  # by which one of the two poses is chosen that show a square alike
 _MOST_VIEWS = 3000  # of tags by which the plane is found
 _LEAST_VIEWS = 20
+_PARTS = 10  # of a film, whose errors are independent
 _STEP = 1e-6  # rad and m, for derivatives
-_MOST_UNCERTAIN = 0.05  # rad: a normal that is known less well is none
 # The normal points to the camera, or upward if it is in the picture, or else to the right.
 _SIDE = np.array([0.1, -0.5, -1.0])
 
@@ -95,7 +95,7 @@ def place_turning(
     Returns
     -------
     Turning or None
-        None if the motion does not determine its plane.
+        None if they are seen too seldom.
 
     """
     is_seen = np.isfinite(pixels).all(axis=(2, 3))
@@ -103,25 +103,32 @@ def place_turning(
     if len(place) < _LEAST_VIEWS:
         return None
     views = _View(pixels[is_seen], place[:, 1], place)
-    few = views
-    if len(place) > _MOST_VIEWS:
-        step = -(-len(place) // _MOST_VIEWS)
-        few = _View(*(part[::step] for part in views))
-    motion, spread, deviation = _fit(_first_motion(few, size, camera), few, size, camera)
-    if not deviation < _MOST_UNCERTAIN:
-        return None
-    if few is not views:
-        start = _first_motion(views, size, camera, motion)
+    few = _few_of_each(views, pixels.shape[1])
+    motion = _first_motion(few, pixels.shape[1], size, camera)
+    motion, spread, deviation = _fit(motion, few, size, camera)
+    if len(few.tags) == len(place):
+        views = few
+    else:
+        start = _first_motion(views, pixels.shape[1], size, camera, motion)
         motion, spread, _ = _fit(start, views, size, camera, is_plane_known=True)
     return _placed(motion, views, (size, camera, picture), spread, deviation, pixels.shape)
 
 
+def _few_of_each(views: _View, count: int) -> _View:
+    """Return views of each tag, all through the film, by which the plane is found."""
+    kept = []
+    for tag in range(count):
+        own = np.flatnonzero(views.tags == tag)
+        kept.append(own[:: max(1, -(-len(own) * count // _MOST_VIEWS))])
+    rows = np.concatenate(kept)
+    return _View(*(part[rows] for part in views))
+
+
 def _first_motion(
-    views: _View, size: float, camera: np.ndarray, known: _Motion | None = None
+    views: _View, count: int, size: float, camera: np.ndarray, known: _Motion | None = None
 ) -> _Motion:
-    """Return the motion by the poses of the tags; those in a plane that is `known` already."""
+    """Return the motion of tags by their poses; that in a plane which is `known` already."""
     turns, places = _two_poses(views.pixels, size, camera)
-    count = int(views.tags.max()) + 1 if known is None else len(known.heights)
     rows = np.arange(len(places))
     chosen = np.zeros(len(places), int)
     frame = _frame(np.array([0, 0, -1.0])) if known is None else known.frame
@@ -289,8 +296,24 @@ def _fit(
             damping *= 10
     # Three of eight coordinates fit each view.
     spread = float(np.sqrt(np.median(now**2) / 0.455 * 8 / 5))
-    variance = np.linalg.pinv(normal)[:2, :2] * spread**2
-    return motion, spread, float(np.sqrt(np.linalg.eigvalsh(variance)[-1]))
+    scores = np.zeros((len(seen), len(vector)))
+    np.put_along_axis(scores, columns, np.einsum('vij,vi->vj', left, right), axis=1)
+    inverse = np.linalg.pinv(normal)[:, :2]
+    deviation = _deviation(scores @ inverse, views.row[:, 0], inverse[:2] * spread**2)
+    return motion, spread, deviation
+
+
+def _deviation(moved: np.ndarray, time: np.ndarray, white: np.ndarray) -> float:
+    """
+    Return the deviation of the normal, rad, that is `moved` (V, 2) by views at times (V,).
+
+    Errors of a lens, or of a bent tag, last: the parts of a film show how much (Liang and Zeger
+    1986). It is no less than that of `white` noise, of a variance (2, 2).
+    """
+    order = np.argsort(time, kind='stable')
+    parts = np.stack([part.sum(axis=0) for part in np.array_split(moved[order], _PARTS)])
+    variance = parts.T @ parts * _PARTS / (_PARTS - 1)
+    return float(np.sqrt(max(np.linalg.eigvalsh(kind)[-1] for kind in (variance, white))))
 
 
 def _placed(

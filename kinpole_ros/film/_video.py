@@ -41,10 +41,10 @@ class Video:
     instead, Hz, and `topic` is one of a bag.
 
     `count` is the number of pictures as the container has them, 0 if unknown; `clock` says what
-    the stamps are, `mean_rate` is the mean number per second, and `turns` the quarter turns to the
-    left by which pictures are shown. `late` counts pictures left out because their stamps do not
-    increase, `is_interlaced` that the fields of its frames are pictures of their own, and `cut`
-    says where a damaged film ends, '' for a sound one.
+    the stamps are, and `turns` are the quarter turns to the left by which pictures are shown.
+    `late` counts pictures left out because their stamps do not increase, `is_interlaced` says that
+    the fields of its frames are pictures of their own, and `cut` where a damaged film ends, '' for
+    a sound one.
     """
 
     def __init__(
@@ -66,7 +66,6 @@ class Video:
             )
         elif self._source.capture is not None:
             self._correct_slow_motion(*self._source.capture)
-        self.mean_rate = rate or self._source.rate / self._slowing
 
     def _correct_slow_motion(self, tag: str, rate: float) -> None:
         """Take the rate of a tag, Hz, where the film is played at quite another one."""
@@ -94,8 +93,7 @@ class Video:
                 if time is None:
                     self.late += 1
                     continue
-                if number % 1 and not self.is_interlaced:
-                    self.is_interlaced, self.mean_rate = True, 2 * self.mean_rate
+                self.is_interlaced = self.is_interlaced or bool(number % 1)
                 if first is None:
                     first, begin = (0, time) if self._source.is_absolute else (time, 0)
                     self.turns = quarter_turns(frame)

@@ -132,7 +132,25 @@ def marker_array(m: Maker, k: int, topic: str) -> Any:
                m.pose(place), ones, color, life, False, [], [], 'text', '', False)
         for number, place in enumerate(PLACES[k])
     ]  # fmt: skip
-    return m.make('visualization_msgs/MarkerArray', markers)
+    label = m.make(
+        'visualization_msgs/Marker',
+        m.header(FIRST + k * STEP),
+        'label',
+        0,
+        9,
+        0,
+        m.pose((9, 9, 9)),
+        ones,
+        color,
+        life,
+        False,
+        [],
+        [],
+        'tip',
+        '',
+        False,
+    )
+    return m.make('visualization_msgs/MarkerArray', [label, *markers])
 
 
 def cloud(m: Maker, k: int, topic: str) -> Any:

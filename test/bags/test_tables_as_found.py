@@ -198,6 +198,10 @@ TABLES: dict[str, Table] = {
         rows('seconds,x1,y1,x2,y2', TIMES, A * 1e3, B * 1e3),
         ('point1', 'point2'), (A, B), options={'scale': 1e-3}, down=True,
     ),
+    'idtracker': Table(
+        rows('X1\tY1\tProbId1', A * 1e3, ZERO, mark='\t'), ('point1',), unread=('ProbId1',),
+        options=PX, down=True,
+    ),
     'ArUco, corners': Table(
         long('time_MS,frame,ID,top_left,top_right', lambda k, p: (
             f'{1e3 * TIMES[k]},{k + 1}.0,{7 - p},"({xy(k, p, 1e3)})","({xy(k, p, 1e3)})"'

@@ -35,7 +35,8 @@ def test_tags_of_an_interlaced_film_are_found_in_both_fields(tmp_path: Path) -> 
     filmed = read_film(path, FilmOptions(size=FOUR_BAR[0].size))
     assert 'at 50 Hz by the stamps of the file; interlaced, so each field' in filmed.assumed[0]
     assert filmed.tags == (0, 1, 2)
-    assert filmed.video is not None and filmed.video.mean_rate == 50
+    assert filmed.video is not None and filmed.video.is_interlaced
+    assert abs(np.median(np.diff(filmed.stamps)) - 1e9 / 50) < 10
     shown = np.stack([filmed.to_pixels(row, k) for k, row in enumerate(filmed.corners)])
     off = shown - np.stack(list(film.corners().values()), axis=1)
     assert np.isfinite(off).mean() > 0.9

@@ -72,6 +72,7 @@ def test_white_tags_on_black_paper_are_read() -> None:
     black, [(tags, corners)] = found_in([gray])
     white, [(same, others)] = found_in([255 - gray])
     assert (black.is_inverse, white.is_inverse) == (False, True)
+    assert white.name(same) == '36h11, white on black'
     assert sorted(tags) == [0, 1, 2]
     assert np.abs(corners - others[[same.index(tag) for tag in tags]]).max() < 0.02
 

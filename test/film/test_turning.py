@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinpole_ros.bags import write_points
-from kinpole_ros.film import FilmError, FilmOptions, Lens
+from kinpole_ros.film import FilmError, FilmOptions, Lens, _turning
 from kinpole_ros.film._filmed import Filmed, Seen
 from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._turning import place_turning
@@ -119,6 +119,19 @@ def test_a_tag_on_the_wall_is_the_origin() -> None:
     assert np.abs(heights[1] - heights[0].mean() - arm[0] @ DOOR.normal).max() < 2e-3
 
 
+def test_a_long_film_is_fitted_by_a_part_of_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    still = np.broadcast_to(DOOR.corners()[:1], (len(TIMES), 4, 3)) - (0.1, 0.3, 0)
+    pixels = seen_from(DOOR.corners(), still).pixels
+    pixels[:-3, 1] = np.nan  # seen in three pictures
+    whole = place_turning(pixels, DOOR.size, MATRIX, PICTURE)
+    monkeypatch.setattr(_turning, '_MOST_VIEWS', 60)
+    part = place_turning(pixels, DOOR.size, MATRIX, PICTURE)
+    assert np.abs(part.normal - whole.normal).max() < 1e-3
+    off = np.abs((part.corners - whole.corners).mean(axis=2))
+    assert np.nanmax(off) < 3e-3
+    assert np.isfinite(off).sum() == len(TIMES) + 3
+
+
 def test_tags_in_the_plane_of_the_picture_are_placed_in_it() -> None:
     flat = Hinge((0, 0, -1), (0.2, 0.1, 0), size=0.05)
     seen = seen_from(flat.corners(), replace(flat, arm=(-0.2, 0, 0)).corners())
@@ -150,6 +163,13 @@ def test_a_motion_in_space_is_named() -> None:
     corners = np.stack([c @ r.T for c, r in zip(DOOR.corners(), both, strict=True)])
     with pytest.raises(FilmError, match=r'pixels off any motion in one plane: the camera moves'):
         place_seen(seen_from(corners), FilmOptions(size=DOOR.size), LENS)
+
+
+def test_dots_are_not_placed_in_a_plane_that_is_seen_from_its_side() -> None:
+    seen = replace(seen_from(DOOR.corners()), dots=np.zeros((len(TIMES), 1, 2)))
+    options = FilmOptions(size=DOOR.size, points={'a_1': 1 + 2j})
+    with pytest.raises(FilmError, match='--points are placed in the plane of motion, which is'):
+        place_seen(seen, options, LENS)
 
 
 def test_tags_that_are_too_small_for_their_distance_are_refused() -> None:

@@ -324,6 +324,7 @@ def _usual_unit(
         or all(map(_CORNER.fullmatch, layout.points))
         or {'cx', 'cy'} <= titles  # the center of a contour or a tag
         or (titles >= {'seconds', 'x1', 'y1'} and len(titles) % 2 == 1)  # idtracker.ai
+        or any(title.startswith('probid') for title in titles)  # idtracker
     )
     if is_in_picture:
         return 'px'
