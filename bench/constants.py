@@ -78,7 +78,7 @@ _REASONS = {
     'noise.py': 'noise that is correlated, or of a single marker',
     'plane.py': 'planes that are fitted',
     'pose_points.py': 'poses instead of markers',
-    'posed.py': 'poses instead of markers',
+    'pose_noise.py': 'poses instead of markers',
     'rejection.py': 'markers that are exchanged, held, or far off',
     'scatter.py': 'soft tissue',
     'space.py': 'planes that are fitted',

@@ -229,7 +229,7 @@ class _Replaying:
         if isinstance(error, messages.NoMarkersError):
             self._outcome.empty += 1
             return
-        self._tracker.counts['unreadable'] += 1
+        self._tracker.count('unreadable')
         self._outcome.problem = self._outcome.problem or str(error)
         self._diagnostics.trouble['message'] = str(error)
 
@@ -265,7 +265,7 @@ class _Replaying:
 
     def _check_frames(self) -> None:
         """Raise BagError if no message could be read, or none has poses of the bodies."""
-        counts, outcome = self._tracker.counts, self._outcome
+        counts, outcome = self._tracker.update_counts(), self._outcome
         if counts['frames']:
             return
         if counts['unreadable']:

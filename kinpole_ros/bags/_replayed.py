@@ -161,7 +161,7 @@ def add_estimate(outcome: Replayed, estimate: Estimate) -> None:
 
 def finish(outcome: Replayed, tracker: Tracker) -> None:
     """Add what the tracker knows at the end, and turn numbers of instants into shares."""
-    bodies, counts = tracker.bodies, tracker.counts
+    bodies, counts = tracker.bodies, tracker.update_counts()
     for name in _COUNTED:
         setattr(outcome, name, counts[name])
     # These came, but have no stamps.

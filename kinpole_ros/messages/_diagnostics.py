@@ -94,8 +94,9 @@ class DiagnosticsMaker:
         stamps: Sequence[int] = (),
     ) -> Callable[[Estimate | None], DiagnosticArray]:
         """Return a function that completes `make` with an estimate, by the tracker as it is now."""
-        since = {key: count - self._counts[key] for key, count in tracker.counts.items()}
-        self._counts = tracker.counts.copy()
+        counts = tracker.update_counts()
+        since = {key: count - self._counts[key] for key, count in counts.items()}
+        self._counts = counts.copy()
         outages = self._new_outages(tracker)
         faults = input_faults(tracker, since, trouble, self._nothing)
         faults += stamp_faults(tracker, since, stamps, seconds)
@@ -285,7 +286,8 @@ def _input_status(
                 'ticks of that clock' if state.regularized else 'their stamps'
             ),
         }
-    values |= {key: tracker.counts[name] for name, key in COUNT_KEYS.items()}
+    counts = tracker.update_counts()
+    values |= {key: counts[name] for name, key in COUNT_KEYS.items()}
     return _status(name, level, message, values)
 
 

@@ -77,13 +77,17 @@ class Space:
         self.plane = plane_of(setting)
         self._shape = bodies, width
         self._waiting: list[np.ndarray] = []
-        self._number = 0
         self._scatter = Scatter(*self._shape)
+
+    @property
+    def _number(self) -> int:
+        """Number of the waiting frames."""
+        return sum(map(len, self._waiting))
 
     def widen(self, width: int) -> None:
         """Make room for more markers per body; the motion is measured from the start."""
         self._shape = self._shape[0], width
-        self._waiting, self._number = [], 0
+        self._waiting = []
         self._scatter = Scatter(*self._shape)
 
     def add(self, points: np.ndarray) -> None:
@@ -91,7 +95,6 @@ class Space:
         if self._number >= (GROUP if self.plane is None else _FRAMES_AT_ONCE):
             self._measure()
         self._waiting.append(points)
-        self._number += len(points)
         if len(points) > GROUP:
             self._measure()
 
@@ -103,7 +106,6 @@ class Space:
         points = np.concatenate(self._waiting)
         done = groups * GROUP
         self._waiting = [points[done:].copy()]
-        self._number -= done
         self._scatter.add(points[:done].reshape(groups, GROUP, *points.shape[1:]))
         if self.plane is None and self._scatter.update():
             normal, line, deviation = self._normal_of_motion(None)
