@@ -263,6 +263,11 @@ TABLES: dict[str, Table] = {
                mark='\t'),
         ('marker_1',),
     ),
+    'NDI, cells': Table(
+        'Number of frames:,12\nFrequency:,100.0\nUnits:,mm\n\n'
+        + rows('Frame,marker_1 x,marker_1 y,marker_1 z', np.arange(COUNT), A * 1e3, ZERO),
+        ('marker_1',),
+    ),
     'Visual3D': Table(
         '\trun.c3d\trun.c3d\trun.c3d\n\tA\tA\tKnee\n\tTARGET\tTARGET\tLINK_MODEL_BASED\n'
         '\tORIGINAL\tORIGINAL\tORIGINAL\n'
