@@ -181,11 +181,10 @@ def _is_no_place(group: _Group, groups: Sequence[_Group]) -> bool:
     if kind in _NO_PLACES or (is_of_ros and kind in _NO_PLACES_OF_ROS):
         return True
     others = [other for other in groups if other is not group]
-    is_complete = any({'x', 'y'} <= other.columns.keys() for other in others)
-    if is_complete and group.columns.keys() == {'z'}:
-        return True  # as a moment in the plane
-    if group.name == 'F':  # a marker, as of E, F and G, or the force beside a moment
-        return any(one.name in _MOMENTS and one.columns.keys() == {'z'} for one in others)
+    # A marker, as of L, M and N, has x and y; a moment in the plane has z alone, beside a force F.
+    moments = [one for one in groups if one.name in _MOMENTS and one.columns.keys() == {'z'}]
+    if group in moments or (moments and group.name == 'F'):
+        return True
     if group.name == 'A':
         return False  # a marker, as of A, B and C; an acceleration is a
     stems = {stem for other in others for stem in (other.stem, other.bare)}
