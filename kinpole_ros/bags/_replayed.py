@@ -11,6 +11,7 @@ from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.marker_rows import find_rows
 from kinpole_ros.tracking.outages import Outage
+from kinpole_ros.tracking.rejection import HELD
 from kinpole_ros.tracking.space import SpaceReport, updated
 from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.tracker import Tracker
@@ -159,8 +160,12 @@ def add_estimate(outcome: Replayed, estimate: Estimate) -> None:
             outcome.unknown[body] = str(reasons[-1])
 
 
-def finish(outcome: Replayed, tracker: Tracker) -> None:
-    """Add what the tracker knows at the end, and turn numbers of instants into shares."""
+def finish(outcome: Replayed, tracker: Tracker, converted: str = '') -> None:
+    """
+    Add what the tracker knows at the end, and turn numbers of instants into shares.
+
+    `converted` says why frames repeat others, if it is known.
+    """
     bodies, counts = tracker.bodies, tracker.update_counts()
     for name in _COUNTED:
         setattr(outcome, name, counts[name])
@@ -178,7 +183,9 @@ def finish(outcome: Replayed, tracker: Tracker) -> None:
     outcome.noise_underestimated = [*compress(bodies, tracker.noise_underestimated())]
     outcome.space = updated(outcome.space, tracker.space())
     outcome.stamps = tracker.stamp_state()
-    outcome.misnamed = [*faults.identity_lines(tracker, counts), *outcome.misnamed]
+    told = {**counts, HELD: 0} if converted else counts
+    lines = [*faults.identity_lines(tracker, told), *([converted] if converted else [])]
+    outcome.misnamed = [*lines, *outcome.misnamed]
     if len(bodies) > MOST_PAIRED_BODIES:
         outcome.misnamed.append(
             f'relative rates and centers of pairs are left out: there are {len(bodies)} bodies, '
