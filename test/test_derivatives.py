@@ -243,9 +243,7 @@ def one_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """There is one process on a line, or a line, or rest: the first is by far the likeliest."""
     monkeypatch.setenv('KINPOLE_CACHE', '')
     caches = _models._members, _models._functions
-    monkeypatch.setattr(
-        _pose_derivatives, '_tables', _pose_derivatives._Tables((), np.empty((0, 7), np.int64))
-    )
+    monkeypatch.setattr(_pose_derivatives, '_tables', {})
     monkeypatch.setattr(_models, 'SPECTRA', (ONE,))
     monkeypatch.setattr(_models, '_DEGREES', (1,))
     monkeypatch.setattr(_models, '_MAX_LENGTH', ONE[1] / 50)
@@ -1000,3 +998,32 @@ def test_poses_are_not_changed() -> None:
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(angle, given[0])
     np.testing.assert_array_equal(position, given[1])
+
+
+def test_tables_are_dropped_and_made_again_with_the_same_results(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    time = stamps(COUNT)
+    angle, position = np.zeros((2, COUNT, 2)) + np.linspace(0, 1, COUNT)[:, None]
+    expected = derive(time, angle, position, 1e-3)
+    monkeypatch.setattr(_pose_derivatives, '_tables', {})
+    monkeypatch.setattr(_pose_derivatives, '_MAX_TABLE_BYTES', 1)
+    for _ in range(2):
+        same(derive(time, angle, position, 1e-3), expected)
+        assert len(_pose_derivatives._tables) == 1
+
+
+def test_a_failure_to_make_a_table_is_raised_and_the_next_call_makes_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    time = stamps(COUNT)
+    angle, position = np.zeros((2, COUNT, 2)) + np.linspace(0, 1, COUNT)[:, None]
+    monkeypatch.setattr(_pose_derivatives, '_tables', {})
+    with monkeypatch.context() as broken, pytest.raises(KeyboardInterrupt):
+        broken.setattr(_pose_derivatives, 'cached_table', _interrupted)
+        derive(time, angle, position, 1e-3)
+    assert np.isfinite(derive(time, angle, position, 1e-3).angle).all()
+
+
+def _interrupted(*_: object) -> None:
+    raise KeyboardInterrupt

@@ -456,7 +456,7 @@ def run(words: list[str | Path], folder: Path) -> str:
     ours = ('COLCON', 'PYTEST')
     env = {name: value for name, value in os.environ.items() if not name.startswith(ours)}
     env['COLCON_HOME'] = str(folder / 'colcon_home')
-    done = subprocess.run(words, cwd=folder, env=env, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(words, cwd=folder, env=env, capture_output=True, text=True, timeout=400)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

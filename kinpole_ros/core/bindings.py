@@ -117,39 +117,16 @@ class Struct(ctypes.Structure):
         self.__dict__[name] = array
 
 
-class _Field(ctypes.Structure):
-    """`Field` of structs.h."""
-
-    _fields_: ClassVar[Any] = [
-        *((name, ctypes.c_char_p) for name in ('name', 'type', 'shape', 'meaning')),
-        *((name, ctypes.c_longlong) for name in ('count', 'offset')),
-    ]
+def _record(**fields: Any) -> type[ctypes.Structure]:
+    """Return the class of a struct of structs.h that describes others, with fields in its order."""
+    return type('_Record', (ctypes.Structure,), {'_fields_': [*fields.items()]})
 
 
-class _Description(ctypes.Structure):
-    """`Description` of structs.h."""
-
-    _fields_: ClassVar[Any] = [
-        ('name', ctypes.c_char_p),
-        *((name, ctypes.c_longlong) for name in ('size', 'count')),
-        ('fields', ctypes.POINTER(_Field)),
-    ]
-
-
-class _Code(ctypes.Structure):
-    """`Code` of structs.h."""
-
-    _fields_: ClassVar[Any] = [('name', ctypes.c_char_p), ('value', ctypes.c_longlong)]
-
-
-class _Codes(ctypes.Structure):
-    """`Codes` of structs.h."""
-
-    _fields_: ClassVar[Any] = [
-        ('name', ctypes.c_char_p),
-        ('count', ctypes.c_longlong),
-        ('codes', ctypes.POINTER(_Code)),
-    ]
+_TEXT, _NUMBER = ctypes.c_char_p, ctypes.c_longlong
+_Field = _record(name=_TEXT, type=_TEXT, shape=_TEXT, meaning=_TEXT, count=_NUMBER, offset=_NUMBER)
+_Description = _record(name=_TEXT, size=_NUMBER, count=_NUMBER, fields=ctypes.POINTER(_Field))
+_Code = _record(name=_TEXT, value=_NUMBER)
+_Codes = _record(name=_TEXT, count=_NUMBER, codes=ctypes.POINTER(_Code))
 
 
 class Table(Struct):
@@ -227,7 +204,7 @@ class ChangePoint(Struct):
     """An event: see change_points.h."""
 
 
-def _add_fields(struct: type[Struct], description: _Description) -> None:
+def _add_fields(struct: type[Struct], description: Any) -> None:
     """Give a class the fields of its struct, and check it against the compiler's layout."""
     fields: list[tuple[str, Any]] = []
     offsets: dict[str, int] = {}
@@ -238,7 +215,7 @@ def _add_fields(struct: type[Struct], description: _Description) -> None:
         name, type_name = field.name.decode(), field.type.decode().removeprefix('const ')
         offsets[name], meanings[name] = field.offset, field.meaning.decode()
         if field.count == _IS_ARRAY:
-            elements[name] = _ELEMENTS[type_name]
+            elements[name] = _ELEMENTS.get(type_name) or np.dtype(_VALUES[type_name])
             shapes[name] = tuple(field.shape.decode().strip('()').split(', '))
             fields.append((name, ctypes.c_void_p))
         else:
@@ -249,7 +226,7 @@ def _add_fields(struct: type[Struct], description: _Description) -> None:
     found = {name: getattr(struct, name).offset for name in offsets}
     if found != offsets or ctypes.sizeof(struct) != description.size:
         raise ImportError(f'{_FILE} has a layout of {struct.__name__} that is not that of ctypes')
-    _VALUES[struct.__name__], _ELEMENTS[struct.__name__] = struct, np.dtype(struct)
+    _VALUES[struct.__name__] = struct
 
 
 def _read_list(function: str, kind: type[ctypes.Structure]) -> dict[str, Any]:
@@ -278,6 +255,9 @@ def codes_of(enum: str) -> dict[str, int]:
     return {code.name.decode(): code.value for code in listed.codes[: listed.count]}
 
 
+# A function of Python that C calls: it makes the table that its argument points to.
+TableMaker = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.POINTER(Table))
+_VALUES['TableMaker'] = TableMaker
 _read_structs()
 _CODES = _read_list('kinpole_codes', _Codes)
 # Sizes of arrays that C and Python share: see codes.h.
@@ -285,7 +265,7 @@ SIZES = codes_of('SIZES')
 
 _pointer = ctypes.POINTER
 _POINT = _pointer(ChangePoint)
-_NUMBER, _ARRAY, _DATA = ctypes.c_longlong, ctypes.c_void_p, ctypes.c_char_p
+_ARRAY, _DATA = ctypes.c_void_p, ctypes.c_char_p
 # What the functions of the headers return, and their arguments. Structs that are rows of an array,
 # or in one, are passed as arrays: `Results`, `Plane` and `Row`.
 _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
@@ -307,11 +287,6 @@ _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
 }
 
 
-def _declare_functions() -> None:
-    """Give the functions of the library their types."""
-    for name, (result, arguments) in _PROTOTYPES.items():
-        function = getattr(library, f'kinpole_{name}')
-        function.restype, function.argtypes = result, arguments
-
-
-_declare_functions()
+for _name, (_result, _arguments) in _PROTOTYPES.items():
+    _function = getattr(library, f'kinpole_{_name}')
+    _function.restype, _function.argtypes = _result, _arguments

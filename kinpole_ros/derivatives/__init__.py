@@ -50,9 +50,8 @@ from kinpole_ros.derivatives._pose_derivatives import (
     Poses,
     Windows,
     derive_poses,
-    go_on,
+    finish_call,
     new_call,
-    pass_tables,
 )
 
 __all__ = [
@@ -65,7 +64,6 @@ __all__ = [
     'Windows',
     'derive_poses',
     'find_event',
-    'go_on',
+    'finish_call',
     'new_call',
-    'pass_tables',
 ]

@@ -4,18 +4,30 @@ Call the compiled kernel: from poses at stamps to derivatives at instants.
 The tables of window kinds are kept between calls, and in files between processes.
 """
 
+import weakref
 from ctypes import byref
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.core.bindings import SIZES, Call, DerivativeArrays, Table, library
+from kinpole_ros.core.bindings import (
+    SIZES,
+    Call,
+    DerivativeArrays,
+    Table,
+    TableMaker,
+    codes_of,
+    library,
+)
 from kinpole_ros.derivatives._cached_tables import cached_table
 from kinpole_ros.derivatives._models import FLAT, models_of, slopes_of, stencils_of
 from kinpole_ros.planar._plane import Complex, Real
 
 # Memory of all tables, of which the oldest are dropped; a kind of window has 100 kB to 3 MB.
 _MAX_TABLE_BYTES = 64_000_000
+_ENDS = codes_of('CALL_ENDS')
+DONE, NO_TABLE, NO_FRAMES = _ENDS['DONE'], _ENDS['NO_TABLE'], _ENDS['NO_FRAMES']
+SLOPES, MODELS = codes_of('TABLE_ORDERS').values()
 
 
 class Poses(NamedTuple):
@@ -43,9 +55,6 @@ class Windows(NamedTuple):
     oldest: np.ndarray
     newest: np.ndarray
 
-    def part(self, which: slice) -> 'Windows':
-        return Windows(self.now[which], self.oldest[which], self.newest[which])
-
 
 class Derivatives(NamedTuple):
     """
@@ -67,15 +76,9 @@ class Derivatives(NamedTuple):
     reference: Complex
 
 
-class _Tables(NamedTuple):
-    """The `arrays` that tables point to, and the `tables` (n,) with the fields of `Table`."""
-
-    arrays: tuple[tuple[np.ndarray, Real], ...]
-    tables: np.ndarray
-
-
-# Replaced and never changed, because another thread may be using it.
-_tables = _Tables((), np.empty(0, Table))
+# The integers and numbers of tables by their kinds, the oldest first. Replaced and never changed,
+# because another thread may be using it.
+_tables: dict[tuple[float, ...], tuple[np.ndarray, Real]] = {}
 
 
 def derive_poses(
@@ -111,10 +114,7 @@ def derive_poses(
     derivatives = Derivatives(**DerivativeArrays.new_arrays(K=orders, T=instants, B=bodies))
     for name, array in derivatives._asdict().items():
         call.derivatives.bind(name, array)
-    tables = pass_tables(call)
-    while code := library.kinpole_derive(byref(call)):
-        tables = go_on(call, code)
-    del tables
+    finish_call(call, library.kinpole_derive(byref(call)))
     return derivatives
 
 
@@ -139,45 +139,70 @@ def _check_arguments(
 
 
 def new_call(window: float, order: int) -> Call:
-    """Return arguments of the library without arrays."""
-    return Call(orders=order + 1, window=window, flat=FLAT)
+    """Return arguments of the library without arrays; tables are made as it needs them."""
+    call = Call(orders=order + 1, window=window, flat=FLAT)
+    forget_tables(call)
+    # The call must not refer to itself, since it frees memory when it is deleted.
+    reference = weakref.ref(call)
+    call.make_table = TableMaker(lambda table: _pass_table(reference(), table.contents))
+    return call
 
 
-def pass_tables(call: Call) -> _Tables:
-    """Pass all tables, and return them; the caller holds them during the call of the library."""
-    tables = _tables
-    if vars(call).get('tables') is not tables.tables:
-        call.table_count = len(tables.tables)
-        call.bind('tables', tables.tables)
-    return tables
+def forget_tables(call: Call) -> None:
+    """Let a call begin without tables."""
+    call.held, call.held_bytes, call.error, call.table_count = [], 0, None, 0
+    call.bind('tables', np.empty(0, Table))
 
 
-def go_on(call: Call, code: int) -> _Tables:
+def finish_call(call: Call, code: int) -> None:
     """
-    Make the table that the library lacks, and pass all tables, as `pass_tables`.
+    Raise an exception if the return value `code` of the library is an error.
 
-    Raises an exception if the return value `code` of the library is an error.
+    Otherwise, forget tables that take too much memory: those still needed are passed again.
     """
+    if call.held_bytes > _MAX_TABLE_BYTES or code < 0:
+        error = call.error or MemoryError()
+        forget_tables(call)
+        if code == NO_FRAMES:
+            raise IndexError('windows lie beyond the frames')
+        if code < 0:
+            raise error
+
+
+def _pass_table(call: Any, table: Table) -> int:
+    """Pass a table that the library needs in a call, which keeps its arrays alive."""
+    kind = table.count, table.block, table.exact, table.orders, table.at
+    try:
+        arrays = _tables.get(kind) or cached_table(kind, lambda: _make(*kind))
+        _keep_table(kind, arrays)
+    except BaseException as error:  # The library has to return first.
+        call.error = error
+        return NO_TABLE
+    table.integers, table.numbers = (array.ctypes.data for array in arrays)
+    call.held.append(arrays)
+    call.held_bytes += _size_of(arrays)
+    call.bind('tables', np.append(vars(call)['tables'], np.frombuffer(table, Table)))
+    call.table_count += 1
+    return DONE
+
+
+def _keep_table(kind: tuple[float, ...], arrays: tuple[np.ndarray, Real]) -> None:
+    """Keep a table for other calls, and drop the oldest ones of too many."""
     global _tables
-    if code < 0:
-        raise MemoryError if code < -1 else IndexError('windows lie beyond the frames')
-    lacking = call.lacking
-    window = lacking.count, lacking.block, bool(lacking.exact)
-    made = cached_table(
-        (*window, lacking.orders, lacking.at), lambda: _make(window, lacking.orders, lacking.at)
-    )
-    lacking.integers, lacking.numbers = (array.ctypes.data for array in made)
-    arrays = (*_tables.arrays, made)
-    tables = np.concatenate((_tables.tables, np.frombuffer(lacking, Table)))
-    sizes = np.cumsum([sum(array.nbytes for array in one) for one in arrays][::-1])[::-1]
-    number = max(int(np.count_nonzero(sizes <= _MAX_TABLE_BYTES)), 1)
-    _tables = _Tables(arrays[-number:], tables[-number:].copy())
-    return pass_tables(call)
+    kept = _tables | {kind: arrays}
+    sizes = np.cumsum([_size_of(one) for one in kept.values()][::-1])[::-1]
+    dropped = min(int(np.count_nonzero(sizes > _MAX_TABLE_BYTES)), len(kept) - 1)
+    _tables = dict(list(kept.items())[dropped:])
 
 
-def _make(window: tuple[int, int, bool], orders: int, at: float) -> tuple[np.ndarray, Real]:
-    """Make stencils for these `orders`, or models if it is 0, or slopes if it is negative."""
-    if orders == 0:
+def _size_of(arrays: tuple[np.ndarray, Real]) -> int:
+    return sum(array.nbytes for array in arrays)
+
+
+def _make(count: int, block: int, exact: int, orders: int, at: float) -> tuple[np.ndarray, Real]:
+    """Make the integers and numbers of a table of this kind: see `Table` of call.h."""
+    window = count, block, bool(exact)
+    if orders == MODELS:
         return models_of(*window)
-    numbers = stencils_of(*window, orders, at) if orders > 0 else slopes_of(*window)
+    numbers = slopes_of(*window) if orders == SLOPES else stencils_of(*window, orders, at)
     return np.empty(0, np.int64), numbers

@@ -14,7 +14,7 @@ from kinpole_ros.core.bindings import (
     library,
     pass_new_array,
 )
-from kinpole_ros.derivatives import go_on, new_call, pass_tables
+from kinpole_ros.derivatives import finish_call, new_call
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
@@ -22,9 +22,8 @@ from kinpole_ros.tracking.rejection import FAR, GAP, NEAR, NEWEST_FACTOR
 from kinpole_ros.tracking.result_arrays import Results, new_results
 from kinpole_ros.tracking.thresholds import N_SIGMA
 
-# Why the compiled loop ends: see call.h and frames.h.
-_ENDS = codes_of('CALL_ENDS') | codes_of('LOOP_ENDS')
-DONE, TABLE_LACKING, UNUSUAL = _ENDS['DONE'], _ENDS['LACKING'], _ENDS['UNUSUAL']
+# Why the compiled loop ends: see codes.h.
+UNUSUAL = codes_of('CALL_ENDS')['UNUSUAL']
 
 # Arrays of new frames, but for `corrected`, which is one frame.
 _NEW_FRAMES = list(NewFrames.elements.items())[:-1]
@@ -89,8 +88,6 @@ class Step:
         for name in BodyTracks.elements:
             passed.bind(name, tracks[name])
         self._call = new_call(settings.window, 0)
-        # Keeps the tables alive while the library uses them.
-        self._tables = pass_tables(self._call)
         # Keeps the arrays of new frames alive.
         self._new_frames: list[np.ndarray | None] = []
 
@@ -155,12 +152,9 @@ class Step:
         columns.first, columns.end = history.first, history.end
         call.orders, call.instants = results.orders, 1
         result_fields = pass_new_array(results.fields)
-        while (
-            code := library.kinpole_follow(self._frames, call, result_fields)
-        ) <= TABLE_LACKING and code != DONE:
-            self._tables = go_on(call, code)
+        code = library.kinpole_follow(self._frames, call, result_fields)
+        finish_call(call, code)
         history.end = columns.end
-        assert code in (DONE, UNUSUAL), code
         return bool(code == UNUSUAL)
 
     def try_next(self, markers: np.ndarray) -> int:

@@ -19,21 +19,24 @@
 
 enum { SIZES(DECLARE_CODE) };
 
-/* What `kinpole_derive` returns. */
+/* What `kinpole_derive` and `kinpole_follow` return, errors below 0: no memory for another result;
+   no table made; no memory; windows beyond the frames; all is done; the next frame is unusual. */
 #define CALL_ENDS(CODE) \
+    CODE(NO_ROOM, -4)   \
+    CODE(NO_TABLE, -3)  \
     CODE(NO_MEMORY, -2) \
     CODE(NO_FRAMES, -1) \
     CODE(DONE, 0)       \
-    CODE(LACKING, 1)
+    CODE(UNUSUAL, 1)
 
 enum { CALL_ENDS(DECLARE_CODE) };
 
-/* Why the loop ends, besides the return values of `kinpole_derive`. */
-#define LOOP_ENDS(CODE) \
-    CODE(UNUSUAL, 2)    \
-    CODE(FULL, 3)
+/* Tables that are made for a kind of window, besides stencils, which have a number of orders. */
+#define TABLE_ORDERS(CODE) \
+    CODE(SLOPES, -1)       \
+    CODE(MODELS, 0)
 
-enum { LOOP_ENDS(DECLARE_CODE) };
+enum { TABLE_ORDERS(DECLARE_CODE) };
 
 /* What is unusual of a body in a frame, as bits: a marker does not fit its place, or the body
    turned by more than a quarter; a marker is so far off that its name is doubtful; a marker has no

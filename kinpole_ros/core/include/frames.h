@@ -3,14 +3,14 @@
  *
  * Shapes have B bodies with up to n markers, T instants, N new frames, and the rows of the history
  * that there is memory for. Arrays are row-major. Complex numbers are points or vectors of the
- * plane of the motion. The frame of a body is fixed to it.
+ * plane of the motion. The frame of a body is fixed to it. Information is an inverse variance,
+ * times the variance of a coordinate of a marker.
  */
 
 #ifndef KINPOLE_FRAMES_H
 #define KINPOLE_FRAMES_H
 
 #include "call.h"
-#include "structs.h"
 
 /* What does not change while the parameters stay: see rejection.py for the limits. */
 #define FRAME_LIMITS_FIELDS(VALUE, BLOCK, ARRAY)                                           \
@@ -38,8 +38,7 @@ typedef STRUCT(FRAME_LIMITS_FIELDS) FrameLimits;
     ARRAY(Flag, used, "(rows, B, n)", "whether the pose is fitted to the marker")                  \
     ARRAY(double, angle, "(rows, B)", "rad: angle of the body, in [-pi, pi]; NaN if unknown")      \
     ARRAY(double, turns, "(rows, B)", "whole turns beyond the angle")                              \
-    ARRAY(double, information, "(rows, 2, B)", "m^2, 1: variance of a marker over those of angle " \
-          "and position; 0 if not used")                                                           \
+    ARRAY(double, information, "(rows, 2, B)", "m^2, 1: of angle and position; 0 if not used")     \
     ARRAY(double, height, "(rows, B)", "m: mean height of the markers seen")                       \
     ARRAY(double, heights, "(rows, B, n)", "m: heights of the markers over the plane")             \
     ARRAY(double, tilt_turn, "(rows, B)", "rad: turn about the normal beyond that of the heading") \
@@ -144,8 +143,7 @@ typedef STRUCT(FRAMES_FIELDS) Frames;
     ARRAY(double, height, "(T, B)", "m: mean height of the markers seen")                        \
     ARRAY(double, pin_variance, "(T, B)", "m^2: variance of a coordinate of the pin")            \
     ARRAY(double, frame_angle, "(T, B)", "rad: angle fitted to the frame alone, with its turns") \
-    ARRAY(double, information, "(T, 2, B)", "m^2, 1: variance of a marker over those of angle "  \
-          "and position")                                                                        \
+    ARRAY(double, information, "(T, 2, B)", "m^2, 1: of angle and position")                     \
     ARRAY(double, noise, "(T, B)", "m: standard deviation of a coordinate of a marker")          \
     ARRAY(Number, pin, "(T, B)", "m: fixed point that the body turns about; NaN for none")       \
     ARRAY(Number, shape, "(T, B, n)", "m: markers in the body frame; NaN if not seen yet")       \
@@ -158,9 +156,9 @@ typedef STRUCT(RESULTS_FIELDS) Results;
 /* Fits poses to `markers` (B, n), m, as if they were the next frame. Writes the row after the last
    one in use, which stays out of use, and `unusual`. Returns the UNUSUAL_BITS of all bodies. */
 API int kinpole_try_frame(Frames *f, const Number *markers);
-/* Takes frames while they are usual, and computes the results that are due. Changes the history,
-   the tracks, `incoming`, `r` and what `kinpole_derive` changes of `call`. Returns DONE, or one of
-   CALL_ENDS and LOOP_ENDS if it has to be called again after Python has done its part. */
+/* Takes frames while they are usual, until the next update, and computes the results that are due.
+   Changes the history, the tracks, `incoming`, `r` and what `kinpole_derive` changes of `call`.
+   Returns DONE, UNUSUAL if Python has to take the next frame, or an error below 0. */
 API int kinpole_follow(Frames *f, Call *call, Results *r);
 
 #endif

@@ -10,7 +10,6 @@
 #include <stddef.h>
 
 #include "motion.h"
-#include "structs.h"
 
 /* Which point of a frame each slot takes, and the plane of the motion, that of plane.py: see
    placing.py. */

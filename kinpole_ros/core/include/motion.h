@@ -2,31 +2,28 @@
  * The motion of bodies, and the quantities that follow from it.
  *
  * Shapes have K derivatives, from order 0 on, of B bodies at T instants. A pose is a body at an
- * instant.
+ * instant. Covariances are between derivatives of order k and l.
  */
 
 #ifndef KINPOLE_QUANTITIES_H
 #define KINPOLE_QUANTITIES_H
 
 #include "codes.h"
-#include "structs.h"
 
 /* Elements of two orders are `stride` apart, which is T B or more: see quantities.py. */
-#define MOTION_FIELDS(VALUE, BLOCK, ARRAY)                                                        \
-    VALUE(long long, poses, "T B")                                                                \
-    VALUE(long long, stride, "elements from one order to the next")                               \
-    VALUE(long long, orders, "K")                                                                 \
-    ARRAY(const Number, position, "(K, T, B)", "m/s^k: derivatives of the position")              \
-    ARRAY(const double, angle, "(K, T, B)", "rad/s^k: derivatives of the angle")                  \
-    ARRAY(const double, position_covariance, "(K, K, T, B)", "m^2/s^(k + l): covariances of the " \
-          "orders")                                                                               \
-    ARRAY(const double, angle_covariance, "(K, K, T, B)", "rad^2/s^(k + l): covariances of the "  \
-          "orders")                                                                               \
-    ARRAY(const double, size, "(T, B)", "m: diameter of the body")                                \
-    ARRAY(const Number, pin, "(T, B)", "m: fixed point that the body turns about; NaN for none")  \
-    ARRAY(const double, pin_variance, "(T, B)", "m^2: variance of a coordinate of the pin")       \
-    ARRAY(const Number, reference, "(T, B)", "m: point of this position, in its frame")           \
-    ARRAY(const double, height, "(T, B)", "m: mean height of the markers seen")                   \
+#define MOTION_FIELDS(VALUE, BLOCK, ARRAY)                                                       \
+    VALUE(long long, poses, "T B")                                                               \
+    VALUE(long long, stride, "elements from one order to the next")                              \
+    VALUE(long long, orders, "K")                                                                \
+    ARRAY(const Number, position, "(K, T, B)", "m/s^k: derivatives of the position")             \
+    ARRAY(const double, angle, "(K, T, B)", "rad/s^k: derivatives of the angle")                 \
+    ARRAY(const double, position_covariance, "(K, K, T, B)", "m^2/s^(k + l): of one coordinate") \
+    ARRAY(const double, angle_covariance, "(K, K, T, B)", "rad^2/s^(k + l): of the angle")       \
+    ARRAY(const double, size, "(T, B)", "m: diameter of the body")                               \
+    ARRAY(const Number, pin, "(T, B)", "m: fixed point that the body turns about; NaN for none") \
+    ARRAY(const double, pin_variance, "(T, B)", "m^2: variance of a coordinate of the pin")      \
+    ARRAY(const Number, reference, "(T, B)", "m: point of this position, in its frame")          \
+    ARRAY(const double, height, "(T, B)", "m: mean height of the markers seen")                  \
     ARRAY(const long long, stamp, "(T)", "ns: the instant, a stamp")
 
 typedef STRUCT(MOTION_FIELDS) Motion;

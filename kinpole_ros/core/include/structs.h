@@ -13,10 +13,10 @@
  * array of numpy of this shape. The last argument is what the field is, after its unit, if it has
  * one. The codes of an enum are such a list too:
  *
- *   #define LOOP_ENDS(CODE) \
- *       CODE(UNUSUAL, 2)    \
- *       CODE(FULL, 3)
- *   enum { LOOP_ENDS(DECLARE_CODE) };
+ *   #define QUANTITY_FLAGS(CODE) \
+ *       CODE(DETERMINED, 1)      \
+ *       CODE(MOVES, 2)
+ *   enum { QUANTITY_FLAGS(DECLARE_CODE) };
  *
  * structs.c describes all lists, and bindings.py makes its classes of these descriptions, so no
  * field and no code is typed twice. docs/structs.md shows them.

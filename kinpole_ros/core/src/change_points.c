@@ -11,6 +11,10 @@
  * Polynomials are orthonormal on the samples, so steps need no columns: their products with
  * polynomials, with samples and with each other are sums over the samples after the place, which a
  * place takes over from the next later one (`sum_after`).
+ *
+ * Times and places are in intervals between samples, signals in deviations of their noise. Signal
+ * c = 0 is the angle, 1 and 2 are the coordinates of the position. Part 0 is the angle, part 1 the
+ * position, with the signals from `part` to 2 * `part`. Columns are the steps of a set.
  */
 
 #include <math.h>
@@ -81,17 +85,16 @@ static const Orders events[SETS] = {{1, {1}}, {2, {1, 2}}, {1, {2}}, {2, {2, 3}}
 /* What may look like an event and is none: poses that jump, and motion that sets in gradually. */
 static const Orders rivals[SETS] = {{1, {0}}, {1, {4}}, {2, {4, 5}}, {1, {5}}, {2, {5, 6}}};
 
-/* Polynomials on the samples of a window, and how well they explain these. Index c is the angle
-   or the position. */
+/* Polynomials on the samples of a window, and how well they explain these. */
 typedef struct {
-    long long count;
-    int highest, simplest;
-    const double *time, *values[3];
-    double *basis;                            /* (highest + 1, count) */
-    double along[MAX_DEGREE + 1][3];          /* of the samples in the polynomials */
-    double squares[2][STEP_DEGREE + 1];       /* what is left of the samples */
+    long long count;                          /* samples */
+    int highest, simplest;                    /* degree of polynomials without and with steps */
+    const double *time, *values[3];           /* (count), of the window */
+    double *basis;                            /* (highest + 1, count): the polynomials */
+    double along[MAX_DEGREE + 1][3];          /* coefficients of the signals */
+    double squares[2][STEP_DEGREE + 1];       /* sum of squares that is left, by part and degree */
     double value[2][STEP_DEGREE + 1];         /* log evidence, over that of all degrees together */
-    double number[2];
+    double number[2];                         /* half of the samples of a part, with the prior */
 } Fit;
 
 enum { SUMS = STEP_DEGREE + 1 + 3 };
@@ -109,9 +112,9 @@ typedef struct {
     double own[PAIR][PAIR], along[STEP_DEGREE + 1][PAIR], product[3][PAIR];
 } Added;
 
-/* Make the polynomials orthonormal on the samples by their recurrence. Its rounding grows from a
-   degree of about twice the root of the number of samples on; these are made orthogonal once
-   more. */
+/* Make the polynomials orthonormal on the samples by their recurrence, in `basis`. Its rounding
+   grows from a degree of about twice the root of the number of samples on; these are made
+   orthogonal once more. */
 static void
 find_basis(Fit *f)
 {
@@ -135,6 +138,7 @@ find_basis(Fit *f)
     }
 }
 
+/* Return the logarithm of the sum of exp(values), of so many. */
 static double
 log_of_sum(const double *values, int count)
 {
@@ -146,7 +150,8 @@ log_of_sum(const double *values, int count)
     return most + log(sum);
 }
 
-/* Fit the signals of a window. Curves without noise get `white` noise. */
+/* Fit the signals of a window by its polynomials: coefficients, squares left, and log evidence of
+   each degree. `white` is 1 for curves without noise, whose squares get those of unit noise. */
 static void
 fit_signals(Fit *f, int white)
 {
@@ -176,8 +181,9 @@ fit_signals(Fit *f, int white)
     }
 }
 
-/* Fit the window with so many samples after its middle, of all `count`; returns 0 if there are
-   too few. The basis, of MAX_DEGREE + 1 times as many numbers as samples, is at `memory`. */
+/* Fit the window that goes on until `after` intervals after time 0, of samples `time` (count) and
+   `values` (3, count). Writes `f`, and its basis to `memory` (MAX_DEGREE + 1, count). Returns 0 if
+   there are too few samples. */
 static int
 fit_window(const double *time, const double *values, long long count, long long after,
            double *memory, Fit *f)
@@ -204,8 +210,9 @@ fit_window(const double *time, const double *values, long long count, long long 
     return 1;
 }
 
-/* Find the sums after places, which rise, with the orders up to `highest`. Sums move to a place
-   by h earlier with (t - p + h)^k / k! = sum of (t - p)^(k - j) / (k - j)! h^j / j!. */
+/* Find the sums `out` (number) after `places` (number), which rise, with the orders up to
+   `highest`. Sums move to a place by h earlier with (t - p + h)^k / k! = sum of (t - p)^(k - j) /
+   (k - j)! h^j / j!. */
 static void
 sum_after(const Fit *f, const double *places, int number, int highest, After *out)
 {
@@ -238,7 +245,7 @@ sum_after(const Fit *f, const double *places, int number, int highest, After *ou
     }
 }
 
-/* Return the columns of the steps of a set at a place. */
+/* Return the products of the steps of a set, at the place after which the sums are. */
 static Added
 steps_of(const Orders *set, const After *after)
 {
@@ -261,12 +268,14 @@ steps_of(const Orders *set, const After *after)
     return steps;
 }
 
-/* What polynomials leave of columns, each without those before it (Cholesky); sizes that are
-   rounding are 0. */
+/* What polynomials leave of columns, each without those before it (Cholesky): one over its length,
+   0 if it is rounding; the part of the second along the first; and the signals along each. */
 typedef struct {
     double inverse[PAIR], shared, value[PAIR][3];
 } Reduced;
 
+/* Return what polynomials leave of the columns `added`, from the products `left` without these, for
+   the signals from `first` to `last`. */
 static Reduced
 reduce(const Added *added, const Added *left, int first, int last)
 {
@@ -284,7 +293,7 @@ reduce(const Added *added, const Added *left, int first, int last)
     return out;
 }
 
-/* Subtract from columns what they have along the polynomial of a degree. */
+/* Subtract from the products of columns what they have along the polynomial of a degree. */
 static void
 subtract_degree(const Fit *f, int degree, Added *left)
 {
@@ -298,8 +307,8 @@ subtract_degree(const Fit *f, int degree, Added *left)
 }
 
 /* Return the log evidence that columns add to the angle and to the position, each of which may
-   be without; and by part how much of it, and the likeliest degree. Degrees that cannot matter
-   are skipped. */
+   be without. Writes how much of it each part has, `gain` (2), and its likeliest `degree` (2).
+   Degrees that cannot matter are skipped. */
 static double
 gain_of(const Fit *f, const Added *added, double *gain, int *degree)
 {
@@ -340,7 +349,8 @@ gain_of(const Fit *f, const Added *added, double *gain, int *degree)
     return gain[0] + gain[1];
 }
 
-/* Find the gain, place and deviation of a set of steps, by moments of the evidence. */
+/* Find the place of a set of steps near `place`, within some `step`, and its standard deviation
+   `sigma`, by moments of the evidence at places tried. Writes both, returns the log evidence. */
 static double
 refine(const Fit *f, const Orders *set, double step, double *place, double *sigma)
 {
@@ -374,8 +384,8 @@ refine(const Fit *f, const Orders *set, double step, double *place, double *sigm
     return most;
 }
 
-/* Estimate the sizes of steps, with polynomials of these degrees (2), and the deviations of the
-   first. */
+/* Estimate the sizes of steps, by order and signal, with polynomials of the degrees `degree` (2),
+   and the standard deviations `sigma` (3) of the first. */
 static void
 estimate_sizes(const Fit *f, const Added *added, const int *degree, double size[PAIR][3],
                double *sigma)
@@ -387,14 +397,13 @@ estimate_sizes(const Fit *f, const Added *added, const int *degree, double size[
         Reduced reduced = reduce(added, &left, part, 2 * part);
         for (int c = part; c <= 2 * part; c++) {
             size[1][c] = reduced.value[1][c] * reduced.inverse[1];
-            size[0][c] =
-                (reduced.value[0][c] - reduced.shared * size[1][c]) * reduced.inverse[0];
+            size[0][c] = (reduced.value[0][c] - reduced.shared * size[1][c]) * reduced.inverse[0];
             sigma[c] = reduced.inverse[0] * hypot(1.0, reduced.shared * reduced.inverse[1]);
         }
     }
 }
 
-/* Places of a window that are tried. */
+/* Places of a window that are tried, `step` apart, and the sums after them. */
 typedef struct {
     int number;
     double step, place[2 * MAX_PLACES];
@@ -402,7 +411,7 @@ typedef struct {
 } Places;
 
 /* List places at whole intervals from `first` to `last`, but the edges of the window, and sum
-   after them. */
+   after them with the orders up to `highest`. */
 static void
 list_places(const Fit *f, double first, double last, int highest, Places *p)
 {
@@ -414,7 +423,8 @@ list_places(const Fit *f, double first, double last, int highest, Places *p)
     sum_after(f, p->place, p->number, highest, p->after);
 }
 
-/* Return the gain of the best of SETS sets of steps, and at which place. */
+/* Return the log evidence of the best of SETS sets of steps at the places, and the number of its
+   place in `at`. */
 static double
 best_place(const Fit *f, const Orders *sets, const Places *p, int *at)
 {
@@ -440,8 +450,9 @@ typedef struct {
     int degree[2];
 } Hypothesis;
 
-/* Find the best set of steps near a place, of which the lowest order stands out, and describe it
-   in `found`. */
+/* Find the best set of steps of an event near the place `near`, within some `step`, of which the
+   lowest order stands out. Writes `best`, and describes it in `found`; its gain is -infinity if
+   there is none. */
 static void
 find_order(const Fit *f, double near, double step, Hypothesis *best, ChangePoint *found)
 {
@@ -469,8 +480,9 @@ find_order(const Fit *f, double near, double step, Hypothesis *best, ChangePoint
     }
 }
 
-/* Whether a shorter window shows what the curve with the steps lets expect of it. `curve` has
-   room for the samples of the shorter window, three times. */
+/* Whether a shorter window shows the evidence for an event that the curve of the longer one `f`,
+   polynomial and steps, has there with unit noise. `curve` is memory for (3, count) of the shorter
+   one. */
 static int
 is_confirmed(const Fit *f, const Fit *shorter, const Hypothesis *event, double place, double *curve)
 {
@@ -512,8 +524,9 @@ is_confirmed(const Fit *f, const Fit *shorter, const Hypothesis *event, double p
     return found >= CONFIRMED * expected - CONFIRMED_LESS;
 }
 
-/* Find an event in one window, of which `shorter` (0 or more) are parts; returns whether there
-   is one. */
+/* Find an event in the window `f`, at most `radius` from `offset`; `shorter` windows are parts of
+   it, the first of them f + 1. `p` and `scratch` (3, count) are memory. Writes `found`; returns
+   whether there is one. */
 static int
 search_window(const Fit *f, int shorter, double offset, double radius, Places *p, double *scratch,
               ChangePoint *found)

@@ -17,19 +17,13 @@
 #include <stddef.h>
 #include <string.h>
 
-#include "../include/call.h"
 #include "window.h"
 #include "estimator.h"
 #include "events.h"
 #include "evidence.h"
 #include "hub.h"
-#include "lanes.h"
-#include "mean.h"
-#include "segments.h"
 #include "memory.h"
-#include "models.h"
 #include "numbers.h"
-#include "samples.h"
 
 /* The noise prior, in samples: a window has less information on its noise than the measurement. */
 #define NOISE_PRIOR_SAMPLES 300.0
@@ -63,17 +57,19 @@ typedef struct {
     double radians; /* the unit of the angle */
 } Window;
 
-/* Return the table of a window of `count` samples: its models, slopes, or stencils of so many
-   `orders` at the instant `at`, see TABLE_FIELDS. NULL if it has to be made, as `lacking` says
-   then. */
-static const Table *
-find_table(Call *call, const Window *window, long long count, long long orders, double at)
+/* Find or make the table of a window of `count` samples: MODELS, SLOPES, or stencils of so many
+   `orders` at the instant `at`. Writes `table`. Returns DONE or NO_TABLE. */
+static int
+find_table(Call *call, const Window *window, long long count, long long orders, double at,
+           Table *table)
 {
-    call->lacking = (Table){count, window->block, window->exact, orders, at, NULL, NULL};
+    *table = (Table){count, window->block, window->exact, orders, at, NULL, NULL};
     for (const Table *t = call->tables; t < call->tables + call->table_count; t++)
-        if (!memcmp(t, &call->lacking, offsetof(Table, integers)))
-            return t;
-    return NULL;
+        if (!memcmp(t, table, offsetof(Table, integers))) {
+            *table = *t;
+            return DONE;
+        }
+    return call->make_table(table);
 }
 
 /* Let `m` point to the arrays of a table of `models_of`, in their order there. */
@@ -175,19 +171,18 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
     Set sets[MAX_SETS];
     Division d = {.count = 0};
     int number = 1, code = DONE;
-    const Table *table = find_table(call, window, s->count, 0, 0.0);
-    const Table *stencils =
-        table ? find_table(call, window, s->count, window->orders, window->at) : NULL;
-    if (!stencils)
-        return LACKING;
-    unpack_models(table, &m);
+    Table models, stencils;
+    if (find_table(call, window, s->count, MODELS, 0.0, &models) ||
+        find_table(call, window, s->count, window->orders, window->at, &stencils))
+        return NO_TABLE;
+    unpack_models(&models, &m);
     if (prepare_window(call, &m, window->orders, s, &w, sets))
         return NO_MEMORY;
     project_samples(&m, s, &w);
     evaluate_models(&m, s, &w, sets);
     long long modes = window->orders * m.rows;
-    Stencils by = {window->orders, window->at + (s->count - 1) / 2.0, stencils->numbers,
-                   (const Lanes *)(stencils->numbers + modes)};
+    Stencils by = {window->orders, window->at + (s->count - 1) / 2.0, stencils.numbers,
+                   (const Lanes *)(stencils.numbers + modes)};
     int is_searched = !window->exact &&
         (sets[0].best_evidence[0] < -SEARCH_BELOW * call->flat ||
          sets[0].best_evidence[1] < -SEARCH_BELOW * call->flat * 2);
@@ -214,11 +209,11 @@ move_until_settled(Call *call, const Window *window, Samples *s, double *scratch
     Models m;
     Work w;
     Set set;
-    const Table *table = find_table(call, window, s->count, 0, 0.0);
-    const Table *slopes = table ? find_table(call, window, s->count, -1, 0.0) : NULL;
-    if (!slopes)
-        return LACKING;
-    unpack_models(table, &m);
+    Table models, slopes;
+    if (find_table(call, window, s->count, MODELS, 0.0, &models) ||
+        find_table(call, window, s->count, SLOPES, 0.0, &slopes))
+        return NO_TABLE;
+    unpack_models(&models, &m);
     if (prepare_window(call, &m, 1, s, &w, &set))
         return NO_MEMORY;
     Samples placed = *s;
@@ -230,9 +225,8 @@ move_until_settled(Call *call, const Window *window, Samples *s, double *scratch
     for (int round = 0; round < rounds + 3 && !(settled[0] && settled[1]); round++) {
         /* The first round is enough for samples that are hardly off. The last two have the prior of
            the noise again, so that the motion is the one that is differentiated. */
-        w.prior_samples =
-            round == 0 || round > rounds ? NOISE_PRIOR_SAMPLES : MOVING_PRIOR_SAMPLES;
-        move_to_grid(&m, (const Lanes *)slopes->numbers, s, &placed, &w, &set, moved);
+        w.prior_samples = round == 0 || round > rounds ? NOISE_PRIOR_SAMPLES : MOVING_PRIOR_SAMPLES;
+        move_to_grid(&m, (const Lanes *)slopes.numbers, s, &placed, &w, &set, moved);
         /* Both coordinates settle together, so that the axes of the plane do not matter. */
         double square[2] = {0.0};
         for (int c = 0; c < 3; c++)
@@ -406,17 +400,17 @@ DERIVE_SIGNALS(Call *call)
 {
     Grid grid = {0};
     long long grid_instant = -1;
-    for (; call->next < call->instants * call->bodies; call->next++) {
-        long long instant = call->next / call->bodies, body = call->next % call->bodies;
+    for (long long signal = 0; signal < call->instants * call->bodies; signal++) {
+        long long instant = signal / call->bodies, body = signal % call->bodies;
         const long long *windows = call->windows + instant;
         long long oldest = windows[call->instants], newest = windows[2 * call->instants];
         long long frames = newest - oldest + 1;
         int code = DONE;
         if (windows[0] < 0 || oldest < 0 || windows[0] >= call->frames || newest >= call->frames ||
-            call->left_out[call->next] < 0)
+            call->left_out[signal] < 0)
             return NO_FRAMES;
         if (frames < 2) {
-            write_results(call, call->next, windows[0] * call->bodies + body, NULL, NULL, NAN);
+            write_results(call, signal, windows[0] * call->bodies + body, NULL, NULL, NAN);
             continue;
         }
         if (grid_instant != instant)

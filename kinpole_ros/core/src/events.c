@@ -3,13 +3,9 @@
 #include <string.h>
 
 #include "events.h"
-#include "../include/call.h"
 #include "evidence.h"
-#include "lanes.h"
 #include "memory.h"
-#include "models.h"
 #include "numbers.h"
-#include "samples.h"
 #include "screens.h"
 
 /* Prior probability that a window has an event: events are rare. */
@@ -30,8 +26,9 @@
    derivatives by less than their standard deviation. */
 #define NEAR_SAMPLES 12
 
-/* Compute what a screen leaves of the columns of a new event: their products with each other, of
-   which `squares` are those without the screen, and with the residual of the signal. */
+/* Compute what a screen leaves of the columns of a new event, the steps of a set: their `products`
+   (steps, steps) with each other, below the diagonal; their `squares` (steps) without the screen;
+   and their products `with_residual` (c + 1, steps) with the residual of the signals. */
 static void
 find_event_products(const Models *m, const Screen *screen, Set *set,
                     double products[][EVENT_COLUMNS], double *squares,
@@ -51,8 +48,7 @@ find_event_products(const Models *m, const Screen *screen, Set *set,
             with_residual[j][k] = dot(columns + k * n, screen->residual + j * n, n);
     }
     for (int parity = 0; parity < 2; parity++) {
-        const long long *first =
-            m->first_row + parity * (m->processes + 1) + group / m->chunks;
+        const long long *first = m->first_row + parity * (m->processes + 1) + group / m->chunks;
         for (long long r = first[0]; r < first[1]; r++)
             for (int k = 0; k < number; k++)
                 for (int l = 0; l <= k; l++)
@@ -69,9 +65,9 @@ find_event_products(const Models *m, const Screen *screen, Set *set,
     }
 }
 
-/* Set the prior standard deviations of the columns of an event to the sizes that a screen
-   estimates, each after the columns before it are removed. That of the shift in time is the size of
-   the step times the standard deviation of its place. */
+/* Set the prior standard deviations of the columns of an event, `root` of the set, with `weight` 1,
+   to the sizes that a screen estimates, each after the columns before it are removed. That of the
+   shift in time is the size of the step times the standard deviation of its place. */
 static void
 estimate_sizes(const Models *m, const Screen *screen, Set *set, int order)
 {
@@ -101,8 +97,9 @@ estimate_sizes(const Models *m, const Screen *screen, Set *set, int order)
     }
 }
 
-/* Make a set with the columns of an event besides those of `none`. It is laid out at `data`;
-   returns the end of its memory. */
+/* Make a set with the columns of an event besides those of `none`: its step, a step of the
+   derivative below, for its shift in time, and of the one above. It is laid out at `data`; returns
+   the end of its memory. */
 static char *
 add_event(const Models *m, const Set *none, const Screens *screens, const Candidate *event,
           long long orders, long long block, char *data, Set *set)
@@ -159,7 +156,8 @@ find_sample_weights(const Models *m, const Stencils *by, const Set *set, Lanes *
 
 /* Add to a set the covariance of derivatives from the place of its event: the weighted mean, over
    the places k, of d d'. Here d is the difference of the derivatives with the event at k from
-   those with it at the best place. Weights are powers of the evidence. */
+   those with it at the best place. Weights are powers of the evidence. `lanes` (half) and `scratch`
+   are memory. */
 static void
 add_place_covariance(const Models *m, const Stencils *by, const Set *none, Screens *screens,
                      Lanes *lanes, double *scratch, Set *set)

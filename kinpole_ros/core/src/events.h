@@ -22,16 +22,11 @@
 #ifndef KINPOLE_EVENTS_H
 #define KINPOLE_EVENTS_H
 
-#include "../include/call.h"
-#include "models.h"
-#include "private.h"
-#include "samples.h"
 #include "segments.h"
 
 /* Search a window for events, and evaluate the models with each. The first of `sets` has no event,
    and is evaluated already. `number` is the number of sets. */
 PRIVATE int search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
-                          const Work *w, long long block, Set *sets, int *number,
-                          Division *d);
+                          const Work *w, long long block, Set *sets, int *number, Division *d);
 
 #endif

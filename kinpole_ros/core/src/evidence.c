@@ -2,10 +2,7 @@
 #include <string.h>
 
 #include "evidence.h"
-#include "lanes.h"
-#include "models.h"
 #include "numbers.h"
-#include "samples.h"
 
 /* Models with a smaller weight in the covariance, or a smaller probability, are skipped: the result
    changes by less than this. */
@@ -19,7 +16,8 @@
 /* Bound of the number of spectra, of which _models.py has three. */
 #define MAX_SPECTRA 8
 
-/* Solve L y = root values in place, with L D L' of `factorize`; `over_pivots` is y / D. */
+/* Solve L y = root values in place, for `number` of each, with L D L' of `factorize`. Writes y / D
+   to `over_pivots` (number). */
 static inline void
 forward_substitute(const Lanes *factor, const double *root, long long number, Lanes *values,
                    Lanes *over_pivots)
@@ -167,8 +165,9 @@ project_samples(const Models *m, const Samples *s, Work *w)
     }
 }
 
-/* Compute the variance of the noise and the log evidence of a group's models, from their residual
-   sums of squares (2) and half log determinants of columns (2). Returns the best evidence. */
+/* Compute the variance of the noise and the log evidence of a group's models, of angle (c = 0) or
+   position (c = 1), from their residual sums of squares (2) and half log determinants of columns
+   (2). Writes both to the set; returns the best evidence. */
 static inline double
 evaluate_group(const Models *m, const Work *w, long long group, int c, const Lanes *residual,
                const Lanes *logs, Set *set)
@@ -262,8 +261,7 @@ find_covariance_weights(const Models *m, int c, Set *sets, int number)
     for (int n = 0; n < number; n++) {
         const double *evidence = (const double *)(sets[n].evidence + c * m->groups);
         for (long long i = 0; i < models; i++)
-            top[m->spectrum[i]] =
-                larger(top[m->spectrum[i]], evidence[i] - sets[n].log_prior / 2);
+            top[m->spectrum[i]] = larger(top[m->spectrum[i]], evidence[i] - sets[n].log_prior / 2);
     }
     for (long long k = 0; k <= common; k++)
         highest = larger(highest, top[k]);

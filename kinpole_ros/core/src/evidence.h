@@ -25,10 +25,7 @@
 #ifndef KINPOLE_EVIDENCE_H
 #define KINPOLE_EVIDENCE_H
 
-#include "lanes.h"
 #include "models.h"
-#include "private.h"
-#include "samples.h"
 
 /* Correct the derivatives (3, orders) of a group and their covariances for the columns. The effect
    of a column of size 1 on the derivatives, by which its estimated size is subtracted, is what the

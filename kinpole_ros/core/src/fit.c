@@ -54,8 +54,7 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
         }
     double length = cabs(cross);
     int fits = !kinpole_is_held(f, b, points) && length > TINY &&
-        sqrt(reach) > ROUNDING * cabs(middle) &&
-        sqrt(shape_reach) > ROUNDING * cabs(mean);
+        sqrt(reach) > ROUNDING * cabs(middle) && sqrt(shape_reach) > ROUNDING * cabs(mean);
     Number turn = fits ? cross / length : NAN;
     double angle = fits ? atan2(cimag(turn), creal(turn)) : NAN;
     for (long long k = 0; k < n; k++) {

@@ -291,7 +291,6 @@ derive_headings(Call *call, Poses *poses)
     if (kinpole_lay_out_derivatives(call, OF_HEADINGS, call->bodies, &call->derivatives))
         return NO_MEMORY;
     call->angle = poses->heading;
-    call->next = 0;
     int code = kinpole_derive(call);
     const double *heading = call->derivatives.angle;
     for (long long b = 0; b < call->bodies && !code; b++) {
@@ -337,7 +336,6 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
     call->angle_information = poses->turn_information;
     call->position_information = poses->place_information;
     call->noise = known->fit_noise;
-    call->next = 0;
     if (kinpole_lay_out_derivatives(call, OF_DERIVATIVES, bodies, &call->derivatives))
         return NO_MEMORY;
     int code = kinpole_derive(call);
@@ -384,7 +382,7 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
 
 /* Computes the results that are due with the newest frame, and moves `next_result` behind them. A
    frame is due once it is as old as the lag. Also writes `samples` and `interval` of the window.
-   Returns DONE, FULL without memory for another result, or what `kinpole_derive` returns. */
+   Returns DONE, or an error below 0. */
 static int
 compute_due(Frames *f, Call *call, Results *r)
 {
@@ -400,7 +398,6 @@ compute_due(Frames *f, Call *call, Results *r)
     long long latest =
         history->time[newest] - (long long)rint(f->limits.lag_ns - EARLY * history->interval);
     long long end = number_before(f, latest + 1);
-    int code = DONE;
     if (history->next_result < end && r->instants && newest - oldest >= r->fewest - 1) {
         if (history->first + history->next_result < oldest)
             history->next_result = oldest - history->first;
@@ -413,18 +410,13 @@ compute_due(Frames *f, Call *call, Results *r)
         TAKE(poses.position, all), TAKE(poses.hub, known->bodies), TAKE(poses.angle, all);
         TAKE(poses.heading, all), TAKE(poses.turn_information, all);
         TAKE(poses.place_information, all);
-        while (!code && history->next_result < end) {
-            if (r->filled == r->instants) {
-                code = FULL;
-                break;
-            }
+        for (; history->next_result < end; history->next_result++) {
             long long now = history->first + history->next_result;
-            code = compute_result(f, call, r, &poses, oldest, now);
-            if (code == DONE)
-                history->next_result++;
+            int code = r->filled == r->instants
+                ? NO_ROOM : compute_result(f, call, r, &poses, oldest, now);
+            if (code)
+                return code;
         }
-        if (code)
-            return code;
     }
     history->next_result = end > history->next_result ? end : history->next_result;
     return DONE;

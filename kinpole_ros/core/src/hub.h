@@ -15,12 +15,7 @@
 #ifndef KINPOLE_HUB_H
 #define KINPOLE_HUB_H
 
-#include "../include/call.h"
-#include "../include/structs.h"
 #include "mean.h"
-#include "models.h"
-#include "private.h"
-#include "samples.h"
 
 /* A hub at `arm` from the position while the angle is 0: the degree of its path, the variance of
    its noise over that of the position (0 without a hub), the squares of what a path leaves of

@@ -2,9 +2,6 @@
 
 #include "mean.h"
 #include "evidence.h"
-#include "lanes.h"
-#include "models.h"
-#include "samples.h"
 
 /* Sums over models: derivatives (3, orders), covariances (2, orders, orders), and parameters. */
 typedef struct {
@@ -29,7 +26,8 @@ weigh_variances(const Models *m, const Set *set, long long group, Lanes *varianc
     return any != 0.0;
 }
 
-/* Add the derivatives of a group with all sets to the sums, weighted, and their covariances. */
+/* Add the derivatives of a group's models with all sets to the sums, weighted, and their
+   covariances. Writes `derivatives` and `is_used` of the sets. */
 static inline void
 add_group(const Models *m, const Stencils *s, long long group, const Work *w, Set *sets, int number,
           Sums *sums)
@@ -66,8 +64,9 @@ add_group(const Models *m, const Stencils *s, long long group, const Work *w, Se
     }
 }
 
-/* Add the weighted variance between the models, about the mean, to the covariances. That of the
-   position is the mean of both coordinates. */
+/* Add the weighted variance between the models of a set, about the mean, to the covariances
+   `spread` (2, orders, orders). That of the position is the mean of both coordinates. The
+   derivatives of the set become deviations. */
 static inline void
 add_disagreement(const Models *m, long long orders, const Set *set, const Estimate *estimate,
                  Lanes *spread)

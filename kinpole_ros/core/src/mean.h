@@ -5,10 +5,7 @@
 #ifndef KINPOLE_MEAN_H
 #define KINPOLE_MEAN_H
 
-#include "lanes.h"
 #include "models.h"
-#include "private.h"
-#include "samples.h"
 
 
 /* The result at an instant: derivatives, their covariances, of the angle and of one coordinate, the

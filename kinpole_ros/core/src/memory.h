@@ -9,18 +9,10 @@
 
 #include "../include/call.h"
 
+/* What memory is for. */
 enum {
-    OF_POSES,
-    OF_DERIVATIVES,
-    OF_HEADINGS,
-    OF_GRID,
-    OF_CELLS,
-    OF_WINDOW,
-    OF_MODELS,
-    OF_SETS,
-    OF_SEGMENTS,
-    OF_HUB,
-    BUFFERS
+    OF_POSES, OF_DERIVATIVES, OF_HEADINGS, OF_GRID, OF_CELLS,
+    OF_WINDOW, OF_MODELS, OF_SETS, OF_SEGMENTS, OF_HUB, BUFFERS,
 };
 
 /* Let an array begin at `data`, and move `data` behind it. */

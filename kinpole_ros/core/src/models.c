@@ -2,10 +2,8 @@
 #include <string.h>
 
 #include "models.h"
-#include "lanes.h"
 #include "memory.h"
 #include "numbers.h"
-#include "samples.h"
 
 PRIVATE_INLINE void
 add_table_products(const Lanes *table, long long depth, const double *values, long long stride,

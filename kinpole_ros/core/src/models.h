@@ -9,9 +9,7 @@
 
 #include <stddef.h>
 
-#include "../include/codes.h"
 #include "lanes.h"
-#include "private.h"
 #include "samples.h"
 
 /* Derivatives from order 0 on. */
@@ -131,10 +129,12 @@ step_value(int order, double since)
     return power;
 }
 
+/* Return the bytes of a set with so many columns, of which `steps` are steps; `parts` is 2 if
+   weights of angle and position differ, else 1. */
 PRIVATE size_t size_of_set(const Models *m, long long orders, long long columns, long long steps,
                            int parts);
 
-/* Lay out the arrays of a set, and return the end of their memory. */
+/* Lay out the arrays of such a set at `data`, and return the end of their memory. */
 PRIVATE char * lay_out_set(const Models *m, long long orders, long long columns, long long steps,
                            int parts, char *data, Set *set);
 

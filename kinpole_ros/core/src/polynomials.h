@@ -9,7 +9,6 @@
 #define KINPOLE_POLYNOMIALS_H
 
 #include "models.h"
-#include "private.h"
 
 /* The covariance is that of a polynomial so many degrees higher, because the samples do not show
    what is below their noise. */

@@ -114,10 +114,11 @@ static int
 wrong_before_last(const Path *path, const double *most, const double *least, double *turns)
 {
     int last = path->count - 1;
+    Path trial = *path;
+    *turns = 0.0;
     for (int length = LONGEST; length > 0; length--) {
         if (length + NODES > path->count)
             continue;
-        Path trial = *path;
         int gap = last - 1 - length, every = 1, all[2] = {1, 1};
         int node[NODES] = {gap - 2, gap - 1, last - 1, last};
         double nodes[NODES], weights[NODES], smallest[2] = {INFINITY, INFINITY};
@@ -125,9 +126,11 @@ wrong_before_last(const Path *path, const double *most, const double *least, dou
             nodes[k] = path->time[node[k]];
         Number step = (path->value[0][node[1]] - path->value[0][node[0]]) / (nodes[1] - nodes[0]);
         Number there = path->value[0][node[1]] + step * (nodes[2] - nodes[1]);
-        *turns = rint(creal(path->value[0][last - 1] - there) / TURN);
-        trial.value[0][last - 1] -= *turns * TURN;
-        trial.value[0][last] -= *turns * TURN;
+        /* Those beyond the turns of the longer gap that was tried before. */
+        double more = rint(creal(trial.value[0][last - 1] - there) / TURN);
+        trial.value[0][last - 1] -= (more - *turns) * TURN;
+        trial.value[0][last] -= (more - *turns) * TURN;
+        *turns = more;
         for (int k = gap; k < gap + length; k++) {
             double distance[2], gain = lagrange(nodes, NODES, path->time[k], weights);
             int any = 0;
@@ -250,8 +253,7 @@ kinpole_holds_on_pin(const Frames *f, long long oldest, long long b)
         long long at = row * known->bodies + b;
         const double *factor = known->information_factor + b;
         double turned = known->error[b] / (information[0] * factor[0]);
-        double placed =
-            known->error[b] / (information[known->bodies] * factor[known->bodies]);
+        double placed = known->error[b] / (information[known->bodies] * factor[known->bodies]);
         Number turn = cos(history->angle[at]) + I * sin(history->angle[at]);
         double square = square_of(history->position[at] + turn * known->pin_arm[b] - known->pin[b]);
         double variance = placed + square_of(known->pin_arm[b]) * turned;

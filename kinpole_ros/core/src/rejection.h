@@ -8,7 +8,6 @@
 #ifndef KINPOLE_REJECTION_H
 #define KINPOLE_REJECTION_H
 
-#include "../include/codes.h"
 #include "../include/frames.h"
 
 /* The UNUSUAL_BITS of marker `k` of body `b`, whose residual has this square, m^2. */

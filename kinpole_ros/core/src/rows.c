@@ -8,7 +8,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "../include/codes.h"
 #include "../include/messages.h"
 #include "numbers.h"
 #include "poles.h"

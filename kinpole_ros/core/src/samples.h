@@ -15,13 +15,14 @@ typedef struct {
     double *x[3], *weight[2], *off;
 } Samples;
 
-/* Lay out samples of zeros; returns 0 if there is no memory. */
+/* Lay out `count` samples of zeros in memory for this purpose, of memory.h; returns 0 if there is
+   none. */
 PRIVATE int lay_out_samples(Call *call, int which, long long count, Samples *s);
 
-/* Divide the samples of angle and position by a number each, as their noise. */
+/* Divide the samples of angle and position by the numbers `by` (2), as their noise. */
 PRIVATE void divide_samples(const Samples *s, const double *by);
 
-/* Return the largest size of a sample of the angle, or of a coordinate. */
+/* Return the largest size of a sample of the angle (c = 0), or of a coordinate (c = 1). */
 PRIVATE double largest_sample(const Samples *s, int c);
 
 /* Return the mean of the numbers that are at least SIMILAR_INFORMATION times the largest. */
@@ -34,7 +35,7 @@ PRIVATE void normalize_weights(double *weight, long long count, double usual);
    older is the first. */
 PRIVATE void fill_missing(const Samples *s);
 
-/* Move samples to the even grid by parabolas through their neighbors. */
+/* Move samples to the even grid by parabolas through their neighbors, into `moved` (3, count). */
 PRIVATE void move_by_neighbors(const Samples *s, double *const moved[3]);
 
 #endif

@@ -2,13 +2,10 @@
 #include <string.h>
 
 #include "screens.h"
-#include "lanes.h"
 #include "memory.h"
-#include "models.h"
 #include "numbers.h"
-#include "samples.h"
 
-/* Return the number of the most probable model of a set. */
+/* Return the number of the most probable model of a set, of angle or position. */
 static long long
 most_probable_model(const Models *m, const Set *set, int c)
 {
@@ -45,8 +42,9 @@ subtract_model(const Models *m, long long model, const double *coefficients, con
     }
 }
 
-/* Add a column b (count) with these coefficients to a screen, if the screen leaves any of it: P is
-   reduced by the matrix inversion lemma. */
+/* Add a column b (count) with these coefficients in the modes to a screen, if the screen leaves any
+   of it: P is reduced by the matrix inversion lemma, and so is the residual. `weight` and `root`
+   are those of the column in its set, and `sums` is memory (half). */
 static void
 add_column(const Models *m, const Samples *s, const double *column, const double *coefficients,
            double weight, double root, Lanes *sums, Screen *screen)
@@ -84,7 +82,8 @@ sum_products_with_steps(const double *signal, long long count, double *sums)
     }
 }
 
-/* Add the columns of a set to a screen, and screen steps at all places. */
+/* Add the columns of a set to a screen, and write its products and squares of steps at all places.
+   `scratch` is memory (count). */
 static void
 screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, double *scratch,
              Screen *screen)
@@ -116,7 +115,7 @@ screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, d
             screen->step_squares[k] = INFINITY;
 }
 
-/* Begin a screen with a model, without columns. */
+/* Begin a screen with a model, without columns: its residual and squares of steps. */
 static void
 begin_screen(const Models *m, const Samples *s, const Work *w, long long model, Screen *screen)
 {
@@ -136,7 +135,8 @@ explained_squares(const Screen *screen, long long k, double *ratio)
     return (screen->c + 1) * *ratio * *ratio / (1 + *ratio);
 }
 
-/* Return the log evidence that such a step adds. */
+/* Return the log evidence that the step `k` adds to the signal of a screen: order times count, and
+   its place. */
 static double
 evidence_gain(const Screen *screen, const Work *w, long long k)
 {
@@ -147,7 +147,8 @@ evidence_gain(const Screen *screen, const Work *w, long long k)
     return larger(number / 2 * log(before / after) - (screen->c + 1) * log(1 + ratio) / 2, 0.0);
 }
 
-/* Find the gains of steps at all places, and return the best. */
+/* Find the gains of steps at all places, in `gain` of the screens, and return the best with its log
+   evidence. */
 static Candidate
 find_candidate(const Models *m, const Work *w, Screens *screens)
 {

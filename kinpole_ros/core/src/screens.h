@@ -5,10 +5,7 @@
 #ifndef KINPOLE_SCREENS_H
 #define KINPOLE_SCREENS_H
 
-#include "lanes.h"
 #include "models.h"
-#include "private.h"
-#include "samples.h"
 
 /* Samples between an event and the ends of the window, so that both sides are seen. */
 #define EDGE_SAMPLES 3

@@ -28,6 +28,7 @@ typedef struct {
     double *row[DEGREE + 1], *cosine[DEGREE + 1], *sine[DEGREE + 1];
 } Fits;
 
+/* Rotate two numbers by an angle with this cosine and sine (Givens). */
 static inline void
 rotate(double cosine, double sine, double *own, double *other)
 {
@@ -56,7 +57,8 @@ extend_factors(const Division *d, long long distinct, long long last, Fits *f)
         }
 }
 
-/* Rotate it into the coefficients of a signal. */
+/* Rotate the sample into the coefficients of signal `c` of so many `segments`: the one of segment i
+   is sample[i], with the root[i] of its weight. What is left adds to the squares of the segment. */
 static void
 extend_signal(const double *restrict sample, const double *restrict root, long long segments,
               long long distinct, const Fits *f, int c)
@@ -102,7 +104,8 @@ evidence_of_degrees(int part, double length, double excess, double squares,
     }
 }
 
-/* Find the evidence of all segments of a length. */
+/* Find the log evidence of all segments of length `last` + 1 of a part, 0 for the angle, 1 for the
+   position, and write it to the `value` of the division. */
 static void
 find_values(const Division *d, int part, long long last, const Fits *f)
 {
@@ -126,7 +129,8 @@ find_values(const Division *d, int part, long long last, const Fits *f)
     }
 }
 
-/* Lay out the arrays of a window, and find the evidence of all of its segments. */
+/* Lay out the arrays of a division, and find the evidence of all segments of a window. Returns DONE
+   or NO_MEMORY. */
 static int
 evaluate_segments(Call *call, const Samples *s, Division *d)
 {
@@ -176,9 +180,9 @@ evaluate_segments(Call *call, const Samples *s, Division *d)
     return DONE;
 }
 
-/* Find the best evidence of the samples before each one. The first segment is not after an
-   event, and its mean and slope cost nothing, as those of the models. Returns the evidence of
-   all, over that of noise alone, which leaves a square of 1 a sample. */
+/* Find the best log evidence of the samples before each one, in `before`. The first segment is not
+   after an event, and its mean and slope cost nothing, as those of the models. Returns the evidence
+   of all, over that of noise alone, which leaves a square of 1 a sample. */
 static double
 divide_before(const Division *d, int part)
 {
@@ -194,7 +198,7 @@ divide_before(const Division *d, int part)
     return before[n] + d->present[n] * (part + 1) / 2;
 }
 
-/* Find the best evidence of the samples from each one on. */
+/* Find the best log evidence of the samples from each one on, in `after`. */
 static void
 divide_after(const Division *d, int part)
 {
@@ -216,7 +220,8 @@ typedef struct {
     double value;
 } Segment;
 
-/* Find the best segments around the instant, at most MAX_KEPT, the best first; returns how many. */
+/* Find the best segments around the instant `at`, samples after the first, of a part. Writes
+   `kept`, at most MAX_KEPT, the best first; returns how many. */
 static int
 keep_segments(const Division *d, int part, double at, Segment *kept)
 {
@@ -336,8 +341,8 @@ average_segments(const Stencils *by, const Samples *s, const Division *d, int pa
     return number;
 }
 
-/* Mix a result of segments into that of the models, by a probability in the mean and a weight in
-   the covariance. */
+/* Mix a result of segments into that of the models, `estimate`, of a part: by a probability in the
+   mean, and a weight in the covariance. */
 static void
 mix(const Average *segments, int part, long long orders, double probability, double weight,
     Estimate *estimate)
@@ -392,8 +397,7 @@ add_segments(const Stencils *by, const Samples *s, const Division *d, Estimate *
     for (int part = 0; part < 2; part++) {
         Average segments;
         double ahead = d->evidence[part] - estimate->evidence[part];
-        if (ahead > -NEGLIGIBLE &&
-            average_segments(by, s, d, part, estimate, &segments))
+        if (ahead > -NEGLIGIBLE && average_segments(by, s, d, part, estimate, &segments))
             mix(&segments, part, by->orders, 1 / (1 + exp(-ahead)),
                 1 / (1 + exp(-COVARIANCE_POWER * ahead)), estimate);
         estimate->evidence[part] = larger(estimate->evidence[part], d->evidence[part]);

@@ -17,11 +17,7 @@
 #ifndef KINPOLE_SEGMENTS_H
 #define KINPOLE_SEGMENTS_H
 
-#include "../include/call.h"
 #include "mean.h"
-#include "models.h"
-#include "private.h"
-#include "samples.h"
 
 /* All segments of a window, by part: the log evidence of those of length k + 1, by their first
    sample (count, count); the best evidence of the samples before and from each one on (count +

@@ -4,13 +4,9 @@
 
 #include <stddef.h>
 
-#include "../include/call.h"
 #include "../include/change_points.h"
-#include "../include/codes.h"
 #include "../include/frames.h"
 #include "../include/messages.h"
-#include "../include/motion.h"
-#include "../include/structs.h"
 
 enum { OF_VALUE = 0, OF_ARRAY = -1, MOST = 32 };
 
@@ -70,7 +66,7 @@ kinpole_codes(void)
     ADD_CODES(POLE_LIMITS)
     ADD_CODES(MESSAGE_DOUBLES)
     ADD_CODES(CALL_ENDS)
-    ADD_CODES(LOOP_ENDS)
+    ADD_CODES(TABLE_ORDERS)
     ADD_CODES(UNUSUAL_BITS)
     ADD_CODES(REASONS)
     ADD_CODES(REPETITIONS)

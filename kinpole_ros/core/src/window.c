@@ -2,10 +2,8 @@
 #include <stdlib.h>
 
 #include "window.h"
-#include "../include/call.h"
 #include "memory.h"
 #include "numbers.h"
-#include "samples.h"
 
 /* A gap that is off a whole number of intervals by more than this makes their count doubtful. */
 #define DOUBTFUL_GAP 0.2
@@ -24,6 +22,7 @@
 /* A window is at most so many times as long as the samples that are present reach. */
 #define MAX_SIZE_RATIO 1.25
 
+/* Compare two doubles, for qsort. */
 static int
 compare_numbers(const void *a, const void *b)
 {
@@ -31,8 +30,9 @@ compare_numbers(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-/* Return the interval, ns, by which frames are nearest to even places, with about so many in the
-   span: the number with the largest sum of exp(2 pi i t / interval), then a regression. */
+/* Return the interval, ns, by which frames at the times `time` (frames), ns, are nearest to even
+   places, with about so many `intervals` in their `span`, ns: the number with the largest sum of
+   exp(2 pi i t / interval), then a regression. */
 static double
 clearest_interval(const double *time, long long frames, double span, double intervals)
 {

@@ -11,8 +11,6 @@
 #ifndef KINPOLE_WINDOW_H
 #define KINPOLE_WINDOW_H
 
-#include "../include/call.h"
-#include "private.h"
 #include "samples.h"
 
 /* A sample is on the grid if it is off by less than this part of the interval. */
@@ -29,7 +27,7 @@ typedef struct {
     long long *cell; /* intervals after the instant */
 } Grid;
 
-/* Find the grid of an instant, from the frames of its window. */
+/* Find the grid of an instant, from the frames of its window. Returns DONE or NO_MEMORY. */
 PRIVATE int find_grid(Call *call, long long instant, Grid *grid);
 
 /* The cells of one body, the newest first, in units of the noise, `unit`, rad and m. `count` is the
@@ -43,7 +41,8 @@ typedef struct {
     int exact;
 } Cells;
 
-/* Fill the cells of one body, relative to its pose at the instant. */
+/* Fill the cells of one body, relative to its pose at the instant: of several frames in a cell the
+   oldest counts. Returns DONE or NO_MEMORY. */
 PRIVATE int fill_cells(Call *call, long long instant, long long body, const Grid *grid,
                        Cells *cells);
 
