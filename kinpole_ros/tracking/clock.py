@@ -308,14 +308,14 @@ def _fit_clock(origin: int, since: Real, counts: np.ndarray, resolution: float) 
     margin = min(max(free / 2, TOLERANCE * interval), interval / 2)
     largest = float(late.max())
     clock = Clock(
-        origin,
-        phase,
-        interval,
-        float(late.mean()),
-        float(late.std()),
-        largest,
-        margin,
-        resolution,
+        origin=origin,
+        phase=phase,
+        interval=interval,
+        lateness=float(late.mean()),
+        jitter=float(late.std()),
+        largest=largest,
+        margin=margin,
+        resolution=resolution,
     )
     # Frames come at all times but for those just before a tick.
     return clock._replace(margin=(interval - largest) / 2) if clock.is_on_grid else clock

@@ -117,10 +117,8 @@ class Timeline:
             return None
         moved = clock.jitter / clock.interval * evidence.speed
         costs = not self.at_ticks and evidence.nats > -DECISIVE_NATS and moved > 1.0
-        interval, jitter, largest = (
-            length * 1e-9 for length in (clock.interval, clock.jitter, clock.largest)
-        )
-        return StampState(interval, jitter, largest, self.at_ticks, evidence.nats, costs)
+        lengths = {name: getattr(clock, name) * 1e-9 for name in ('interval', 'jitter', 'largest')}
+        return StampState(**lengths, regularized=self.at_ticks, nats=evidence.nats, costs=costs)
 
     def accept(self, stamps: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """
