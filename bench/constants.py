@@ -71,6 +71,7 @@ _REASONS = {
     'clock.py': 'other stamps: ticks, grids, other rates, stalls',
     'deformation.py': 'soft tissue',
     'events.py': 'the time of a search',
+    'frame_intervals.py': 'other stamps: ticks, grids, other rates, stalls',
     'frame_counter.py': 'stamps with many losses, or in bursts',
     'grouping.py': 'bodies that are not named',
     'learn.py': 'shapes that change, and long records',
@@ -88,6 +89,7 @@ _REASONS = {
     'summary.py': 'words of the summary',
     'thresholds.py': 'few frames, and changes of a body',
     'tick_evidence.py': 'stamps that are ticks',
+    'timed_frames.py': 'stamps that repeat',
     'timeline.py': 'stamps before the clock is known',
     'update.py': 'the time of updates',
 }

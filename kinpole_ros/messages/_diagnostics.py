@@ -11,6 +11,7 @@ from kinpole_ros.messages import body_faults
 from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyValue, ns_to_stamp
 from kinpole_ros.messages.faults import Fault, input_faults, stamp_faults
 from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.kennedy import distances_from_pins_line
 from kinpole_ros.tracking.outages import Outage
 from kinpole_ros.tracking.plane import as_parameter
 from kinpole_ros.tracking.tracker import Tracker
@@ -133,8 +134,8 @@ class DiagnosticsMaker:
         """Compare the bodies with Kennedy's theorem, and with the scene."""
         name = f'{self._name}: linkage'
         values: dict[str, object] = {}
-        for k, (j, i) in enumerate(zip(*now.pairs, strict=True)):
-            distance, deviations = (part[k] for part in now.kennedy)
+        found = zip(*now.pairs, *distances_from_pins_line(now), strict=True)
+        for j, i, distance, deviations in found:
             if np.isfinite(distance):
                 pair = f'{now.bodies[j]} wrt {now.bodies[i]}'
                 values[f'{pair}: center off the line of the pins (m)'] = float(distance)

@@ -332,24 +332,6 @@ class Estimate:
         value, spread, flags = relative_centers(self.compiled_motion, np.array(self.pairs))
         return Vectors(value, spread, flags > 0)
 
-    @cached_property
-    def kennedy(self) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Distances of relative centers from the line through the pins, for every pair of bodies.
-
-        In m, and in standard deviations. NaN unless both bodies are pinned: only pins are found
-        without the velocities (`planar.kennedy_residual`).
-        """
-        j, i = self.pairs
-        center = self.relative_icr
-        even = self.pin_variance[..., None, None] * np.eye(2)
-        distance, deviations = planar.kennedy_residual(
-            np.stack((self.pin[..., i], self.pin[..., j], center.value)),
-            np.stack((even[..., i, :, :], even[..., j, :, :], center.covariance)),
-        )
-        usable = self.pinned[..., i] & self.pinned[..., j] & center.determined
-        return np.where(usable, distance, np.nan), np.where(usable, deviations, np.nan)
-
     def reasons(self, body: int) -> dict[str, str]:
         """Return why quantities of a body at one instant are undetermined, by name."""
         if self.missing[body]:

@@ -162,15 +162,15 @@ def _body_event(
     covariance += event.step_sigma[0] ** 2 * np.outer(along, along)
     late = int(median(history['stamp'][rows] - time))
     return BodyEvent(
-        body,
-        at + late,
-        event.time_sigma,
-        event.order,
-        turned,
-        float(event.step_sigma[0]),
-        complex(x, y) - 1j * turned * arm,
-        covariance,
-        complex(position[near]),
-        float(height[near]),
-        due,
+        body=body,
+        stamp=at + late,
+        time_sigma=event.time_sigma,
+        order=event.order,
+        angle_step=turned,
+        angle_step_sigma=float(event.step_sigma[0]),
+        step=complex(x, y) - 1j * turned * arm,
+        step_covariance=covariance,
+        position=complex(position[near]),
+        height=float(height[near]),
+        due=due,
     )

@@ -370,9 +370,8 @@ class Matcher:
         variance = np.inf
         if len(self._variances) >= MIN_SAMPLES:
             variance = float(np.median(self._variances))
-        expected = Expected(
-            *self._predict(placed.frames.stamps[k]), named, fits, variance, self.given.pins
-        )
+        position, turn = self._predict(placed.frames.stamps[k])
+        expected = Expected(position, turn, named, fits, variance, pins=self.given.pins)
         found = match(points, shapes, self.bodies.fitting.limit, expected)
         self._variances.extend(found.variance[np.isfinite(found.variance)].tolist())
         return found

@@ -361,7 +361,16 @@ class MarkerAssignment:
             unassigned = unassigned[:0]
         is_numbered &= not self.posed
         all_rows = self._slots_of(np.arange(none), none)
-        return FrameLayout(rows, named, absent, foreign, unknown, unassigned, is_numbered, all_rows)
+        return FrameLayout(
+            rows=rows,
+            named_rows=named,
+            absent=absent,
+            foreign_names=foreign,
+            unknown_names=unknown,
+            unassigned=unassigned,
+            is_numbered=is_numbered,
+            all_rows=all_rows,
+        )
 
     def _with_aliases(self, identities: tuple[str, ...], named: np.ndarray) -> np.ndarray:
         """Rows with the markers that have other names for now; a name of its own goes first."""

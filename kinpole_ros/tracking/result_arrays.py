@@ -125,9 +125,14 @@ def estimate_of(
 
     def frame_poses() -> FramePoses:
         turned, placed = stored('information').swapaxes(0, 1)
-        names = ('frame_angle', 'frame_position', 'middle', 'noise')
-        angle, position, middle, noise = map(stored, names)
-        return FramePoses(angle, position, turned, placed, middle, noise)
+        return FramePoses(
+            angle=stored('frame_angle'),
+            position=stored('frame_position'),
+            angle_information=turned,
+            position_information=placed,
+            middle=stored('middle'),
+            noise=stored('noise'),
+        )
 
     estimate = Estimate(column, frame_id, bodies, run, plane, frame_poses, events)
     if len(results) == 1:

@@ -61,13 +61,12 @@ class SpaceReport(NamedTuple):
 
 def updated(before: SpaceReport, now: SpaceReport) -> SpaceReport:
     """Return the report `now`, completed by the one `before`."""
-    size, off, stretch = (
-        np.where(np.isnan(new), old, new) for old, new in zip(before[-3:], now[-3:], strict=True)
-    )
+    of_bodies = {}
+    for name in ('size', 'off_plane', 'stretch'):
+        old, new = getattr(before, name), getattr(now, name)
+        of_bodies[name] = np.where(np.isnan(new), old, new)
     motion = before if now.normal is None else now
-    return motion._replace(
-        plane=now.plane or before.plane, size=size, off_plane=off, stretch=stretch
-    )
+    return motion._replace(plane=now.plane or before.plane, **of_bodies)
 
 
 class Space:
@@ -144,7 +143,16 @@ class Space:
             # Before the normal of the motion is known, a tilt would look the same.
             if across is not None and len(self._scatter.sums.count) >= MIN_DOF:
                 off = self._off_plane(across, size, stretch)
-        return SpaceReport(self.plane, normal, line, tilt, deviation, size, off, stretch)
+        return SpaceReport(
+            plane=self.plane,
+            normal=normal,
+            line=line,
+            tilt=tilt,
+            deviation=deviation,
+            size=size,
+            off_plane=off,
+            stretch=stretch,
+        )
 
     def _normal_of_motion(self, plane: Plane | None) -> tuple[np.ndarray | None, bool, float]:
         """

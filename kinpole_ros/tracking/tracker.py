@@ -23,7 +23,8 @@ from kinpole_ros.tracking.result_arrays import Results, estimate_of
 from kinpole_ros.tracking.result_layout import DEFORMED, FILLED
 from kinpole_ros.tracking.state import new_totals, start, widen
 from kinpole_ros.tracking.summary import TrackerSummary
-from kinpole_ros.tracking.timeline import TimedFrames, Timeline
+from kinpole_ros.tracking.timed_frames import TimedFrames
+from kinpole_ros.tracking.timeline import Timeline
 from kinpole_ros.tracking.update import learn_if_due, recover, update_clock, update_if_due
 
 
