@@ -220,7 +220,7 @@ class _Replaying:
 
     def _converted(self) -> str:
         """Say how frames repeat others, as of a film whose rate was changed; '' if they do not."""
-        if self._tracker.counts[HELD] < FEWEST_REPEATS:
+        if self._tracker.update_counts()[HELD] < FEWEST_REPEATS:
             return ''
         reader = messages.reader_of(self._kind, self._settings)
         blocks = frame_blocks(self._bag, self._topic, self._kind, reader, None)
