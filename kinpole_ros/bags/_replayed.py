@@ -11,6 +11,7 @@ from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.marker_rows import find_rows
 from kinpole_ros.tracking.outages import Outage
+from kinpole_ros.tracking.reasons import KNOWN
 from kinpole_ros.tracking.space import SpaceReport, updated
 from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.tracker import Tracker
@@ -60,7 +61,8 @@ class Replayed:
     identities : tuple of str
         The markers in the last message.
     unknown : dict
-        The bodies that were never estimated, and why not at the last instant, '' without instants.
+        The bodies that were never estimated, and the code of why not at the last instant, KNOWN
+        without instants.
     concatenated : list of str
         The files that were read as one recording only because they are in one folder.
     scene_positions : PositionReport or None
@@ -100,7 +102,7 @@ class Replayed:
     last: int = 0
     absent: dict[str, list[str]] = field(default_factory=dict)
     identities: tuple[str, ...] = ()
-    unknown: dict[str, str] = field(default_factory=dict)
+    unknown: dict[str, int] = field(default_factory=dict)
     concatenated: list[str] = field(default_factory=list)
     scene_positions: 'PositionReport | None' = None
     stamps: StampState | None = None
@@ -122,7 +124,7 @@ def begin(settings: Settings, tracker: Tracker) -> Replayed:
         determined={body: dict.fromkeys(poles, 0) for body in tracker.bodies},
         first=_LATEST,
         absent=absent,
-        unknown=dict.fromkeys(tracker.bodies, ''),
+        unknown=dict.fromkeys(tracker.bodies, KNOWN),
     )
 
 
@@ -149,11 +151,11 @@ def add_estimate(outcome: Replayed, estimate: Estimate) -> None:
     for b, poles in enumerate(outcome.determined.values()):
         for order, pole in enumerate(poles, 1):
             poles[pole] += int(estimate.pole(order).determined[:, b].sum())
-    for body, reasons in zip(estimate.bodies, estimate.missing.T, strict=True):
-        if (reasons == '').any():
+    for body, reasons in zip(estimate.bodies, estimate.reason.T, strict=True):
+        if (reasons == KNOWN).any():
             outcome.unknown.pop(body, None)
         elif body in outcome.unknown:
-            outcome.unknown[body] = str(reasons[-1])
+            outcome.unknown[body] = int(reasons[-1])
 
 
 def finish(outcome: Replayed, tracker: Tracker) -> None:

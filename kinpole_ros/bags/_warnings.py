@@ -7,27 +7,7 @@ from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.messages import body_faults, faults
 from kinpole_ros.settings import Settings
-from kinpole_ros.tracking.rejection import OFF_PATH
-
-_NO_POSE = 'no pose of it came'
-# By the reasons that the tracker gives.
-_FIXES = {
-    'too few markers seen, or all at one place': (
-        'see that two of them, at distinct places in the plane, are in a frame at once and finite'
-    ),
-    _NO_POSE: 'see that its driver sees it, and that its orientation is a quaternion',
-    OFF_PATH: 'see that the tracker takes no other markers for it',
-    'the noise of its angle is too large': 'see to the driver: it is more than 0.15 rad',
-    'markers too close for their noise': (
-        'move them farther from each other, or set the parameter noise'
-    ),
-    'plane not known yet': (
-        'it is found when bodies have moved in two directions of it, by more than their noise, and '
-        'after 100 frames or more where they leave any plane; record such a motion, or set plane: '
-        '[x, y, z], its normal, as kinpole discover gives it'
-    ),
-    'window not full': f'raise the parameter window: it must hold {FEWEST_SAMPLES} frames with it',
-}
+from kinpole_ros.tracking.reasons import REASONS, reason_of
 
 
 def warnings_of(result: Replayed, settings: Settings) -> list[str]:
@@ -66,10 +46,10 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
             for body, names in absent
         ]
     for body, reason in result.unknown.items():
-        is_explained = body in result.absent or (result.pose_problem and reason == _NO_POSE)
-        if reason and not is_explained:
-            fix = f'; {_FIXES[reason]}' if reason in _FIXES else ''
-            lines.append(f'{body} was never estimated: {reason}{fix}')
+        is_pose_explained = result.pose_problem and reason == REASONS['NO_POSE']
+        if reason and body not in result.absent and not is_pose_explained:
+            text, fix = reason_of(reason)
+            lines.append(f'{body} was never estimated: {text}' + (f'; {fix}' if fix else ''))
     lines += result.misnamed + [result.pose_problem] * bool(result.pose_problem)
     if tilt := faults.tilt_fault(result.space, settings.plane):
         lines.append(tilt)

@@ -83,7 +83,7 @@ def _pose(estimate: Estimate, b: int) -> dict[str, Any]:
     """Return pose, velocity, size and outline of a body; nothing where they are not determined."""
     position, velocity = (complex(estimate.origin(order)[b]) for order in (0, 1))
     pose = position.real, position.imag, float(estimate.angle[0, b]), velocity.real, velocity.imag
-    if estimate.missing[b] or not math.isfinite(sum(pose)):
+    if estimate.reason[b] or not math.isfinite(sum(pose)):
         return {}
     size, shape = float(estimate.size[b]), estimate.shape[b]
     values = _rounded(*pose, size if 0 < size < math.inf else 0.0)

@@ -56,7 +56,8 @@ API void kinpole_read_messages(const MessageLayout *layout, const unsigned char 
 
 /* The messages of a topic, of a body, or of `other` with respect to it. A message has `size` bytes,
    of which the doubles begin behind `head`. `value`, `spread` (T, 2, 2) and `determined` are GIVEN.
-   In the topic `state`, `added` (T, bodies, `added_count`) follow the quantities of each body. */
+   In the topic `state` the reasons follow the quantities of each body, a byte each, and then come
+   `added` (T, bodies, `added_count`). */
 #define ROW_FIELDS(VALUE, BLOCK, ARRAY)  \
     VALUE(long long, kind)               \
     VALUE(long long, what)               \

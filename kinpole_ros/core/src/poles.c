@@ -154,6 +154,13 @@ motion_at(const Motion *m, long long t, int highest, Number *z, double *rate)
         z[k] = m->position[k * m->stride + t], rate[k] = m->angle[k * m->stride + t];
 }
 
+/* Whether a point is as good as at infinity. */
+static int
+is_far(const Motion *m, long long t, Number point)
+{
+    return cabs(point - m->position[t]) > FARTHEST * m->size[t];
+}
+
 /* The pole of an order, as it follows from the motion. */
 static Quantity
 free_pole(const Motion *m, long long t, int order)
@@ -169,6 +176,8 @@ free_pole(const Motion *m, long long t, int order)
     add_moments(m->angle_covariance + t, m->orders, m->stride, order, turn.by_angle, noise);
     int turns = cabs(turn.value) > SIGNIFICANT * sqrt(noise[0] + noise[2]);
     q.flags = turns && is_near(m, t, q.value) && is_known(&q) ? DETERMINED : 0;
+    if (!q.flags)
+        q.reason = is_far(m, t, q.value) ? AT_INFINITY : order > 1 ? IN_NOISE : NO_ROTATION;
     return q;
 }
 
@@ -177,15 +186,22 @@ static Quantity
 pole_at(const Motion *m, long long t, int order)
 {
     Quantity q = free_pole(m, t, order);
-    if (!isfinite(creal(m->pin[t])))
+    if (!isfinite(creal(m->pin[t]))) {
+        /* A body without an ICR does not turn, whatever else is in its noise. */
+        if (q.reason == IN_NOISE && !free_pole(m, t, 1).flags)
+            q.reason = NO_ROTATION;
         return q;
+    }
     q.value = m->pin[t];
     q.spread[0] = q.spread[2] = m->pin_variance[t], q.spread[1] = 0.0;
+    q.reason = NO_ROTATION;
     for (int k = 1; k <= order; k++) {
         double variance = m->angle_covariance[(k * m->orders + k) * m->stride + t];
         if (fabs(m->angle[k * m->stride + t]) > SIGNIFICANT * sqrt(variance))
             q.flags = DETERMINED;
     }
+    if (q.flags)
+        q.reason = KNOWN;
     return q;
 }
 
@@ -208,7 +224,19 @@ velocity_at(const Motion *m, long long t)
     double speed = cabs(q.value), least = STILL * fabs(m->angle[m->stride + t]) * m->size[t];
     if (is_near(m, t, icr.value) && speed > MOVING * deviation_of(&q) && speed > least)
         q.flags |= MOVES;
+    q.reason = q.flags & DETERMINED ? KNOWN : icr.reason ? icr.reason : IN_NOISE;
     return q;
+}
+
+/* Why a quantity that follows from the motion of the ICR is undetermined: a velocity within its
+   noise does not show a pin, but all poses together do. */
+static int
+why_no_curvature(const Motion *m, long long t, const Quantity *velocity)
+{
+    int without_icr = pole_at(m, t, 1).reason, on_pin = isfinite(creal(m->pin[t]));
+    if (velocity->flags & MOVES)
+        return IN_NOISE;
+    return without_icr ? without_icr : on_pin ? ON_PIN : ICR_IN_NOISE;
 }
 
 /* The curvature of the fixed centrode. */
@@ -234,6 +262,7 @@ curvature_at(const Motion *m, long long t)
     q.flags = u.flags & MOVES;
     if (u.flags & MOVES && turns && isfinite(creal(q.value)) && isfinite(variance))
         q.flags |= DETERMINED;
+    q.reason = q.flags & DETERMINED ? KNOWN : why_no_curvature(m, t, &u);
     q.spread[0] = variance;
     return q;
 }
@@ -261,6 +290,9 @@ circle_at(const Motion *m, long long t, int what)
     q.flags = u.flags & MOVES;
     if (u.flags == (DETERMINED | MOVES) && is_near(m, t, center.value) && is_known(&q))
         q.flags |= DETERMINED;
+    if (!(q.flags & DETERMINED))
+        q.reason = u.flags & MOVES && is_far(m, t, center.value) ? STRAIGHT
+                                                                : why_no_curvature(m, t, &u);
     return q;
 }
 
@@ -279,11 +311,18 @@ kinpole_rate(const Motion *m, long long t, int order)
     q.value = m->angle[order * m->stride + t];
     q.spread[0] = m->angle_covariance[order * (m->orders + 1) * m->stride + t];
     q.flags = isfinite(creal(q.value)) ? DETERMINED : 0;
+    q.reason = q.flags ? KNOWN : IN_NOISE;
     return q;
 }
 
-Quantity
-kinpole_quantity(const Motion *m, long long t, int what)
+int
+kinpole_missing(const Motion *m, long long t)
+{
+    return m->reason ? m->reason[t] : KNOWN;
+}
+
+static Quantity
+quantity_of_known(const Motion *m, long long t, int what)
 {
     switch (what) {
     case POLE_1: case POLE_2: case POLE_3: case POLE_4:
@@ -299,8 +338,17 @@ kinpole_quantity(const Motion *m, long long t, int what)
     case RATE_1: case RATE_2: case RATE_3: case RATE_4:
         return kinpole_rate(m, t, what - RATE);
     default:
-        return (Quantity){NAN, {NAN, NAN, NAN}, 0};
+        return (Quantity){NAN, {NAN, NAN, NAN}, 0, IN_NOISE};
     }
+}
+
+Quantity
+kinpole_quantity(const Motion *m, long long t, int what)
+{
+    Quantity q = quantity_of_known(m, t, what);
+    if (kinpole_missing(m, t))
+        q.reason = kinpole_missing(m, t);
+    return q;
 }
 
 Quantity
@@ -344,13 +392,15 @@ store(const Quantity *q, long long at, Number *values, double *spreads, unsigned
 }
 
 /* Computes quantity `what` at all instants. `values` (count,) are complex, `spreads` (count, 2, 2),
-   and `flags` (count,) bits. */
+   `flags` (count,) bits, and `reasons` (count,) of `REASONS`. */
 void
-kinpole_quantities(int what, const Motion *m, Number *values, double *spreads, unsigned char *flags)
+kinpole_quantities(int what, const Motion *m, Number *values, double *spreads, unsigned char *flags,
+                   unsigned char *reasons)
 {
     for (long long t = 0; t < m->count; t++) {
         Quantity q = kinpole_quantity(m, t, what);
         store(&q, t, values, spreads, flags);
+        reasons[t] = (unsigned char)q.reason;
     }
 }
 
