@@ -115,6 +115,39 @@ def reason_fields(order: int) -> dict[str, str]:
     return {name: f'{name}{_REASON}' for name in state_fields(order)}
 
 
+def quantity_fields(
+    order: int, registered: Sequence[RegisteredQuantity] = ()
+) -> dict[str, dict[str, Any]]:
+    """
+    Return how each quantity of the topic is read, by its name.
+
+    Parameters
+    ----------
+    order, registered
+        As of `state_fields`.
+
+    Returns
+    -------
+    dict
+        Of each quantity `fields`, a value and its deviation, or x, y and the covariance; `bit`,
+        that of the field `determined`, or else `determined`, the field that is 1 where it is;
+        `reason`, the field of its code, None for a registered quantity.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    reasons = reason_fields(order)
+    for bit, (quantity, fields) in enumerate(state_fields(order, registered).items()):
+        if quantity not in reasons:
+            found[quantity] = {'fields': fields[:-1], 'determined': fields[-1], 'reason': None}
+            continue
+        verdict = {'bit': bit, 'reason': reasons[quantity]}
+        if quantity != 'pose':
+            found[quantity] = {'fields': fields, **verdict}
+            continue
+        for name, is_vector in zip(_POSE, (True, False, True), strict=True):
+            found[name] = {'fields': _fields_of(name, is_vector), **verdict}
+    return found
+
+
 def _added(
     order: int, registered: Sequence[RegisteredQuantity]
 ) -> list[tuple[RegisteredQuantity, str]]:

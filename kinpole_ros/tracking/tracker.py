@@ -31,7 +31,7 @@ class Tracker(TrackerSummary):
 
     def __init__(self, settings: Settings) -> None:
         self.settings, self.bodies = settings, tuple(settings.bodies)
-        self._frame_id = ''
+        self.frame_id = ''
         self._results: list[tuple[Results, np.ndarray]] = []
         self._events: list[BodyEvent] = []
         self._events_needed = False
@@ -96,7 +96,7 @@ class Tracker(TrackerSummary):
             if not len(frames.stamps):
                 continue
             posed = frames.axes is not None
-            if frames.frame_id != self._frame_id or posed != self.state.assignment.posed:
+            if frames.frame_id != self.frame_id or posed != self.state.assignment.posed:
                 estimates += self._change_frame(frames)
             estimates += self._accept(frames, number, order)
             number += len(frames.stamps)
@@ -108,7 +108,7 @@ class Tracker(TrackerSummary):
         estimates = self._flush_results()
         used = len(state.history) > 0
         state.totals.counts['frame_changes'] += used
-        self._frame_id = frames.frame_id
+        self.frame_id = frames.frame_id
         if used or posed != state.assignment.posed:
             self._start(posed)
         return estimates
@@ -245,7 +245,7 @@ class Tracker(TrackerSummary):
         events, self._events = self._events, []
         names = self.state.assignment
         about = self.bodies, self.state.run, names.plane, names.posed
-        return [estimate_of(results, self._frame_id, *about, tuple(events))]
+        return [estimate_of(results, self.frame_id, *about, tuple(events))]
 
     def learn_if_due(self) -> None:
         """Learn from the history now if an update is due; otherwise the next `add` does."""
