@@ -1,15 +1,17 @@
 """
-The references of parameters, topics and commands, generated from the code as Markdown.
+The references of parameters, topics, commands and structs, generated from the code as Markdown.
 
 Each replaces its comment in a page when the site is built, so it cannot be out of date.
 """
 
 import argparse
+import inspect
 import re
 from pathlib import Path
 from typing import Any
 
 from kinpole_ros import settings as parameters
+from kinpole_ros.core.bindings import Struct
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import live_outputs, result_outputs, type_name
@@ -77,10 +79,26 @@ def command_reference() -> str:
     return '\n'.join(_command_section(name, one) for name, one in choices.choices.items())
 
 
+def struct_reference() -> str:
+    """Return a section for each struct of the compiled library, with a table of its fields."""
+    lines = []
+    for struct in Struct.__subclasses__():
+        lines += [f'## {struct.__name__}', '', inspect.getdoc(struct) or '', '']
+        lines += ['| field | type | shape | what |', '| --- | --- | --- | --- |']
+        for name, meaning in struct.meanings.items():
+            array = name in struct.elements
+            kind = struct.elements[name] if array else dict(struct._fields_)[name].__name__
+            shape = f'({", ".join(struct.shapes[name])})' if array else ''
+            lines.append(f'| `{name}` | {_escape(str(kind))} | {shape} | {_escape(meaning)} |')
+        lines.append('')
+    return '\n'.join(lines)
+
+
 REFERENCES = {
     '<!-- every parameter -->': parameter_reference,
     '<!-- every topic -->': topic_reference,
     '<!-- every command -->': command_reference,
+    '<!-- every struct -->': struct_reference,
 }
 
 

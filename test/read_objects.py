@@ -60,23 +60,29 @@ def read_array(message: Any, identity: str) -> tuple[Any, str, tuple[str, ...], 
             shown = [j for j in shown if (markers[j].ns, markers[j].id) != key]
         else:
             shown.append(k)
-    header = markers[shown[0] if shown else 0].header
-    if not shown and header == type(header)():
+    drawn: list[tuple[int, int | None, Any]] = []
+    for k in shown:
+        if markers[k].type in SINGLE:
+            drawn.append((k, None, xyz(markers[k].pose.position)))
+        elif markers[k].type in LISTS:
+            drawn += [(k, index, point) for index, point in enumerate(moved(markers[k]))]
+    first = drawn[0][0] if drawn else shown[0] if shown else 0
+    header = markers[first].header
+    if not drawn and header == type(header)():
         raise MessageError('no stamp')
-    frames = {markers[k].header.frame_id for k in shown} - {''}
+    frames = {markers[k].header.frame_id for k, *_ in drawn} - {''}
     if len(frames) > 1:
         raise MessageError('several frames')
-    if shown and all(len(markers[k].points) > 1 and markers[k].type in LISTS for k in shown):
-        raise MessageError('lists')
-    names = {
-        'index': [str(k) for k in shown],
-        'id': [str(markers[k].id) for k in shown],
-        'ns': [markers[k].ns for k in shown],
-    }.get(identity)
-    if names is None:
-        shown_markers = [markers[k] for k in shown]
-        names = [f'{one.ns}/{one.id}' if one.ns else str(one.id) for one in shown_markers]
-    points = [xyz(markers[k].pose.position) for k in shown]
+    names = []
+    for k, index, _ in drawn:
+        one = markers[k]
+        name = {'index': str(k), 'id': str(one.id), 'ns': one.ns}.get(identity)
+        if name is None:
+            name = f'{one.ns}/{one.id}' if one.ns else str(one.id)
+        names.append(name if index is None else f'{name}/{index}')
+    points = [point for *_, point in drawn]
+    if identity == 'index':
+        return header, ''.join(frames) or header.frame_id, tuple(names), points
     return header, ''.join(frames) or header.frame_id, unique(tuple(names)), points
 
 
@@ -89,6 +95,10 @@ def of_marker(marker: Any) -> Any:
         return []
     if not marker.points and marker.type in SINGLE:
         raise MessageError('no points')
+    return moved(marker)
+
+
+def moved(marker: Any) -> Any:
     q = marker.pose.orientation
     points = np.array([xyz(point) for point in marker.points]).reshape(-1, 3)
     with np.errstate(all='ignore'):

@@ -110,7 +110,6 @@ def test_what_is_only_drawn_may_change_at_will(only_bytes):
     reader = MarkerReader('marker_array')
     reader.read([serialize_message(array)])
     for k, one in enumerate(array.markers):
-        one.type = Marker.CUBE
         one.color.r, one.scale.z = 0.1 * k, 3.0
         one.lifetime.sec = k
         one.pose.orientation.x = 0.5
@@ -123,17 +122,18 @@ def test_what_is_only_drawn_may_change_at_will(only_bytes):
     assert_same(frames, expected)
 
 
-def test_markers_that_become_lists_of_points_are_refused():
+def test_markers_that_become_lists_of_points_are_read_as_such():
     array = make('marker_array')
     for one in array.markers:
-        one.points = [Point(), Point()]
+        one.points = [Point(), Point(x=1.0)]
     reader = MarkerReader('marker_array')
     [frames] = reader.read([serialize_message(array)])
     assert_same(frames, read_markers(array))
     for one in array.markers:
         one.type = Marker.POINTS
-    [error] = reader.read([serialize_message(array)])
-    assert 'lists of points' in str(error)
+    [lists] = reader.read([serialize_message(array)])
+    assert_same(lists, read_markers(array))
+    assert len(lists.identities) == 2 * len(frames.identities)
 
 
 def test_an_empty_list_that_becomes_a_sphere_is_refused():

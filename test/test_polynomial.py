@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bench._polynomial import derivative_weights, stencil
@@ -53,7 +53,6 @@ def test_stencil_on_even_nodes_is_the_one_in_the_textbooks(
         assert found * step**order == pytest.approx(np.array(weights, float), abs=1e-11)
 
 
-@settings(max_examples=40)
 @given(
     st.lists(st.integers(-20, 20), min_size=1, max_size=8, unique=True),
     st.sampled_from((Fraction(1, 10**6), Fraction(1, 200), Fraction(1), Fraction(1000))),
@@ -69,7 +68,6 @@ def test_stencil_on_any_nodes_is_the_exact_solution(places: list[int], step: Fra
         assert found[order] == pytest.approx(truth, rel=1e-8, abs=1e-8 * np.abs(truth).max())
 
 
-@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 6), st.sampled_from((1e-6, 1e-3, 1.0, 1e3)))
 def test_derivative_weights_are_those_of_weighted_least_squares(
     seed: int, degree: int, step: float

@@ -127,8 +127,8 @@ def test_a_window_that_turns_about_a_point_has_its_hub_whatever_the_angle_does(
     windows = Windows(newest - 6, newest - 30, newest)
     none = np.zeros((240, 1), int)
     found = derive_poses(poses, windows, none, np.full((240, 1), noise), 0.5, 2)
-    assert (found.hub != 0).mean() > 0.9
-    assert np.median(np.abs(found.hub - arm)) < noise
+    assert (found.reference != 0).mean() > 0.9
+    assert np.median(np.abs(found.reference - arm)) < noise
     truth = np.where(time[windows.now] % 1.0 < 0.5, 4.0, 9.0)
     inside = np.abs(time[windows.now] % 0.5 - 0.25) < 0.2
     icr = found.position[0, :, 0] + 1j * found.position[1, :, 0] / found.angle[1, :, 0]

@@ -11,10 +11,12 @@ import pytest
 from conftest import WITH_TF
 from rclpy.serialization import deserialize_message as read_with_rclpy
 from rclpy.serialization import serialize_message as serialize_with_rclpy
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from kinpole_ros.bags import BagWriter, read_messages
 from kinpole_ros.messages import (
     _types,
+    definition,
     deserialize_message,
     fields,
     installed_class,
@@ -22,6 +24,7 @@ from kinpole_ros.messages import (
     serialize_message,
     type_name,
 )
+from kinpole_ros.messages._definitions import DEFINITIONS
 from kinpole_ros.tools.cli import main
 
 ROOT = Path(__file__).parents[1]
@@ -100,6 +103,33 @@ def test_messages_are_those_of_rclpy(name: str) -> None:
         again = deserialize_message(data + bytes(8), ours)
         assert type(again) is ours
         assert serialize_message(again) == data
+
+
+def test_definitions_are_those_of_rosbags() -> None:
+    known = get_typestore(Stores.ROS2_JAZZY).fielddefs
+    for name, text in DEFINITIONS.items():
+        constants, fields_here = get_types_from_msg(text.replace('; ', '\n'), name)[name]
+        if not name.startswith('apriltag_msgs'):
+            assert ([*constants], [*fields_here]) == ([*known[name][0]], [*known[name][1]])
+
+
+def test_a_type_without_fields_is_read_and_written() -> None:
+    empty = message_class('std_msgs/msg/Empty')
+    assert serialize_message(empty()) == b'\0\1\0\0\0'
+    assert deserialize_message(b'\0\1\0\0\0', empty) == empty()
+    constants = message_class('rcl_interfaces/msg/ParameterType')
+    assert constants.PARAMETER_DOUBLE == 3
+    assert definition(constants).count('\n') == 10
+
+
+def test_fields_are_given_in_order_or_by_name() -> None:
+    vector = message_class('geometry_msgs/msg/Vector3')
+    assert vector(1.0, z=2.0) == vector(1.0, 0.0, 2.0)
+    assert vector(1.0) != message_class('geometry_msgs/msg/Point')(1.0)
+    assert repr(vector(1.0)) == 'Vector3(x=1.0, y=0.0, z=0.0)'
+    for wrong in (lambda: vector(w=1.0), lambda: vector(1.0, 2.0, 3.0, 4.0)):
+        with pytest.raises(TypeError, match='the fields of geometry_msgs/msg/Vector3 are x, y, z'):
+            wrong()
 
 
 @pytest.mark.parametrize('name', IN_USE)

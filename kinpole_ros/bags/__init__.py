@@ -1,5 +1,7 @@
 """MCAP bags in rosbag2's conventions, in and out, and files of tracked points into them."""
 
+from typing import TYPE_CHECKING, Any
+
 from kinpole_ros.bags._bag_reader import read_blocks, read_messages, topics
 from kinpole_ros.bags._bag_writer import BagWriter
 from kinpole_ros.bags._channels import BagMessage, message_class
@@ -11,13 +13,16 @@ from kinpole_ros.bags._files import (
     in_place_of,
     recorder_of,
 )
-from kinpole_ros.bags._import import Imported, import_points, write_points
 from kinpole_ros.bags._marker_frames import NODE_NAME, read_frames
+from kinpole_ros.bags._repeated_frames import leave_out_repeats
 from kinpole_ros.bags._replay import replay
 from kinpole_ros.bags._replayed import Replayed
-from kinpole_ros.bags._simulate import simulate
 from kinpole_ros.bags._warnings import assumed_body, warnings_of
 from kinpole_ros.messages import definition, type_name
+
+if TYPE_CHECKING:
+    from kinpole_ros.bags._import import Imported, import_points, write_points
+    from kinpole_ros.bags._simulate import simulate
 
 __all__ = [
     'NODE_NAME',
@@ -33,6 +38,7 @@ __all__ = [
     'definition',
     'import_points',
     'in_place_of',
+    'leave_out_repeats',
     'message_class',
     'read_blocks',
     'read_frames',
@@ -45,3 +51,12 @@ __all__ = [
     'warnings_of',
     'write_points',
 ]
+
+
+def __getattr__(name: str) -> Any:
+    # Imported when asked for: replay needs neither.
+    if name not in __all__:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    from kinpole_ros.bags import _import, _simulate
+
+    return _simulate.simulate if name == 'simulate' else getattr(_import, name)

@@ -19,10 +19,9 @@ import zstandard
 from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.writer import MCAP0_MAGIC
 
 from kinpole_ros.bags._channels import message_class
-from kinpole_ros.bags._files import LIBRARY, BagError, write_errors
+from kinpole_ros.bags._files import LIBRARY, MCAP_MAGIC, BagError, write_errors
 from kinpole_ros.messages import definition, serialize_message, type_name
 
 # A program that is killed loses up to one chunk, and a reader has one in memory; zstd compresses
@@ -89,7 +88,7 @@ class BagWriter:
             self._file = open(path, 'wb')  # noqa: SIM115 - close() does
         # A recording that cannot be written should fail now, not when the first message comes.
         with self._writing():
-            self._put(MCAP0_MAGIC + _packed(records.Header('ros2', library)))
+            self._put(MCAP_MAGIC + _packed(records.Header('ros2', library)))
 
     def __enter__(self) -> 'BagWriter':
         return self
@@ -274,7 +273,7 @@ class BagWriter:
         summary = b''.join(groups.values())
         footer = records.Footer(self._offset, self._offset + len(summary), 0)
         covered = summary + offsets + _packed(footer)[:-4]
-        return covered + zlib.crc32(covered).to_bytes(4, 'little') + MCAP0_MAGIC
+        return covered + zlib.crc32(covered).to_bytes(4, 'little') + MCAP_MAGIC
 
     def _put(self, content: bytes) -> None:
         self._file.write(content)

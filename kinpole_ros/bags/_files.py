@@ -19,13 +19,14 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.records import Header
-from mcap.writer import MCAP0_MAGIC
 
 from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limited, whole_file
 from kinpole_ros.files.bounded_yaml import MOST_YAML, load_yaml
 
 LIBRARY = 'kinpole_ros'  # named in bags that can be made again
 RECORDER = 'kinpole record'  # named in recordings, which cannot
+# mcap.writer has it too, and takes longer to import than the rest of mcap.
+MCAP_MAGIC = b'\x89MCAP0\r\n'
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # no CDR starts with it
 SQLITE_MAGIC = b'SQLite f'
 ROS1_MAGIC = b'#ROSBAG '
@@ -35,7 +36,10 @@ _UNPACKED_BYTES = 1 << 20  # at a time
 # What YAML and records of another form raise.
 _MALFORMED = (ValueError, LookupError, TypeError, AttributeError)
 # Endings of files that `kinpole import` reads.
-_POINTS = ('.csv', '.tsv', '.txt', '.trc', '.c3d', '.h5', '.xml', '.trk', '.json')
+_POINTS = (
+    *('.csv', '.tsv', '.txt', '.trc', '.c3d', '.h5', '.nc', '.nwb', '.slp'),
+    *('.xml', '.trk', '.json'),
+)
 _IMPORT = 'fix: make a bag of it by `kinpole import {} --output {}`'
 CONVERT = 'fix: `rosbags-convert --src {} --dst NEW --dst-storage mcap` (pip install rosbags)'
 
@@ -56,8 +60,8 @@ def bag_files(path: str | Path) -> list[Path]:
     ----------
     path : str or Path
         An .mcap or .db3 file or a rosbag2 folder, whose metadata.yaml names the files. A folder
-        without one has all its .mcap files, or all .db3 files, by name; numbers in names count as
-        numbers.
+        without one has all its .mcap files, or all .db3 files, plain or compressed, by name;
+        numbers in names count as numbers.
 
     Returns
     -------
@@ -90,17 +94,19 @@ def bag_files(path: str | Path) -> list[Path]:
 def _folder_files(folder: Path) -> list[Path]:
     metadata = folder / 'metadata.yaml'
     if not os.path.lexists(metadata):
-        plain = {file.name for file in folder.glob('*.mcap')}
-        plain = plain or {file.name for file in folder.glob('*.db3')}
-        # A file is there as both if its recorder died while it compressed it.
-        packed = {file.name for file in folder.glob('*.mcap.zstd')}
-        names = plain | {name for name in packed if name.removesuffix('.zstd') not in plain}
-        if not names:
+        found: set[str] = set()
+        for ending in ('*.mcap', '*.db3'):
+            plain = {file.name for file in folder.glob(ending)}
+            # A file is there as both if its recorder died while it compressed it.
+            packed = {file.name for file in folder.glob(f'{ending}.zstd')}
+            packed = {name for name in packed if name.removesuffix('.zstd') not in plain}
+            found = found or plain | packed
+        if not found:
             raise BagError(
                 f'{folder} has neither metadata.yaml nor .mcap or .db3 files; '
                 'fix: give an .mcap file or a rosbag2 folder'
             )
-        return _checked_files(folder, sorted(names, key=_by_number))
+        return _checked_files(folder, sorted(found, key=_by_number))
     _checked_files(folder, [metadata.name])
     try:
         content = load_yaml(read_limited(metadata, MOST_YAML))
@@ -171,7 +177,7 @@ def _by_number(name: str) -> list[int | str]:
 def check_magic(path: Path) -> None:
     """Raise BagError where a file does not begin as an MCAP or SQLite file does."""
     with open_regular(path) as file:
-        magic = file.read(len(MCAP0_MAGIC))
+        magic = file.read(len(MCAP_MAGIC))
     if not magic:
         raise Truncated(f'{path} is empty (0 bytes); fix: record again')
     if magic == SQLITE_MAGIC:
@@ -180,13 +186,13 @@ def check_magic(path: Path) -> None:
         raise BagError(f'{path} is a ROS 1 bag; {_IMPORT.format(path, path.with_suffix(".mcap"))}')
     if magic.startswith(ZSTD_MAGIC):
         with open_file(path) as unpacked:
-            if unpacked.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+            if unpacked.read(len(MCAP_MAGIC)) in (MCAP_MAGIC, SQLITE_MAGIC):
                 return
         raise BagError(
-            f'{path} is compressed, and what is in it is not an MCAP file; '
+            f'{path} is compressed, and what is in it is not an MCAP or SQLite file; '
             f'fix: see what `zstd -d {path}` gives'
         )
-    if not MCAP0_MAGIC.startswith(magic):
+    if not MCAP_MAGIC.startswith(magic):
         if path.suffix.lower() in _POINTS:
             raise BagError(
                 f'{path} is a file of points, not a bag; '
@@ -217,7 +223,7 @@ def recorder_of(path: str | Path) -> str:
     with suppress(OSError, *_MALFORMED, struct.error, EndOfFile):
         if path.is_file():
             with open_file(path) as file:
-                if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+                if file.read(len(MCAP_MAGIC)) == MCAP_MAGIC:
                     head = file.read(_HEADER_BYTES)
                     length = int.from_bytes(head[1:9], 'little')
                     library = Header.read(ReadDataStream(io.BytesIO(head[9 : 9 + length]))).library

@@ -3,7 +3,7 @@
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,16 @@ import numpy as np
 from kinpole_ros.bags._bag_reader import Progress
 from kinpole_ros.bags._bag_writer import BagWriter
 from kinpole_ros.bags._files import BagError, in_place_of
-from kinpole_ros.bags.formats import UNITS, Options, Points, listed, read_points, shown
+from kinpole_ros.bags._repeated_frames import leave_out_repeats
+from kinpole_ros.bags.formats import (
+    SHARES,
+    UNITS,
+    Options,
+    Points,
+    listed,
+    read_points,
+    shown,
+)
 from kinpole_ros.messages import INPUT_TYPES, TF, marker_arrays, poses_data
 
 _FRAME = 'world'
@@ -34,11 +43,11 @@ class Imported:
     span : float
         s, from the first frame to the last.
     rate : float
-        Hz, by the median of the steps between frames; NaN of one frame.
+        Hz, intervals over time, where lost frames count; NaN of one frame.
     unit : str
         As the file calls it.
-    scale : float
-        m per unit.
+    scale : float or tuple of float
+        m per unit; in x and y where these are shares of a picture.
     notes : tuple of str
         What the user should know, a line each.
 
@@ -50,16 +59,17 @@ class Imported:
     span: float
     rate: float
     unit: str
-    scale: float
+    scale: float | tuple[float, float]
     notes: tuple[str, ...]
 
     def __str__(self) -> str:
         """Say what was read: frames, markers, format, unit, span and rate."""
         at_rate = f' at {self.rate:.4g} Hz' if self.frames > 1 else ''
         unit = f'in {self.unit}' if UNITS.get(self.unit.lower()) == self.scale else ''
+        length = ' x '.join(f'{one:g}' for one in np.atleast_1d(self.scale))
         return (
             f'{self.frames} frames of {len(self.markers)} markers ({self.format}, '
-            f'{unit or f"1 unit = {self.scale:g} m"}), {self.span:.4g} s{at_rate}'
+            f'{unit or f"1 unit = {length} m"}), {self.span:.4g} s{at_rate}'
         )
 
 
@@ -67,7 +77,7 @@ def import_points(
     path: str | Path,
     output: str | Path,
     rate: float | None = None,
-    scale: float | None = None,
+    scale: float | tuple[float, float] | None = None,
     y_down: bool | None = None,
     progress: Progress | None = None,
     format: str = 'auto',
@@ -89,8 +99,9 @@ def import_points(
         Hz; frames are stamped by their numbers then, the first one 0. Without it, stamps are the
         times of the file. Where these start before 0, which no stamp can hold, they are counted
         from the first frame, and a note says so.
-    scale : float, optional
-        Length of the file's unit, m; without it, as the file says.
+    scale : float or tuple of float, optional
+        Length of the file's unit, m; without it, as the file says. Width and height of the picture,
+        m, where coordinates are shares of these.
     y_down : bool, optional
         Whether y points down; without it, as the file says.
     progress : callable, optional
@@ -115,19 +126,28 @@ def import_points(
     options = Options(rate, likelihood)
     _check_arguments(path, output, options, scale)
     name, read = read_points(path, format, options)
-    used_scale = read.scale if scale is None else scale
+    used_scale = read.scale if scale is None or _is_other_scale(path, read, scale) else scale
     if used_scale is None or (rate is None and read.times is None):
         raise _incomplete(path, name, read, used_scale, rate)
     poses = _scale(path, read, used_scale, read.y_down if y_down is None else y_down)
+    read = replace(read, poses=poses)
     stamps, stamp_notes = _stamps(path, read, rate)
-    write_points(output, read.names, stamps, read.points, progress, read.bodies, poses)
-    return _describe(name, read, stamps, used_scale, stamp_notes)
+    kept = leave_out_repeats(str(path), 'frames', stamps, _marks(read.points, poses))
+    if kept.note:
+        stamp_notes.append(f'{path}: {kept.note}')
+        own = kept.is_kept
+        read = replace(read, points=read.points[own], poses=None if poses is None else poses[own])
+    write_points(output, read.names, kept.stamps, read.points, progress, read.bodies, read.poses)
+    return _describe(name, read, kept.stamps, used_scale, stamp_notes)
 
 
-def _check_arguments(path: Path, output: Path, options: Options, scale: float | None) -> None:
+def _check_arguments(
+    path: Path, output: Path, options: Options, scale: float | tuple[float, float] | None
+) -> None:
     """Raise BagError for what cannot be."""
     for name, value in (('rate', options.rate), ('scale', scale)):
-        if value is not None and not (math.isfinite(value) and value > 0):
+        numbers = [one for one in np.atleast_1d(value) if one is not None]
+        if not all(math.isfinite(one) and one > 0 for one in numbers):
             raise BagError(f'{name} is {value}; fix: give a number greater than 0')
     if options.likelihood is not None and not 0 <= options.likelihood <= 1:
         raise BagError(f'likelihood is {options.likelihood}; fix: give a number from 0 to 1')
@@ -135,9 +155,19 @@ def _check_arguments(path: Path, output: Path, options: Options, scale: float | 
         raise BagError(f'{output} is the file of points itself; fix: give another one for the bag')
 
 
-def _scale(path: Path, read: Points, scale: float, is_flipped: bool) -> np.ndarray | None:
+def _is_other_scale(path: Path, read: Points, scale: float | tuple[float, float]) -> bool:
+    """Return whether a length is given for shares of a picture, which need its two sides."""
+    if isinstance(scale, tuple) and read.unit != SHARES:
+        raise BagError(f'{path} is not in {SHARES}; fix: give --scale one number')
+    return read.unit == SHARES and not isinstance(scale, tuple)
+
+
+def _scale(
+    path: Path, read: Points, scale: float | tuple[float, float], is_flipped: bool
+) -> np.ndarray | None:
     """Scale the points in place, as they can be most of what is in memory; return scaled poses."""
-    factors = [scale, -scale if is_flipped else scale, scale]
+    width, height = scale if isinstance(scale, tuple) else (scale, scale)
+    factors = [width, -height if is_flipped else height, width]
     poses = read.poses
     with np.errstate(over='ignore'):
         np.multiply(read.points, factors, out=read.points)
@@ -149,8 +179,25 @@ def _scale(path: Path, read: Points, scale: float, is_flipped: bool) -> np.ndarr
     return poses
 
 
+def _marks(points: np.ndarray, poses: np.ndarray | None) -> np.ndarray:
+    """Return points (T, n, 3) with the tips of two axes, 1 m long, of each pose (T, B, 7)."""
+    if poses is None:
+        return points
+    x, y, z, w = np.moveaxis(poses[..., 3:], -1, 0)
+    with np.errstate(invalid='ignore', divide='ignore'):
+        square = x * x + y * y + z * z + w * w
+        first = np.stack((w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)))
+        second = np.stack((2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)))
+        tips = [np.moveaxis(axis / square, 0, -1) for axis in (first, second)]
+    return np.concatenate((points, *tips), axis=1)
+
+
 def _describe(
-    name: str, read: Points, stamps: np.ndarray, scale: float, stamp_notes: list[str]
+    name: str,
+    read: Points,
+    stamps: np.ndarray,
+    scale: float | tuple[float, float],
+    stamp_notes: list[str],
 ) -> Imported:
     """Describe what was written."""
     notes = [*read.notes, *stamp_notes]
@@ -163,25 +210,43 @@ def _describe(
             f'poses are on {TF}, to be read with marker_type: tf and marker_topic: {TF}: '
             f'{listed([shown(body) for body in read.bodies])}'
         )
-    steps = np.diff(stamps) * 1e-9
+    span = float(stamps[-1] - stamps[0]) * 1e-9
     return Imported(
         name,
         tuple(read.names),
         len(stamps),
-        float(steps.sum()),
-        1.0 / float(np.median(steps)) if len(steps) else math.nan,
+        span,
+        _mean_rate(stamps),
         shown(read.unit),
         scale,
         tuple(notes),
     )
 
 
+def _mean_rate(stamps: np.ndarray) -> float:
+    """Return intervals over time, Hz; rounded steps of a grid are whole intervals."""
+    steps = np.diff(stamps)
+    if not len(steps):
+        return math.nan
+    intervals = np.maximum(np.rint(steps / np.median(steps)), 1)
+    return float(intervals.sum() / steps.sum() * 1e9)
+
+
 def _incomplete(
-    path: Path, name: str, read: Points, scale: float | None, rate: float | None
+    path: Path,
+    name: str,
+    read: Points,
+    scale: float | tuple[float, float] | None,
+    rate: float | None,
 ) -> BagError:
     """Return the error of a unit and times that neither the file nor the user gives."""
     faults, fixes = [], []
-    if scale is None:
+    if scale is None and read.unit == SHARES:
+        faults.append(f'is in {SHARES}, 0 to 1')
+        fixes.append(
+            'give --scale WIDTH,HEIGHT, the size of the picture in m: its pixels times the m of one'
+        )
+    elif scale is None:
         unit = f'in {shown(read.unit)}' if read.unit else 'in a unit that the file does not say'
         faults.append(f'is {unit}')
         fixes.append(

@@ -19,10 +19,9 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Schema, Statistics
-from mcap.writer import MCAP0_MAGIC
 
 from kinpole_ros.bags import _channels
-from kinpole_ros.bags._files import BagError, Unpacked
+from kinpole_ros.bags._files import MCAP_MAGIC, BagError, Unpacked
 
 NEVER = 2**64  # later than any log time
 _FARTHEST = 2**62  # bytes: beyond the end of any file
@@ -95,7 +94,7 @@ def _scan(file: BinaryIO, layout: FileLayout, disk_size: int) -> None:
     limit, most = layout.size, _channels.largest(disk_size)
     # Progress is reported after each run, so a file has 200 or more of them.
     run_bytes = min(_RUN_BYTES, disk_size // 200)
-    offset = len(MCAP0_MAGIC)
+    offset = len(MCAP_MAGIC)
     while offset <= limit:
         file.seek(offset)
         head = file.read(_channels.HEAD.size + _channels.MESSAGE.size)
@@ -125,12 +124,12 @@ def _scan(file: BinaryIO, layout: FileLayout, disk_size: int) -> None:
         offset += _channels.HEAD.size + length
         if opcode == Opcode.FOOTER and offset <= limit:
             file.seek(offset)
-            magic = file.read(2 * len(MCAP0_MAGIC))
-            if not magic.startswith(MCAP0_MAGIC):
+            magic = file.read(2 * len(MCAP_MAGIC))
+            if not magic.startswith(MCAP_MAGIC):
                 break
             layout.size = offset
-            if magic == 2 * MCAP0_MAGIC:
-                end = offset + len(MCAP0_MAGIC)
+            if magic == 2 * MCAP_MAGIC:
+                end = offset + len(MCAP_MAGIC)
                 layout.trouble = (
                     f'holds another bag from byte {end} on, which needs a file of its own'
                 )

@@ -1,13 +1,14 @@
 """The topic of markers or poses in a bag, and its frames as arrays."""
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
 from kinpole_ros import messages
-from kinpole_ros.bags._bag_reader import Progress, read_blocks, topics
+from kinpole_ros.bags._bag_reader import Progress, read_blocks, read_messages, topics
 from kinpole_ros.bags._files import BagError, Truncated
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
@@ -21,7 +22,7 @@ def read_frames(
     topic: str | None = None,
     seconds: float | None = None,
     progress: Progress | None = None,
-    report: Callable[[Truncated], None] | None = None,
+    report: Callable[[BagError], None] | None = None,
     identity: str = 'auto',
 ) -> tuple[list[MarkerFrames], str]:
     """
@@ -38,7 +39,7 @@ def read_frames(
     progress : callable, optional
         Called with the fraction of bytes read, 0 to 1.
     report : callable, optional
-        Called with what is missing of a bag that is not whole.
+        Called with what is missing of a bag that is not whole, and what of it is no marker.
     identity : str
         As the parameter `marker_identity`.
 
@@ -75,6 +76,8 @@ def read_frames(
         raise BagError(
             f'{bag}: no message on {name} can be read{reason}; fix: name another with --topic'
         )
+    if report is not None and isinstance(reader, messages.MarkerReader) and reader.fault():
+        report(BagError(f'{bag}: {reader.fault()}'))
     return frames if seconds is None else _first_part(frames, seconds), name
 
 
@@ -101,6 +104,8 @@ def frame_blocks(
 
     Those of messages of several layouts, as where markers come and go, are several `MarkerFrames`.
     """
+    if kind == 'tf' and isinstance(reader, messages.PoseReader):
+        _read_static(bag, f'{topic}_static', reader)
     blocks = read_blocks(bag, [topic], progress)
     no_times, type_name = np.zeros(0, np.int64), messages.INPUT_TYPE_NAMES[kind]
     while True:
@@ -130,6 +135,15 @@ def frame_blocks(
                 yield from (([], no_times, error) for error in items)
             else:
                 yield list(items), log_times[np.concatenate(numbers)], None
+
+
+def _read_static(bag: str | Path, topic: str, reader: messages.PoseReader) -> None:
+    """Give a reader the frames that do not move in their parents, where a bag has any."""
+    if topic in topics(bag):
+        # A bag that is cut off is reported by its other messages.
+        with suppress(Truncated):
+            for message in read_messages(bag, [topic]):
+                reader.add_static(message.data)
 
 
 def _marker_topic(bag: str | Path, topic: str | None) -> tuple[str, str]:

@@ -210,6 +210,8 @@ class _Replaying:
                         add(estimate)
             if isinstance(self._reader, messages.PoseReader):
                 outcome.pose_problem = self._reader.fault()
+            elif drawings := self._reader.fault():
+                outcome.misnamed.append(drawings)
             self._check_frames()
         outcome.concatenated = _unlisted_files(self._bag)
         if self._positions is not None:
@@ -227,6 +229,9 @@ class _Replaying:
     def _add_error(self, error: Exception) -> None:
         if isinstance(error, Truncated):
             self._outcome.truncated = error
+            return
+        if isinstance(error, messages.NoMarkersError):
+            self._outcome.empty += 1
             return
         self._tracker.counts['unreadable'] += 1
         self._outcome.problem = self._outcome.problem or str(error)
@@ -273,6 +278,11 @@ class _Replaying:
         if counts['unreadable']:
             raise BagError(
                 f'{self._bag}: no message on {self._topic} can be read: {outcome.problem}'
+            )
+        if outcome.empty:
+            raise BagError(
+                f'{self._bag}: no message on {self._topic} has markers; fix: see that the tracker '
+                'sees them, or name another topic with --topic'
             )
         if outcome.pose_problem:
             raise BagError(f'{self._bag}: on {self._topic} {outcome.pose_problem}')

@@ -40,6 +40,8 @@ class Replayed:
         Share of the estimates at which each pole is determined, by body and pole.
     unreadable, problem : int, str
         Messages that could not be read, and why the first one.
+    empty : int
+        Messages without markers, as of rows of a table in which none was seen.
     repeated, late, lost : int
         Frames left out, as they repeat a stamp or are older than the one before; and frames that
         never came, by the clock of the stamps.
@@ -88,6 +90,7 @@ class Replayed:
     determined: dict[str, dict[str, float]] = field(default_factory=dict)
     unreadable: int = 0
     problem: str = ''
+    empty: int = 0
     repeated: int = 0
     late: int = 0
     lost: int = 0
@@ -163,6 +166,8 @@ def finish(outcome: Replayed, tracker: Tracker) -> None:
     bodies, counts = tracker.bodies, tracker.counts
     for name in _COUNTED:
         setattr(outcome, name, counts[name])
+    # These came, but have no stamps.
+    outcome.lost = max(outcome.lost - outcome.empty, 0)
     if not outcome.frames:
         outcome.first = 0
     for poles in outcome.determined.values():

@@ -5,6 +5,8 @@ On request they are as bad as those of real rigs: late stamps, a tilted plane, o
 without names in random order.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,7 +100,7 @@ class SimulationOptions:
     scale: float = 1.0
     unlabeled: bool = False
 
-    def check(self, scene: 'Scene') -> None:
+    def check(self, scene: Scene) -> None:
         """Raise BagError for a value out of range, or a scene without markers."""
         frames, types = self.rate * self.duration, ', '.join(INPUT_TYPES)
         for name, value, allowed, is_allowed in (
@@ -128,7 +130,7 @@ class SimulationOptions:
 
 
 def simulate(
-    scene: 'Scene',
+    scene: Scene,
     output: str | Path,
     progress: Callable[[float], None] | None = None,
     **options: Any,
@@ -228,7 +230,7 @@ def _increasing(stamps: np.ndarray) -> np.ndarray:
 
 
 def _seen(
-    scene: 'Scene',
+    scene: Scene,
     motion: Any,
     spoil: SimulationOptions,
     generators: tuple[np.random.Generator, np.random.Generator, np.random.Generator],
@@ -254,7 +256,7 @@ def _seen(
 
 
 def _marker_points(
-    scene: 'Scene',
+    scene: Scene,
     motion: Any,
     spoil: SimulationOptions,
     generator: np.random.Generator,
@@ -273,7 +275,7 @@ def _marker_points(
     return points
 
 
-def _exact_arrays(scene: 'Scene', motion: Any) -> dict[str, np.ndarray]:
+def _exact_arrays(scene: Scene, motion: Any) -> dict[str, np.ndarray]:
     """Return the arrays (..., T, B) of an estimate of the motion, by name."""
     bodies = tuple(scene.markers)
     position = np.stack([motion[body].position for body in bodies], axis=-1)  # (5, T, B)
@@ -314,7 +316,7 @@ def _messages(
 
 
 def _poses(
-    scene: 'Scene', points: np.ndarray, spoil: SimulationOptions, rotation: np.ndarray
+    scene: Scene, points: np.ndarray, spoil: SimulationOptions, rotation: np.ndarray
 ) -> np.ndarray:
     """
     Return poses (T, B, 7), points and quaternions, fitted to the markers (T, n, 3) of each body.

@@ -1,20 +1,29 @@
 """Messages of bags in other storages than MCAP: SQLite, rosbag2's former default, and ROS 1."""
 
-import bz2
-import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import zstandard
 
 from kinpole_ros.bags._channels import BagMessage, unpack_message
-from kinpole_ros.bags._files import CONVERT, SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
+from kinpole_ros.bags._files import (
+    CONVERT,
+    SQLITE_MAGIC,
+    ZSTD_MAGIC,
+    BagError,
+    Truncated,
+    open_file,
+)
 from kinpole_ros.bags._layout import unpack_lz4
-from kinpole_ros.files import printable
+from kinpole_ros.files import open_regular, printable
+
+if TYPE_CHECKING:
+    import sqlite3
 
 _LARGEST_MESSAGE = 1 << 25  # bytes of a message in SQLite, unpacked
+_COPIED_BYTES = 1 << 20  # at a time
 _TABLES = {'topics', 'messages'}
 _LARGEST_ROS1_CHUNK = 1 << 26  # bytes, unpacked; rosbag makes chunks of 768 KiB
 
@@ -27,10 +36,57 @@ def is_sqlite(file: BinaryIO) -> bool:
 
 
 @contextmanager
-def _open_sqlite(path: Path) -> Iterator[sqlite3.Connection]:
+def _whole_database(path: Path) -> Iterator[str]:
+    """
+    Return the address of a database with all that its recorder wrote; no file is changed.
+
+    A recorder that was killed leaves messages in a -wal beside the file, or a -journal of what it
+    had not finished. SQLite merges either only into a file that it may write, so a copy is made,
+    and so is one of a file that is compressed as a whole.
+    """
+    beside = [Path(f'{path}{ending}') for ending in ('-wal', '-journal')]
+    beside = [file for file in beside if file.is_file() and file.stat().st_size]
+    with open_regular(path) as content:
+        is_packed = content.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
+    if not (is_packed or beside):
+        yield f'{path.absolute().as_uri()}?immutable=1'
+        return
+    import shutil
+    import tempfile
+
+    with tempfile.TemporaryDirectory(prefix='kinpole_') as folder:
+        copy = Path(folder) / 'copy.db3'
+        with open_file(path) as source, open(copy, 'wb') as target:
+            _copy_bounded(path, source, target, folder, shutil.disk_usage(folder).free)
+        for file in beside:
+            shutil.copyfile(file, f'{copy}{str(file).removeprefix(str(path))}')
+        yield copy.as_uri()
+
+
+def _copy_bounded(path: Path, source: BinaryIO, target: BinaryIO, folder: str, free: int) -> None:
+    """Copy a file to a disk; raises BagError where it would take most of the `free` bytes."""
+    size = 0
+    while block := source.read(_COPIED_BYTES):
+        size += len(block)
+        if size > free / 2:
+            raise BagError(
+                f'{path} needs a copy of more than half of the free space of '
+                f'{Path(folder).parent}, {free >> 20} MiB; fix: free some, or set TMPDIR to '
+                'another folder'
+            )
+        target.write(block)
+
+
+@contextmanager
+def _open_sqlite(path: Path) -> 'Iterator[sqlite3.Connection]':
     """Open a file read-only, whatever its folder allows; errors of SQLite become BagError."""
+    import sqlite3
+
     try:
-        with closing(sqlite3.connect(f'{path.absolute().as_uri()}?immutable=1', uri=True)) as file:
+        with (
+            _whole_database(path) as address,
+            closing(sqlite3.connect(address, uri=True)) as file,
+        ):
             file.execute('PRAGMA trusted_schema = OFF')
             # A view could run forever.
             tables = file.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
@@ -115,6 +171,8 @@ def _open_ros1(path: Path) -> Iterator[Any]:
 
 
 def _unpack_bz2(data: bytes) -> bytes:
+    import bz2
+
     return bz2.BZ2Decompressor().decompress(data, _LARGEST_ROS1_CHUNK)
 
 

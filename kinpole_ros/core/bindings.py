@@ -7,15 +7,15 @@ no others.
 """
 
 import ctypes
-import sysconfig
 from collections.abc import Mapping
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-_FILE = Path(__file__).parents[1] / f'_compiled{sysconfig.get_config_var("EXT_SUFFIX")}'
+_FILE = Path(__file__).parents[1] / f'_compiled{EXTENSION_SUFFIXES[0]}'
 _Bytes = ctypes.c_char * 0
 # An argument of type c_void_p that points to a new array, in half the time of `address_of`.
 pass_new_array = _Bytes.from_buffer
@@ -30,6 +30,8 @@ _ELEMENTS = {
     'double': np.dtype(float),
     'Number': np.dtype(complex),
     'unsigned char': np.dtype(np.uint8),
+    'Flag': np.dtype(bool),
+    'Workspace': np.dtype(np.void),
 }
 _IS_VALUE, _IS_ARRAY = 0, -1
 
@@ -60,15 +62,35 @@ class Struct(ctypes.Structure):
     Attributes
     ----------
     elements : mapping of str to dtype
-        The fields that are arrays, in their order, and the type of their elements; None for the
-        elements of another struct.
+        The fields that are arrays, in their order, and the type of their elements.
+    shapes : mapping of str to tuple of str
+        Their shapes, of numbers and of symbols that the headers explain.
+    meanings : mapping of str to str
+        What each field is, after its unit.
 
     """
 
-    elements: ClassVar[Mapping[str, np.dtype | None]]
+    elements: ClassVar[Mapping[str, np.dtype]]
+    shapes: ClassVar[Mapping[str, tuple[str, ...]]]
+    meanings: ClassVar[Mapping[str, str]]
     if TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any: ...
+
+    @classmethod
+    def shapes_for(cls, **sizes: int) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of the fields that are arrays, for the sizes of their symbols."""
+
+        def size_of(text: str) -> int:
+            return sum(int(part) if part.isdigit() else sizes[part] for part in text.split(' + '))
+
+        return {name: tuple(map(size_of, shape)) for name, shape in cls.shapes.items()}
+
+    @classmethod
+    def new_arrays(cls, **sizes: int) -> dict[str, np.ndarray]:
+        """Return arrays of zeros for all fields that are arrays, by their names."""
+        shapes = cls.shapes_for(**sizes).items()
+        return {name: np.zeros(shape, cls.elements[name]) for name, shape in shapes}
 
     def bind(self, name: str, array: np.ndarray | None) -> None:
         """
@@ -84,7 +106,7 @@ class Struct(ctypes.Structure):
             setattr(self, name, None)
             return
         element, flags = self.elements[name], array.flags
-        if array.dtype is not element and not _is_same(array.dtype, element):
+        if array.dtype is not element and array.dtype != element:
             raise TypeError(
                 f'{type(self).__name__}.{name} has elements {element}, not {array.dtype}'
             )
@@ -95,17 +117,11 @@ class Struct(ctypes.Structure):
         self.__dict__[name] = array
 
 
-def _is_same(dtype: np.dtype, element: np.dtype | None) -> bool:
-    """Whether elements are stored alike; a bool is a byte."""
-    is_byte = element is _ELEMENTS['unsigned char'] and dtype.kind == 'b'
-    return element is None or dtype == element or is_byte
-
-
 class _Field(ctypes.Structure):
     """`Field` of structs.h."""
 
     _fields_: ClassVar[Any] = [
-        *((name, ctypes.c_char_p) for name in ('name', 'type')),
+        *((name, ctypes.c_char_p) for name in ('name', 'type', 'shape', 'meaning')),
         *((name, ctypes.c_longlong) for name in ('count', 'offset')),
     ]
 
@@ -140,6 +156,10 @@ class Table(Struct):
     """What _models.py makes for a kind of window: see call.h."""
 
 
+class DerivativeArrays(Struct):
+    """Derivatives of poses: see call.h."""
+
+
 class Call(Struct):
     """The arguments of `kinpole_derive`, and the memory it works in: see call.h."""
 
@@ -157,6 +177,10 @@ class HistoryColumns(Struct):
 
 class BodyArrays(Struct):
     """What is known of the bodies: see frames.h."""
+
+
+class Gaps(Struct):
+    """Times without a body: see frames.h."""
 
 
 class BodyTracks(Struct):
@@ -199,25 +223,33 @@ class Joints(Struct):
     """The joints of joint states: see messages.h."""
 
 
+class ChangePoint(Struct):
+    """An event: see change_points.h."""
+
+
 def _add_fields(struct: type[Struct], description: _Description) -> None:
     """Give a class the fields of its struct, and check it against the compiler's layout."""
     fields: list[tuple[str, Any]] = []
     offsets: dict[str, int] = {}
-    elements: dict[str, np.dtype | None] = {}
+    elements: dict[str, np.dtype] = {}
+    shapes: dict[str, tuple[str, ...]] = {}
+    meanings: dict[str, str] = {}
     for field in description.fields[: description.count]:
         name, type_name = field.name.decode(), field.type.decode().removeprefix('const ')
-        offsets[name] = field.offset
+        offsets[name], meanings[name] = field.offset, field.meaning.decode()
         if field.count == _IS_ARRAY:
-            elements[name] = _ELEMENTS.get(type_name)
+            elements[name] = _ELEMENTS[type_name]
+            shapes[name] = tuple(field.shape.decode().strip('()').split(', '))
             fields.append((name, ctypes.c_void_p))
         else:
             value = _VALUES[type_name]
             fields.append((name, value if field.count == _IS_VALUE else field.count * value))
     struct._fields_, struct.elements = fields, MappingProxyType(elements)
+    struct.shapes, struct.meanings = MappingProxyType(shapes), MappingProxyType(meanings)
     found = {name: getattr(struct, name).offset for name in offsets}
     if found != offsets or ctypes.sizeof(struct) != description.size:
         raise ImportError(f'{_FILE} has a layout of {struct.__name__} that is not that of ctypes')
-    _VALUES[struct.__name__] = struct
+    _VALUES[struct.__name__], _ELEMENTS[struct.__name__] = struct, np.dtype(struct)
 
 
 def _read_list(function: str, kind: type[ctypes.Structure]) -> dict[str, Any]:
@@ -252,6 +284,7 @@ _CODES = _read_list('kinpole_codes', _Codes)
 SIZES = codes_of('SIZES')
 
 _pointer = ctypes.POINTER
+_POINT = _pointer(ChangePoint)
 _NUMBER, _ARRAY, _DATA = ctypes.c_longlong, ctypes.c_void_p, ctypes.c_char_p
 # What the functions of the headers return, and their arguments. Structs that are rows of an array,
 # or in one, are passed as arrays: `Results`, `Plane` and `Row`.
@@ -260,7 +293,7 @@ _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     'free_workspace': (None, [_pointer(Call)]),
     'try_frame': (ctypes.c_int, [_pointer(Frames), _ARRAY]),
     'follow': (ctypes.c_int, [_pointer(Frames), _pointer(Call), _ARRAY]),
-    'find_event': (ctypes.c_int, [*2 * [_ARRAY], *2 * [_NUMBER], *2 * [ctypes.c_double], _ARRAY]),
+    'find_event': (ctypes.c_int, [*2 * [_ARRAY], *2 * [_NUMBER], *2 * [ctypes.c_double], _POINT]),
     'assign': (_NUMBER, [_pointer(Slots), _ARRAY, _NUMBER, *3 * [_ARRAY]]),
     'quantities': (None, [ctypes.c_int, _pointer(Motion), *4 * [_ARRAY]]),
     'relative_centers': (None, [_pointer(Motion), _NUMBER, _ARRAY, _NUMBER, *3 * [_ARRAY]]),

@@ -32,6 +32,7 @@ segments             6: polynomials between events
 hub                  7: the point of a body whose path is a polynomial
 derive               the order of these for one signal
 _pose_derivatives.py `derive_poses`: arrays to the library and back; keeps the tables
+_cached_tables.py    the same tables, in files
 _event_search.py     `find_event`: reports events some time after them
 change_points        the search of these, by polynomials with steps
 ==================== =============================================================================

@@ -5,11 +5,12 @@ Samples of a pose in deviations of their noise are searched by the compiled libr
 change_points.c.
 """
 
+from ctypes import byref
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.core.bindings import library, pass_new_array
+from kinpole_ros.core.bindings import ChangePoint, library, pass_new_array
 from kinpole_ros.planar._plane import Real
 
 # Fewest samples in which there may be an event.
@@ -72,7 +73,7 @@ def find_event(samples: Samples, after: float) -> Event | None:
     scale = np.sqrt(variance.mean(axis=0))[[0, 1, 1]]
     first = min(int(np.searchsorted(since, 0.0)), len(since) - 1)
     samples_in_sigmas = np.ascontiguousarray(((values - values[first]) / scale).T)
-    found = np.empty(10)
+    found = ChangePoint()
     code = library.kinpole_find_event(
         pass_new_array(since),
         pass_new_array(samples_in_sigmas),
@@ -80,19 +81,18 @@ def find_event(samples: Samples, after: float) -> Event | None:
         round(after / interval),
         ((begin + end) / 2 - middle) / interval,
         (end - begin) / interval / 2,
-        pass_new_array(found),
+        byref(found),
     )
     if code < 0:
         raise MemoryError
     if not code:
         return None
-    gain, place, place_sigma, order = found[:4].tolist()
-    unit = scale / interval**order
+    unit = scale / interval**found.step_order
     return Event(
-        middle + place * interval,
-        place_sigma * interval,
-        int(order),
-        found[4:7] * unit,
-        found[7:] * unit,
-        gain,
+        time=middle + found.place * interval,
+        time_sigma=found.place_sigma * interval,
+        order=int(found.step_order),
+        step=np.array(found.step) * unit,
+        step_sigma=np.array(found.step_sigma) * unit,
+        gain=found.gain,
     )

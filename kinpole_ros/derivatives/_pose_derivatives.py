@@ -1,15 +1,16 @@
 """
 Call the compiled kernel: from poses at stamps to derivatives at instants.
 
-The tables of window kinds are kept between calls, because they take 30 to 100 ms to make.
+The tables of window kinds are kept between calls, and in files between processes.
 """
 
-from ctypes import byref, c_longlong, sizeof
+from ctypes import byref
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.core.bindings import SIZES, Call, Table, library
+from kinpole_ros.core.bindings import SIZES, Call, DerivativeArrays, Table, library
+from kinpole_ros.derivatives._cached_tables import cached_table
 from kinpole_ros.derivatives._models import FLAT, models_of, slopes_of, stencils_of
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -53,8 +54,8 @@ class Derivatives(NamedTuple):
     Units are rad, m and s. Covariances (K, K, T, B) are between the orders, of the angle and of one
     coordinate. `span` (T, B) is the length of the window, s, and `freedom` (T, B) the effective
     number of parameters of the motion of the angle, 2 if it is steady. The position is that of the
-    point `hub` (T, B) of the body, m from the given one in the frame of the body: 0, or where the
-    body turns about that point.
+    point `reference` (T, B) of the body, m from the given one in the frame of the body: 0, or the
+    hub that the body turns about.
     """
 
     position: Complex
@@ -63,18 +64,18 @@ class Derivatives(NamedTuple):
     angle_covariance: Real
     span: Real
     freedom: Real
-    hub: Complex
+    reference: Complex
 
 
 class _Tables(NamedTuple):
-    """The `arrays` that tables point to, and the `tables` (n, k), each the k fields of `Table`."""
+    """The `arrays` that tables point to, and the `tables` (n,) with the fields of `Table`."""
 
     arrays: tuple[tuple[np.ndarray, Real], ...]
     tables: np.ndarray
 
 
 # Replaced and never changed, because another thread may be using it.
-_tables = _Tables((), np.empty((0, sizeof(Table) // sizeof(c_longlong)), np.int64))
+_tables = _Tables((), np.empty(0, Table))
 
 
 def derive_poses(
@@ -102,36 +103,19 @@ def derive_poses(
     """
     _check_arguments(poses, windows, left_out, noise, window, order)
     (instants, bodies), (frames,), orders = noise.shape, poses.time.shape, order + 1
-    results = np.empty((3 * orders + 2 * orders**2 + 4, instants, bodies))
     call = new_call(window, order)
     call.frames, call.bodies, call.instants = frames, bodies, instants
-    numbers = {
-        'time': poses.time,
-        'windows': np.array(windows),
-        'left_out': left_out,
-        'angle': poses.angle,
-        'turns': poses.turns,
-        'position': np.ascontiguousarray(poses.position, complex).view(float),
-        'angle_information': poses.angle_information,
-        'position_information': poses.position_information,
-        'noise': noise,
-        'results': results,
-    }
-    for name, array in numbers.items():
+    about = {'windows': np.array(windows), 'left_out': left_out, 'noise': noise}
+    for name, array in (poses._asdict() | about).items():
         call.bind(name, np.ascontiguousarray(array, call.elements[name]))
+    derivatives = Derivatives(**DerivativeArrays.new_arrays(K=orders, T=instants, B=bodies))
+    for name, array in derivatives._asdict().items():
+        call.derivatives.bind(name, array)
     tables = pass_tables(call)
     while code := library.kinpole_derive(byref(call)):
         tables = go_on(call, code)
     del tables
-    first, second, square = 2 * orders, 3 * orders, (orders, orders, instants, bodies)
-    third = second + orders * orders
-    position = results[:first].reshape(orders, instants, bodies, 2).view(complex)[..., 0]
-    of_position = results[second:third].reshape(square)
-    of_angle = results[third:-4].reshape(square)
-    hub = results[-2:].reshape(instants, bodies, 2).view(complex)[..., 0]
-    return Derivatives(
-        position, results[first:second], of_position, of_angle, results[-4], results[-3], hub
-    )
+    return derivatives
 
 
 def _check_arguments(
@@ -179,15 +163,21 @@ def go_on(call: Call, code: int) -> _Tables:
         raise MemoryError if code < -1 else IndexError('windows lie beyond the frames')
     lacking = call.lacking
     window = lacking.count, lacking.block, bool(lacking.exact)
-    no_integers = np.empty(0, np.int64)
-    if lacking.orders > 0:
-        made = no_integers, stencils_of(*window, lacking.orders, lacking.at)
-    else:
-        made = models_of(*window) if lacking.orders == 0 else (no_integers, slopes_of(*window))
+    made = cached_table(
+        (*window, lacking.orders, lacking.at), lambda: _make(window, lacking.orders, lacking.at)
+    )
     lacking.integers, lacking.numbers = (array.ctypes.data for array in made)
     arrays = (*_tables.arrays, made)
-    tables = np.concatenate((_tables.tables, np.frombuffer(bytes(lacking), np.int64)[None]))
+    tables = np.concatenate((_tables.tables, np.frombuffer(lacking, Table)))
     sizes = np.cumsum([sum(array.nbytes for array in one) for one in arrays][::-1])[::-1]
     number = max(int(np.count_nonzero(sizes <= _MAX_TABLE_BYTES)), 1)
     _tables = _Tables(arrays[-number:], tables[-number:].copy())
     return pass_tables(call)
+
+
+def _make(window: tuple[int, int, bool], orders: int, at: float) -> tuple[np.ndarray, Real]:
+    """Make stencils for these `orders`, or models if it is 0, or slopes if it is negative."""
+    if orders == 0:
+        return models_of(*window)
+    numbers = stencils_of(*window, orders, at) if orders > 0 else slopes_of(*window)
+    return np.empty(0, np.int64), numbers

@@ -2,7 +2,6 @@
 
 import glob
 import os
-import secrets
 import stat
 import time
 from collections.abc import Iterator
@@ -104,7 +103,7 @@ def _open_part(target: Path) -> tuple[Path, BinaryIO]:
                     unfinished.unlink()
     while True:
         # Its name is its own, for another process may write the same result.
-        part = target.with_name(f'{name}.{secrets.token_hex(4)}.part')
+        part = target.with_name(f'{name}.{os.urandom(4).hex()}.part')
         part_file = open(part, 'xb')  # noqa: SIM115 - the caller closes it
         with suppress(BlockingIOError):
             if not _WINDOWS:

@@ -7,11 +7,11 @@ Nothing outside this package uses OpenCV or FFmpeg (PyAV), which the extra `film
 from kinpole_ros.film._calibration import calibrate
 from kinpole_ros.film._film import film_to_bag, read_film
 from kinpole_ros.film._filmed import SIZE, Filmed, FilmOptions
-from kinpole_ros.film._lens import Lens
+from kinpole_ros.film._frames import FilmError
+from kinpole_ros.film._lens import Lens, rectified_lens
 from kinpole_ros.film._live_tags import LiveTags, jpeg, live_pictures
 from kinpole_ros.film._overlay import Shape, straightened, write_overlay, write_picture
 from kinpole_ros.film._printed import print_sheet
-from kinpole_ros.film._video import FilmError
 
 __all__ = [
     'SIZE',
@@ -27,6 +27,7 @@ __all__ = [
     'live_pictures',
     'print_sheet',
     'read_film',
+    'rectified_lens',
     'straightened',
     'write_overlay',
     'write_picture',

@@ -6,9 +6,11 @@ import cv2
 import numpy as np
 
 from kinpole_ros.files import whole_file
+from kinpole_ros.film._filmed import FilmOptions
+from kinpole_ros.film._frames import FilmError
 from kinpole_ros.film._printed import sheet_places
 from kinpole_ros.film._tags import TagFinder
-from kinpole_ros.film._video import FilmError, Video
+from kinpole_ros.film._video import Video
 
 _MOST_VIEWS = 40  # pictures by which a camera is calibrated
 _LEAST_VIEWS, _LEAST_TAGS = 8, 4
@@ -16,14 +18,16 @@ _APART = 0.02  # of the picture's width, between views that are used
 _MOST_UNCERTAIN = 0.02  # of the focal length
 
 
-def calibrate(path: str | Path, output: str | Path, size: float, family: str = 'auto') -> str:
+def calibrate(path: str | Path, output: str | Path, options: FilmOptions) -> str:
     """
     Write the file of the camera that filmed a sheet, uncut and flat, from several sides.
 
-    `size` is that of its tags, m. Returns what was found, in a line. Raises FilmError if the sheet
-    is not seen often enough, or the views do not determine the camera.
+    Returns what was found, in a line. Raises FilmError if the sheet is not seen often enough, or
+    the views do not determine the camera.
     """
-    objects, images, picture = _views(Video(path), size, family)
+    # Views need no times, so pictures of any rate will do.
+    video = Video(path, 1.0, options.topic)
+    objects, images, picture = _views(video, options.size, options.family)
     if len(objects) < _LEAST_VIEWS:
         raise FilmError(
             f'{path} shows the sheet from {len(objects)} sides, and {_LEAST_VIEWS} are needed; '

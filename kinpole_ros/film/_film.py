@@ -2,17 +2,23 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from kinpole_ros.bags import write_points
+from kinpole_ros.bags import leave_out_repeats, topics, write_points
 from kinpole_ros.film._dots import Dots
 from kinpole_ros.film._filmed import Filmed, FilmOptions, Seen
+from kinpole_ros.film._frames import FilmError
+from kinpole_ros.film._lens import Lens, rectified_lens
 from kinpole_ros.film._placing import place_seen
+from kinpole_ros.film._recorded_pictures import bag_messages, film_topic, is_bag_of_pictures
 from kinpole_ros.film._tags import NO_TAGS, TagFinder
-from kinpole_ros.film._video import FilmError, Progress, Video
+from kinpole_ros.film._video import Progress, Video
+from kinpole_ros.messages import CAMERA_INFO, DETECTIONS, Detections
 
 _LEAST_FRAMES = 5  # in which a tag is seen, else it is left out
+_LEAST_STEP = 0.05  # pixels; in a still film the compression moves corners by less
 SAME_STAMP = 1e6  # ns; a picture may be so much earlier than --at
 
 
@@ -22,15 +28,69 @@ def read_film(
     """
     Find the tags of a film, follow chosen dots, and place them in the plane of motion.
 
-    `progress` is called with the fraction done. Raises FilmError if the film cannot be read, or
-    shows no tags.
+    The film is a video, a folder of pictures, or a bag of pictures or of tags that are found
+    already. `progress` is called with the fraction done. Raises FilmError if the film cannot be
+    read, or shows no tags.
     """
     options = options or FilmOptions()
     options.check()
-    video = Video(path)
+    if is_bag_of_pictures(str(path)):
+        topic, kind = film_topic(str(path), options.topic)
+        if kind == DETECTIONS:
+            return _read_detections(str(path), topic, options)
+    video = Video(path, options.rate, options.topic)
     seen = _search(video, options, progress)
+    marks = np.concatenate((seen.pixels.reshape(len(seen.stamps), -1, 2), seen.dots), axis=1)
+    kept = leave_out_repeats(video.path, 'pictures', seen.stamps, marks, options.rate, _LEAST_STEP)
+    own = kept.is_kept
+    seen = replace(seen, stamps=kept.stamps, pixels=seen.pixels[own], dots=seen.dots[own])
+    notes = [kept.note, video.late and f'{video.late} left out whose stamps do not increase']
+    line = _film_line(seen, options, video.clock, [*notes, video.cut])
     filmed = place_seen(seen, options)
-    return replace(filmed, assumed=[_film_line(video, seen, options), *filmed.assumed])
+    return replace(
+        filmed,
+        assumed=[line, *filmed.assumed],
+        video=video,
+        numbers=np.flatnonzero(own),
+    )
+
+
+def _read_detections(path: str, topic: str, options: FilmOptions) -> Filmed:
+    """Place the tags that another program found in the pictures of a bag."""
+    if options.points or options.line_time or options.rate:
+        raise FilmError(
+            f'{path} has tags on {topic} and no pictures, and --points, --line-time and --rate are '
+            'for pictures; fix: leave them out'
+        )
+    found = [seen for _, seen in bag_messages(path, topic)]
+    stamps = np.array([seen.stamp for seen in found], np.int64)
+    is_later = np.diff(np.maximum.accumulate(stamps), prepend=-1) > 0
+    rows = [(found[k].tags, found[k].corners) for k in np.flatnonzero(is_later)]
+    picture, lens = _picture_of_detections(path, found)
+    family = next((seen.family for seen in found if seen.family), '')
+    seen = gather(stamps[is_later].tolist(), rows, picture, family)
+    if not seen.tags:
+        raise _no_tags(path, len(rows), '', 'see to the detector')
+    late = int((~is_later).sum())
+    line = _film_line(
+        seen, options, f'by the headers of {topic}', [late and f'{late} late ones left out']
+    )
+    filmed = place_seen(seen, options, lens)
+    return replace(filmed, assumed=[line, *filmed.assumed])
+
+
+def _picture_of_detections(
+    path: str, found: list[Detections]
+) -> tuple[tuple[int, int], Lens | None]:
+    """Return the size of pictures and the camera by the CameraInfo of a bag, if there is one."""
+    infos = [topic for topic, kind in topics(path).items() if kind == CAMERA_INFO]
+    for topic in infos if len(infos) == 1 else ():
+        for _, info in bag_messages(path, topic):
+            if min(info.width, info.height) > 0:
+                return (int(info.width), int(info.height)), rectified_lens(info)
+    corners = np.concatenate([seen.corners.reshape(-1, 2) for seen in found] or [np.ones((1, 2))])
+    width, height = np.ceil(np.append(corners, [[1, 1]], axis=0).max(axis=0)).astype(int).tolist()
+    return (width, height), None
 
 
 def film_to_bag(
@@ -68,7 +128,7 @@ def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Se
         found.append((tags, corners.astype(np.float32)))
         if dots is not None:
             places.append(dots.follow(gray))
-        elif options.points and stamp >= options.at * 1e9 - SAME_STAMP:
+        elif options.points and stamp - stamps[0] >= options.at * 1e9 - SAME_STAMP:
             dots = Dots(gray, list(options.points), chosen)
             places.append(dots.places)
         else:
@@ -79,15 +139,19 @@ def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Se
     if options.points and dots is None:
         raise FilmError(f'--at is {options.at:g} s, and {video.path} ends before')
     if not seen.tags and finder is not None:
-        cut = f', and {video.cut}' if video.cut else ''
         fix = 'tape tags of `kinpole film --print` on the links, and film nearer, in more light'
-        if options.points:
-            fix = 'give --scale'
-        raise FilmError(
-            f'{video.path} shows no tag in {_LEAST_FRAMES} pictures ({len(stamps)} were searched'
-            f'{cut}); fix: {fix}'
+        raise _no_tags(
+            video.path, len(stamps), video.cut, 'give --scale' if options.points else fix
         )
-    return replace(seen, dots=np.array(places))
+    return replace(seen, dots=np.array(places), turns=video.turns)
+
+
+def _no_tags(path: str, count: int, damage: str, fix: str) -> FilmError:
+    cut = f'; {damage}' if damage else ''
+    return FilmError(
+        f'{path} shows no tag: none was found in {_LEAST_FRAMES} or more of its {count} '
+        f'pictures{cut}; fix: {fix}'
+    )
 
 
 def gather(
@@ -112,14 +176,17 @@ def gather(
     return Seen(kept, np.array(stamps, np.int64), pixels, no_dots, picture, family)
 
 
-def _film_line(video: Video, seen: Seen, options: FilmOptions) -> str:
+def _film_line(seen: Seen, options: FilmOptions, clock: str, notes: list[Any]) -> str:
+    """Say how many pictures there are, and when they were taken, with notes that are not empty."""
     count = len(seen.stamps)
-    seconds = float(seen.stamps[-1]) * 1e-9
+    seconds = float(seen.stamps[-1] - seen.stamps[0]) * 1e-9
     rate = f' at {1e9 / float(np.median(np.diff(seen.stamps))):.4g} Hz' if count > 1 else ''
-    late = f', {video.late} left out whose stamps do not increase' if video.late else ''
-    cut = f'; {video.cut}' if video.cut else ''
     shutter = f'{options.line_time * 1e6:.3g} us' if options.line_time else 'none'
-    return (
+    texts = [
         f'film: {count} pictures of {seen.picture[0]} x {seen.picture[1]} in {seconds:.4g} s{rate} '
-        f'by the stamps of the file{late}; rolling shutter: {shutter}{cut}; to change: --line-time'
-    )
+        f'{clock}',
+        *filter(None, notes),
+        f'rolling shutter: {shutter}',
+        'to change: --line-time, --rate',
+    ]
+    return '; '.join(texts)

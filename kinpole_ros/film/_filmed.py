@@ -1,13 +1,15 @@
 """What a film does not tell, what its pictures show, and what follows in the plane of motion."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from kinpole_ros.film._frames import FilmError
 from kinpole_ros.film._ground import PlaneMap
 from kinpole_ros.film._lens import Lens
-from kinpole_ros.film._video import FilmError
+from kinpole_ros.film._video import Video
 
 # m; the black square of a tag that `kinpole film --print` draws.
 SIZE = 0.04
@@ -38,6 +40,10 @@ class FilmOptions:
     ruler : tuple, optional
         Two places, pixels, and their distance, m: the first is the origin, and x points to the
         second. Then no tags are searched.
+    rate : float, optional
+        Pictures per second that the camera took, Hz, instead of the stamps of the film.
+    topic : str, optional
+        The topic of pictures or detected tags in a bag, if there are several.
 
     """
 
@@ -49,6 +55,8 @@ class FilmOptions:
     points: dict[str, complex] = field(default_factory=dict)
     at: float = 0.0
     ruler: tuple[complex, complex, float] | None = None
+    rate: float | None = None
+    topic: str | None = None
 
     def check(self) -> None:
         """Raise FilmError for a value out of range."""
@@ -56,6 +64,8 @@ class FilmOptions:
             raise FilmError(f'--size is {self.size}; it must be more than 0 m, the side of a tag')
         if not 0 <= self.line_time < 0.01:
             raise FilmError(f'--line-time is {self.line_time}; it must be from 0 to 0.01 s')
+        if self.rate is not None and not 1e-3 < self.rate < 1e7:
+            raise FilmError(f'--rate is {self.rate:g}; it must be more than 0.001 Hz')
         if self.ruler is not None and not (
             self.points and self.ruler[0] != self.ruler[1] and 0 < self.ruler[2] < 1000
         ):
@@ -72,7 +82,7 @@ class Filmed:
     tags : tuple of int
         Their numbers.
     stamps : ndarray
-        (T,) int64, ns, from the first picture on.
+        (T,) int64, ns, from the first picture on; those of a bag from 1970.
     corners : ndarray
         (T, n, 4), complex, m, in the plane of motion; NaN where not seen.
     dots : dict of str to ndarray
@@ -87,6 +97,10 @@ class Filmed:
         Width and height, pixels.
     assumed : list of str
         What was assumed, and the options that change it, a line each.
+    video : Video or None
+        The film, if it has pictures.
+    numbers : ndarray
+        (T,) int, of the pictures in it, as some are left out.
 
     """
 
@@ -99,6 +113,21 @@ class Filmed:
     lens: Lens | None
     picture: tuple[int, int]
     assumed: list[str]
+    video: Video | None = None
+    numbers: np.ndarray = field(default_factory=lambda: np.empty(0, int))
+
+    def frames(self) -> Iterator[tuple[int, Any]]:
+        """Yield the row of each picture and its frame; raises FilmError if there are none."""
+        if self.video is None:
+            raise FilmError('there are no pictures, only tags that were found in them')
+        wanted = iter(enumerate(self.numbers.tolist()))
+        row, own = next(wanted)
+        for number, (_, frame) in enumerate(self.video.frames()):
+            if number == own:
+                yield row, frame
+                row, own = next(wanted, (0, -1))
+            if own < 0:
+                break
 
     @property
     def names(self) -> list[str]:
@@ -129,7 +158,7 @@ class Seen:
     """
     What the pictures show: tags, stamps (T,), and pixels of corners (T, n, 4, 2), dots (T, m, 2).
 
-    `picture` is the width and height of one.
+    `picture` is the width and height of one, which was turned to the left by so many quarter turns.
     """
 
     tags: list[int]
@@ -138,3 +167,4 @@ class Seen:
     dots: np.ndarray
     picture: tuple[int, int]
     family: str
+    turns: int = 0

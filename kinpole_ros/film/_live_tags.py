@@ -1,7 +1,7 @@
 """The pictures of a camera as they come, and their tags in the plane of motion."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import closing
 
 import cv2
@@ -9,11 +9,12 @@ import numpy as np
 
 from kinpole_ros.film._film import gather
 from kinpole_ros.film._filmed import Filmed, FilmOptions, marker_names
+from kinpole_ros.film._frames import FilmError
 from kinpole_ros.film._ground import leave_out_hidden
 from kinpole_ros.film._lens import Lens
 from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._tags import TagFinder
-from kinpole_ros.film._video import FilmError, Picture, Video, ahead
+from kinpole_ros.film._video import Picture, Video, ahead
 
 _LEARNED = 45  # pictures from which the map to the plane is learned: a second and a half
 _MOST = 250  # tags
@@ -97,8 +98,7 @@ def live_pictures(source: str) -> Iterator[Picture]:
     camera are those of receipt. Raises FilmError if it cannot be opened.
     """
     if source.isdigit() or source.startswith('/dev/'):
-        with closing(_camera_pictures(source)) as pictures:  # type: ignore[type-var]
-            yield from ahead(pictures, 1, are_old_left_out=True)
+        yield from ahead(_camera_pictures(source), 1, are_old_left_out=True)
         return
     start = None
     with closing(Video(source).pictures()) as pictures:  # type: ignore[type-var]
@@ -109,7 +109,7 @@ def live_pictures(source: str) -> Iterator[Picture]:
             yield picture
 
 
-def _camera_pictures(source: str) -> Iterator[Picture]:
+def _camera_pictures(source: str) -> Generator[Picture, None, None]:
     camera = cv2.VideoCapture(int(source) if source.isdigit() else source)
     try:
         if not camera.isOpened():

@@ -17,8 +17,9 @@ import numpy as np
 
 from kinpole_ros.files import whole_file
 from kinpole_ros.film._film import SAME_STAMP
-from kinpole_ros.film._filmed import Filmed
-from kinpole_ros.film._video import FilmError, Progress, Video, upright
+from kinpole_ros.film._filmed import Filmed, FilmOptions
+from kinpole_ros.film._frames import FilmError, upright
+from kinpole_ros.film._video import Progress, Video
 
 _TICKS = 90_000  # of a second, in which stamps are written
 _BITS = 4  # of the parts of a pixel in which OpenCV draws
@@ -47,7 +48,6 @@ class Shape(NamedTuple):
 
 
 def write_overlay(
-    path: str | Path,
     filmed: Filmed,
     shapes_at: Callable[[int], list[Shape]],
     output: str | Path,
@@ -56,29 +56,29 @@ def write_overlay(
     """
     Write a film again with shapes drawn over it, as .mp4.
 
-    `filmed` was found in it, `shapes_at` returns the shapes at a stamp, ns, and `progress` is
-    called with the fraction done. Raises FilmError if the video cannot be written.
+    `filmed` is what was found in it, `shapes_at` returns the shapes at a stamp, ns, and `progress`
+    is called with the fraction done. Raises FilmError if the video cannot be written.
     """
-    video = Video(path)
+    stamps = filmed.stamps.tolist()
+    rate = 1e9 * (len(stamps) - 1) / max(stamps[-1] - stamps[0], 1)
     try:
         with whole_file(output) as part, av.open(str(part), 'w', format='mp4') as container:
-            stream: Any = container.add_stream('libx264', rate=round(video.rate) or 30)
+            stream: Any = container.add_stream('libx264', rate=round(rate) or 30)
             stream.pix_fmt, stream.options = 'yuv420p', {'crf': '20', 'preset': 'veryfast'}
             stream.codec_context.time_base = Fraction(1, _TICKS)
-            for number, (stamp, frame) in enumerate(video.frames()):
-                if number == len(filmed.stamps):
-                    break
+            for number, frame in filmed.frames():
                 picture = upright(frame.to_ndarray(format='bgr24'), frame)
                 # H.264 has half as many colors each way.
                 height, width = (side // 2 * 2 for side in picture.shape[:2])
                 picture = np.ascontiguousarray(picture[:height, :width])
-                for shape in shapes_at(stamp):
+                for shape in shapes_at(stamps[number]):
                     pixels = filmed.to_pixels(shape.points, number, shape.height)
                     draw_shape(picture, pixels, shape)
                 if number == 0:
                     stream.height, stream.width = height, width
                 drawn = av.VideoFrame.from_ndarray(picture, 'bgr24')
-                drawn.pts, drawn.time_base = round(stamp * _TICKS / 1e9), Fraction(1, _TICKS)
+                drawn.pts = round((stamps[number] - stamps[0]) * _TICKS / 1e9)
+                drawn.time_base = Fraction(1, _TICKS)
                 container.mux(stream.encode(drawn))
                 if progress is not None:
                     progress((number + 1) / len(filmed.stamps))
@@ -87,17 +87,19 @@ def write_overlay(
         raise FilmError(f'{output} cannot be written ({error}); fix: see to the disk') from None
 
 
-def write_picture(path: str | Path, at: float, output: str | Path) -> float:
+def write_picture(path: str | Path, output: str | Path, options: FilmOptions) -> float:
     """
-    Write the first picture from an instant on, s, with a grid of its pixels, as .png.
+    Write the picture in which dots are chosen, with a grid of its pixels, as .png.
 
-    Returns its instant, s.
+    Returns its instant, s from the first picture.
     """
-    for picture in Video(path).pictures():
-        if picture.stamp >= at * 1e9 - SAME_STAMP:
+    first = None
+    for picture in Video(path, options.rate, options.topic).pictures():
+        first = picture.stamp if first is None else first
+        if picture.stamp - first >= options.at * 1e9 - SAME_STAMP:
             break
     else:
-        raise FilmError(f'--at is {at:g} s, and {path} ends before')
+        raise FilmError(f'--at is {options.at:g} s, and {path} ends before')
     shown = cv2.cvtColor(picture.gray, cv2.COLOR_GRAY2BGR)
     for along, side in enumerate(picture.gray.shape[::-1]):
         for place in range(0, side, _GRID):
@@ -107,7 +109,7 @@ def write_picture(path: str | Path, at: float, output: str | Path) -> float:
             cv2.putText(shown, str(place), corner, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 255, 255))
     with whole_file(output) as part:
         part.write_bytes(cv2.imencode('.png', shown)[1].tobytes())
-    return picture.stamp * 1e-9
+    return (picture.stamp - first) * 1e-9
 
 
 def draw_shape(picture: np.ndarray, pixels: np.ndarray, shape: Shape) -> None:
@@ -132,7 +134,7 @@ def draw_shape(picture: np.ndarray, pixels: np.ndarray, shape: Shape) -> None:
 
 
 def straightened(
-    path: str | Path, filmed: Filmed, stamps: np.ndarray, progress: Progress | None = None
+    filmed: Filmed, stamps: np.ndarray, progress: Progress | None = None
 ) -> dict[str, Any]:
     """
     Return the pictures of a film as the plane of motion, for a page with instants (T,), ns.
@@ -151,7 +153,7 @@ def straightened(
     at = kept.searchsorted(nearest, 'right') - 1
     wanted, pictures = set(kept.tolist()), []
     places = None
-    for number, (_, frame) in enumerate(Video(path).frames()):
+    for number, frame in filmed.frames():
         if number in wanted:
             if places is None or len(filmed.maps) > 1:
                 places = _places(filmed, number, low + 1j * (high - low).imag, scale, size)

@@ -95,8 +95,11 @@ def _at_one_instant(seen: Seen, pixels: np.ndarray, line_time: float) -> np.ndar
     A row is exposed later than the one above it. A corner is moved to the stamp along the parabola
     through three pictures; one that is seen in fewer at a time is left out.
     """
-    stamp = (seen.stamps * 1e-9).reshape(-1, *[1] * (pixels.ndim - 2))
-    time = stamp + line_time * (pixels[..., 1] - (seen.picture[1] - 1) / 2)
+    stamp = ((seen.stamps - seen.stamps[0]) * 1e-9).reshape(-1, *[1] * (pixels.ndim - 2))
+    # The rows of the sensor run right, up or left in a picture that was turned upright.
+    along, sign = ((1, 1), (0, 1), (1, -1), (0, -1))[seen.turns]
+    row = sign * (pixels[..., along] - (seen.picture[along] - 1) / 2)
+    time = stamp + line_time * row
     moved = np.full(pixels.shape, np.nan)
     for first in (-1, -2, 0):  # the middle one of three pictures, else the last or the first
         steps = [first, first + 1, first + 2]
@@ -171,21 +174,25 @@ def _median(numbers: np.ndarray) -> np.ndarray:
 
 
 def _dot_line(dots: dict[str, np.ndarray], options: FilmOptions) -> str:
-    shares = {name: np.isfinite(places).mean() for name, places in dots.items()}
-    worst = min(shares, key=lambda name: shares[name])
+    is_seen = {name: np.isfinite(places) for name, places in dots.items()}
+    worst = min(is_seen, key=lambda name: int(is_seen[name].sum()))
     names = ', '.join(list(dots)[:_SHOWN]) + (', ...' if len(dots) > _SHOWN else '')
     return (
-        f'dots: {names}, chosen in the picture at {options.at:g} s, seen in {shares[worst]:.0%} of '
-        f'the pictures or more ({worst}); to change: --points, --at'
+        f'dots: {names}, chosen in the picture at {options.at:g} s, '
+        f'{_seen_least(worst, is_seen[worst])}; to change: --points, --at'
     )
 
 
 def _tag_line(seen: Seen, corners: np.ndarray, options: FilmOptions) -> str:
-    shares = np.isfinite(corners).all(axis=-1).mean(axis=0)
+    is_seen = np.isfinite(corners).all(axis=-1)
     names = ', '.join(map(str, seen.tags[:_SHOWN])) + (', ...' if len(seen.tags) > _SHOWN else '')
-    worst = int(shares.argmin())
+    worst = int(is_seen.sum(axis=0).argmin())
     side = float(np.nanmedian(np.linalg.norm(np.diff(seen.pixels, axis=2), axis=-1)))
     return (
         f'tags: {names} of family {seen.family}, {side:.3g} pixels and {options.size * 1e3:.4g} mm '
-        f'wide, seen in {shares.min():.0%} of the pictures or more (tag {seen.tags[worst]})'
+        f'wide, {_seen_least(f"tag {seen.tags[worst]}", is_seen[:, worst])}'
     )
+
+
+def _seen_least(name: str, is_seen: np.ndarray) -> str:
+    return f'{name} seen least, in {int(is_seen.sum())} of {len(is_seen)} pictures'

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.files import whole_file
+from kinpole_ros.film._frames import FilmError
 from kinpole_ros.film._tags import FAMILIES, codes, family_of
-from kinpole_ros.film._video import FilmError
 
 _PAGE = (210.0, 297.0)  # mm
 _MARGIN = 12.0  # mm, which printers leave white

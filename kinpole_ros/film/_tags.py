@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from kinpole_ros.film._corners import refine_corners
-from kinpole_ros.film._video import FilmError
+from kinpole_ros.film._frames import FilmError
 
 # The first family of which tags are seen is taken: one with longer codes is mistaken less.
 FAMILIES = {

@@ -1,42 +1,33 @@
-"""
-The pictures of a video and their stamps, decoded in a thread beside the search for tags.
+"""The pictures of a film and their stamps, decoded in a thread beside the search for tags."""
 
-A video may come from anybody: only common containers and codecs are opened, which read no other
-file and no network, and pictures have a limit, so memory has one too.
-"""
-
-import os
 import queue
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import av
 import numpy as np
 
-from kinpole_ros.bags import BagError
-from kinpole_ros.files import open_regular, printable
+from kinpole_ros.film._container import video_source
+from kinpole_ros.film._frames import (
+    DamagedError,
+    FilmError,
+    Source,
+    brightness,
+    quarter_turns,
+)
+from kinpole_ros.film._recorded_pictures import bag_source, folder_source, is_bag_of_pictures
 
-_FORMATS = 'mov,matroska,webm,avi,mpegts,mjpeg'
-_CODECS = 'h264,hevc,av1,libdav1d,vp8,vp9,libvpx,libvpx-vp9,mpeg4,mjpeg,prores,rawvideo,ffv1'
-# A picture of 4K video has 8.8 million pixels; a decoder keeps up to 20 of them.
-_MOST_PIXELS = 4096 * 2176
-_LEAST_SIDE = 32  # pixels
 _WAITING = 3  # pictures between decoder and search
-_LONGEST = 2.0**31  # s, as stamps of ROS
+# A camera in the dark takes pictures at less than its rate, whose times are right. Slow motion is
+# slower than that.
+_SLOWER = 1.5
 Progress = Callable[[float], None]
-# The first plane of these is the brightness, one byte a pixel.
-_PLANAR = ('yuv420p', 'yuvj420p', 'yuv422p', 'yuvj422p', 'yuv444p', 'yuvj444p', 'nv12', 'gray')
-
-
-class FilmError(BagError):
-    """A video, camera file or sheet that cannot be used: one line that names it and the fix."""
 
 
 class Picture(NamedTuple):
-    """A picture: its stamp, ns from the first one on, and its brightness (h, w), uint8."""
+    """A picture: its stamp, ns, and its brightness (h, w), uint8."""
 
     stamp: int
     gray: np.ndarray
@@ -44,98 +35,102 @@ class Picture(NamedTuple):
 
 class Video:
     """
-    The pictures of a video in order.
+    The pictures of a film in order: of a video, a folder of pictures, or a topic of a bag.
 
-    `rate` is the mean number per second and `count` the number of pictures as the container has
-    them, 0 if unknown; `late` counts pictures left out because their stamps do not increase, and
-    `cut` says where a damaged video ends, '' for a sound one.
+    Stamps count from the first picture on, those of a bag from 1970. `rate` numbers the pictures
+    instead, Hz, and `topic` is one of a bag.
+
+    `count` is the number of pictures as the container has them, 0 if unknown; `clock` says what
+    the stamps are, `mean_rate` is the mean number per second, and `turns` the quarter turns to the
+    left by which pictures are shown. `late` counts pictures left out because their stamps do not
+    increase, and `cut` says where a damaged film ends, '' for a sound one.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self.path, self.late, self.cut = str(path), 0, ''
-        with self._opened() as (_, stream):
-            self.count = int(stream.frames)
-            self.rate = float(stream.average_rate or 0.0)
+    def __init__(
+        self, path: str | Path, rate: float | None = None, topic: str | None = None
+    ) -> None:
+        self.path, self.late, self.cut, self.turns = str(path), 0, '', 0
+        self._rate = rate
+        self._source = _source_of(self.path, topic)
+        self.count = self._source.pictures
+        self._slowing = 1.0
+        self.clock = f'by {self._source.clock}'
+        if rate is not None:
+            self.clock = 'by --rate'
+        elif not self._source.has_times:
+            raise FilmError(
+                f'{path} {self._source.clock}, which does not say when its pictures were taken; '
+                'fix: give --rate HZ, those per second that the camera took'
+            )
+        elif self._source.capture is not None:
+            self._correct_slow_motion(*self._source.capture)
+        self.mean_rate = rate or self._source.rate / self._slowing
+
+    def _correct_slow_motion(self, tag: str, rate: float) -> None:
+        """Take the rate of a tag, Hz, where the film is played at quite another one."""
+        played = _even_rate(self._source.times()) if self._source.times is not None else 0.0
+        if played and not 1 / _SLOWER < rate / played < _SLOWER:
+            self._slowing = played / rate
+            self.clock = f'by its tag {tag}, while it is played at {played:.4g} Hz'
 
     def pictures(self) -> Iterator[Picture]:
         """Yield the pictures; a thread decodes ahead. Raises FilmError."""
         for stamp, frame in self.frames():
-            yield Picture(stamp, _brightness(frame))
+            yield Picture(stamp, brightness(frame))
 
     def frames(self) -> Iterator[tuple[int, Any]]:
         """Yield stamps and frames of the decoder; a thread decodes ahead. Raises FilmError."""
-        yield from ahead(self._decoded(), _WAITING)
+        yield from ahead(self._stamped(), _WAITING)
 
-    def _decoded(self) -> Iterator[tuple[int, Any]]:
-        first = last = -1
-        number = 0
-        with self._opened() as (container, stream):
-            try:
-                for frame in container.decode(stream):
-                    self._check_size(frame.width, frame.height)
-                    time = frame.time
-                    if time is None:
-                        time = number / (self.rate or 30.0)
-                    number += 1
-                    if not abs(time) < _LONGEST:
-                        self.late += 1
-                        continue
-                    stamp = round(time * 1e9)
-                    first = stamp if number == 1 + self.late else first
-                    if stamp - first <= last:
-                        self.late += 1
-                        continue
-                    last = stamp - first
-                    yield last, frame
-            except (av.FFmpegError, OSError, ValueError) as error:
-                if last < 0:
-                    raise self._unreadable(error) from None
-                self.cut = f'{self.path} is damaged after {last * 1e-9:.4g} s: what follows is lost'
+    def _stamped(self) -> Generator[tuple[int, Any], None, None]:
+        first, last = None, -1
+        begin = 0
+        try:
+            for time, number, frame in self._source.read():
+                if self._rate is not None:
+                    time = round(number * 1e9 / self._rate)
+                if time is None:
+                    self.late += 1
+                    continue
+                if first is None:
+                    first, begin = (0, time) if self._source.is_absolute else (time, 0)
+                    self.turns = quarter_turns(frame)
+                stamp = time - first
+                if self._slowing != 1:
+                    stamp = round(stamp * self._slowing)
+                if stamp <= last:
+                    self.late += 1
+                    continue
+                last = stamp
+                yield stamp, frame
+        except DamagedError:
+            if last < 0:
+                raise
+            seconds = (last - begin) * 1e-9
+            self.cut = f'{self.path} is damaged after {seconds:.4g} s: what follows is lost'
         if last < 0:
             raise FilmError(f'{self.path} has no pictures; fix: film it again, or convert it')
 
-    @contextmanager
-    def _opened(self) -> Iterator[tuple[Any, Any]]:
-        """Open the file, and give the container and its stream of pictures."""
-        options = {'format_whitelist': _FORMATS, 'codec_whitelist': _CODECS}
-        with open_regular(self.path) as file:
-            try:
-                container = av.open(file, options=options, metadata_errors='replace')
-            except (av.FFmpegError, OSError, ValueError) as error:
-                raise self._unreadable(error) from None
-            with container:
-                if not container.streams.video:
-                    raise FilmError(f'{self.path} has sound only; fix: give a video')
-                stream = container.streams.video[0]
-                context = stream.codec_context
-                if context is None:
-                    raise self._unreadable(ValueError('its compression is not known'))
-                self._check_size(context.width, context.height)
-                context.thread_count = min(2, os.cpu_count() or 1)
-                context.thread_type = 'AUTO'
-                context.options = {'max_pixels': str(_MOST_PIXELS)}
-                yield container, stream
 
-    def _check_size(self, width: int, height: int) -> None:
-        if not width * height <= _MOST_PIXELS:
-            raise FilmError(
-                f'{self.path} has pictures of {width} x {height}, and at most {_MOST_PIXELS} '
-                'pixels are read; fix: make it smaller (ffmpeg -i IN -vf scale=1920:-2 OUT.mp4)'
-            )
-        if min(width, height) < _LEAST_SIDE:
-            raise FilmError(
-                f'{self.path} has pictures of {width} x {height}; fix: film larger ones'
-            )
-
-    def _unreadable(self, error: Exception) -> FilmError:
-        text = printable(getattr(error, 'strerror', None) or str(error))
-        return FilmError(
-            f'{self.path} cannot be read as a video ({text}); fix: convert it, as by '
-            'ffmpeg -i IN OUT.mp4'
-        )
+def _source_of(path: str, topic: str | None) -> Source:
+    if is_bag_of_pictures(path):
+        return bag_source(path, topic)
+    if topic is not None:
+        raise FilmError(f'{path} is no bag, and --topic is of bags; fix: leave it out')
+    return folder_source(path) if Path(path).is_dir() else video_source(path)
 
 
-def ahead(items: Iterator[Any], most: int, are_old_left_out: bool = False) -> Iterator[Any]:
+def _even_rate(times: np.ndarray) -> float:
+    """Return the rate, Hz, of times (T,), ns, of which some may be missing; 0 if it has none."""
+    steps = np.diff(times)
+    if not len(steps):
+        return 0.0
+    return float(1e9 * np.rint(steps / np.median(steps)).sum() / steps.sum())
+
+
+def ahead(
+    items: Generator[Any, None, None], most: int, are_old_left_out: bool = False
+) -> Iterator[Any]:
     """
     Yield items that a thread takes ahead, `most` at a time; an error among them is raised here.
 
@@ -153,13 +148,15 @@ def ahead(items: Iterator[Any], most: int, are_old_left_out: bool = False) -> It
     def take() -> None:
         end = None
         try:
-            for item in items:
-                if are_old_left_out:
-                    with suppress(queue.Empty):
-                        waiting.get_nowait()
-                put(item)
-                if is_over.is_set():
-                    return
+            # A file is closed by the thread that opened it.
+            with closing(items):
+                for item in items:
+                    if are_old_left_out:
+                        with suppress(queue.Empty):
+                            waiting.get_nowait()
+                    put(item)
+                    if is_over.is_set():
+                        return
         except Exception as error:
             end = error
         put(end)
@@ -174,17 +171,3 @@ def ahead(items: Iterator[Any], most: int, are_old_left_out: bool = False) -> It
     finally:
         is_over.set()
         thread.join()
-
-
-def _brightness(frame: Any) -> np.ndarray:
-    """Return the brightness of a frame (h, w), upright, uint8."""
-    if frame.format.name not in _PLANAR:
-        frame = frame.reformat(format='gray')
-    plane = frame.planes[0]
-    rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
-    return upright(rows[: frame.height, : frame.width], frame)
-
-
-def upright(picture: np.ndarray, frame: Any) -> np.ndarray:
-    """Return a picture (h, w, ...) turned as its frame says that players show it."""
-    return np.ascontiguousarray(np.rot90(picture, round((frame.rotation or 0) / 90) % 4))

@@ -27,7 +27,7 @@ UNITS: dict[str, dict[str, float]] = {
     'angle': {'rad': 1.0, 'deg': _DEGREE, '°': _DEGREE, 'rev': _TURN},
     'velocity': {'m/s': 1.0, 'cm/s': 0.01, 'mm/s': 0.001, 'in/s': 0.0254, 'ft/s': 0.3048},
     'angular velocity': {'rad/s': 1.0, 'deg/s': _DEGREE, 'rev/s': _TURN, 'rpm': _TURN / 60},
-    'time': {'s': 1.0, 'ms': 0.001, 'min': 60.0},
+    'time': {'s': 1.0, 'ms': 0.001, 'us': 1e-6, 'µs': 1e-6, 'min': 60.0},
     'frequency': {'Hz': 1.0, '1/s': 1.0, 'rpm': 1 / 60},
     'force': {'N': 1.0, 'kN': 1000.0, 'lbf': 4.4482216152605},
     'torque': {'N m': 1.0, 'N cm': 0.01, 'N mm': 0.001, 'kN m': 1000.0},
@@ -97,7 +97,8 @@ def quantity(where: str, value: Any, kind: str) -> float:
     number, unit = float('nan'), ''
     if isinstance(value, str) and (match := _QUANTITY.fullmatch(value)):
         number, unit = float(match[1]), ' '.join(re.split(r'[\s*·]+', match[2]))
-        unit = unit.replace('²', '2').replace('^2', '2')
+        # Greek mu and the sign of micro look the same.
+        unit = unit.replace('²', '2').replace('^2', '2').replace('\u03bc', 'µ')
     elif isinstance(value, int | float) and not isinstance(value, bool):
         # Whole numbers may be too large for a float.
         with suppress(OverflowError):

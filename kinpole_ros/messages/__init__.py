@@ -1,6 +1,6 @@
 """ROS messages to arrays and back: no other package handles the fields of a message."""
 
-from kinpole_ros.messages._detections import DETECTIONS, read_detections
+from kinpole_ros.messages._detections import DETECTIONS, Detections, read_detections
 from kinpole_ros.messages._diagnostics import RECEIVED, RESTARTS, DiagnosticsMaker
 from kinpole_ros.messages._drawing import COLORS, deletion_of_all
 from kinpole_ros.messages._events import read_event
@@ -33,13 +33,18 @@ from kinpole_ros.messages._state import (
     read_states,
     state_fields,
 )
+from kinpole_ros.messages._tf_chains import chains_of, multiply_out
 from kinpole_ros.messages._types import (
+    CAMERA_INFO,
+    COMPRESSED_IMAGE,
+    IMAGE,
     INPUT_TYPE_NAMES,
     INPUT_TYPES,
     MARKER_TYPES,
     ROS_TYPE_NAMES,
     DiagnosticArray,
     MessageError,
+    NoMarkersError,
     PointCloud2,
     String,
     definition,
@@ -55,9 +60,12 @@ from kinpole_ros.messages._view import PAGE_TOPICS, VIEW, quantity_lists, view_o
 
 __all__ = [
     'AUTO_TYPES',
+    'CAMERA_INFO',
     'COLORS',
+    'COMPRESSED_IMAGE',
     'DETECTIONS',
     'DRAWING',
+    'IMAGE',
     'INPUT_TYPES',
     'INPUT_TYPE_NAMES',
     'MARKER_TYPES',
@@ -69,16 +77,19 @@ __all__ = [
     'STATE',
     'TF',
     'VIEW',
+    'Detections',
     'DiagnosticArray',
     'DiagnosticsMaker',
     'MarkerReader',
     'MessageError',
+    'NoMarkersError',
     'Output',
     'PointCloud2',
     'PoseReader',
     'RigChanges',
     'StateBlock',
     'String',
+    'chains_of',
     'definition',
     'deletion_of_all',
     'deserialize_message',
@@ -90,6 +101,7 @@ __all__ = [
     'marker_arrays',
     'marker_reader',
     'message_class',
+    'multiply_out',
     'ns_to_stamp',
     'outputs_of',
     'plane_of_rig',

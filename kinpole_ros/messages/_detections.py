@@ -1,21 +1,12 @@
 """Detections of AprilTags, in pixels, as `apriltag_ros` publishes them."""
 
-from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from rosbags.typesys import get_types_from_msg
 
-from kinpole_ros.messages._types import _STORE, deserialize_message, message_class, stamp_to_ns
+from kinpole_ros.messages._types import deserialize_message, message_class, stamp_to_ns
 
 DETECTIONS = 'apriltag_msgs/msg/AprilTagDetectionArray'
-# The package need not be installed, as to read a bag. Its points are pairs of numbers, too.
-_DEFINITIONS = {
-    'apriltag_msgs/msg/AprilTagDetection': 'string family\nint32 id\nint32 hamming\n'
-    'float32 goodness\nfloat32 decision_margin\nfloat64[2] centre\nfloat64[8] corners\n'
-    'float64[9] homography\n',
-    DETECTIONS: 'std_msgs/Header header\napriltag_msgs/AprilTagDetection[] detections\n',
-}
 # The detector counts corners the other way round than OpenCV, whose tags are upside down besides.
 _ORDER = [1, 0, 3, 2]
 
@@ -52,7 +43,7 @@ def read_detections(data: bytes) -> Detections:
     MessageError
         For other data.
     """
-    message = deserialize_message(data, _detections_class())
+    message = deserialize_message(data, message_class(DETECTIONS))
     numbers = [one.id for one in message.detections]
     once = [one for one in message.detections if numbers.count(one.id) == 1]
     corners = np.array([one.corners for one in once], float).reshape(-1, 4, 2)
@@ -62,10 +53,3 @@ def read_detections(data: bytes) -> Detections:
         corners[:, _ORDER] - 0.5,
         once[0].family if once else '',
     )
-
-
-@cache
-def _detections_class() -> Any:
-    for name, text in _DEFINITIONS.items():
-        _STORE.register(get_types_from_msg(text, name))
-    return message_class(DETECTIONS)

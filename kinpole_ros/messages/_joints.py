@@ -28,13 +28,15 @@ class _Joints(Joints):
         number = {GROUND: -1} | {body: b for b, body in enumerate(bodies)}
         names = [name.encode() + b'\0' for name in joints]
         arrays = {
-            'first': np.array([number[first] for first, _ in joints.values()]),
-            'second': np.array([number[second] for _, second in joints.values()]),
+            'first_body': np.array([number[first] for first, _ in joints.values()]),
+            'second_body': np.array([number[second] for _, second in joints.values()]),
             'ends': np.cumsum([0, *map(len, names)]),
             'names': np.frombuffer(b''.join(names), np.uint8),
         }
         size = _BYTES + _BYTES_OF_JOINT * len(joints) + len(arrays['names'])
-        super().__init__(len(joints), len(bodies), is_deviation, size)
+        super().__init__(
+            joints=len(joints), bodies=len(bodies), is_deviation=is_deviation, message_bytes=size
+        )
         for name, array in arrays.items():
             self.bind(name, array)
 
@@ -42,13 +44,11 @@ class _Joints(Joints):
         """Return the messages of `stamps`, by `nearest` instants; b'' without known joints."""
         if motion.shape[1] != self.bodies or motion.orders < 2:
             raise ValueError(f'expected rates of {self.bodies} bodies, got {motion.shape}')
-        count, size = len(stamps), self.size
+        count, size = len(stamps), self.message_bytes
         out, lengths = np.empty(count * size, np.uint8), np.empty(count, np.int64)
-        arrays = stamps, nearest, out, lengths
-        at_stamps, at_nearest, at_out, at_lengths = map(address_of, arrays)
-        library.kinpole_write_joints(
-            *(byref(motion), byref(self), at_stamps, at_nearest, count, at_out, at_lengths)
-        )
+        given = address_of(stamps), address_of(nearest), count
+        into = address_of(out), address_of(lengths)
+        library.kinpole_write_joints(byref(motion), byref(self), *given, *into)
         data = out.tobytes()
         return [data[k * size : k * size + length] for k, length in enumerate(lengths.tolist())]
 

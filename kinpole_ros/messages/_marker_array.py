@@ -2,14 +2,23 @@
 
 import struct
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from kinpole_ros.messages._offsets import Items, MarkerOffsets, MessageOffsets, text_at
-from kinpole_ros.messages._types import Marker, MessageError
+from kinpole_ros.messages._types import Marker, MessageError, NoMarkersError
 
 LISTS = (Marker.CUBE_LIST, Marker.SPHERE_LIST, Marker.POINTS)  # drawn at each of their points
 SINGLE = (Marker.CUBE, Marker.SPHERE, Marker.CYLINDER)  # drawn once, at their pose
+# Drawings that stand at no marker, as they are called in a line.
+_DRAWINGS = {
+    Marker.ARROW: 'arrows',
+    Marker.LINE_STRIP: 'line strips',
+    Marker.LINE_LIST: 'line lists',
+    Marker.TEXT_VIEW_FACING: 'texts',
+    Marker.MESH_RESOURCE: 'meshes',
+    Marker.TRIANGLE_LIST: 'triangle lists',
+}
 _SHOWN_CHARACTERS = 80  # of a name, which may be as long as the message
 
 # Reads the identities in a message of a known layout; None where they are not plain ASCII.
@@ -49,18 +58,54 @@ def shown_entries(entries: Sequence[Entry]) -> Sequence[int]:
     return rows[::-1]
 
 
+def drawn_points(
+    markers: Sequence[MarkerOffsets], entries: Sequence[Entry], rows: Sequence[int]
+) -> list[tuple[int, int | None]]:
+    """
+    Return the entry of each point, and its index in the list of that, None for a single one.
+
+    Spheres, cubes and cylinders are points, and lists of them and of points have several. Arrows,
+    lines, texts and meshes have none.
+    """
+    points: list[tuple[int, int | None]] = []
+    for k in rows:
+        if entries[k].kind in SINGLE:
+            points.append((k, None))
+        elif entries[k].kind in LISTS:
+            points += [(k, index) for index in range(markers[k].points.number)]
+    return points
+
+
+def drawings_of(entries: Sequence[Entry], rows: Sequence[int]) -> Counter[str]:
+    """Return how many of the entries that are shown are no markers, by their kind."""
+    kinds = [entries[k].kind for k in rows if entries[k].kind not in (*SINGLE, *LISTS)]
+    return Counter(_DRAWINGS.get(kind, f'of type {kind}') for kind in kinds)
+
+
+def drawings_text(drawings: Mapping[str, int]) -> str:
+    """Say which drawings are left out, and how many of them a message has; '' without any."""
+    if not drawings:
+        return ''
+    listed = ', '.join(f'{count} {kind}' for kind, count in drawings.items())
+    return (
+        f'no markers are {listed} of a MarkerArray, which are left out: markers are spheres, '
+        'cubes, cylinders, points and lists of these'
+    )
+
+
 def header_of(
-    offsets: MessageOffsets, data: bytes, entries: Sequence[Entry], rows: Sequence[int]
+    offsets: MessageOffsets, data: bytes, rows: Sequence[int], shown: Sequence[int]
 ) -> tuple[int, Items]:
     """
-    Return where stamp and frame_id of an array are: the header of its first marker that is shown.
+    Return where stamp and frame_id of an array are: the header of the first of its markers `rows`.
 
-    Raises MessageError for an array without a stamp, or with markers in several frames.
+    Without markers it is that of the first entry that is shown, or of the first. Raises
+    MessageError for an array without a stamp, or with markers in several frames.
     """
     markers = offsets.markers
-    first = rows[0] if rows else 0
-    if not rows and not (markers and _has_header(markers[0], data)):
-        raise MessageError(
+    first = [*rows[:1], *shown[:1], 0][0]
+    if not rows and not (markers and _has_header(markers[first], data)):
+        raise NoMarkersError(
             'MarkerArray without markers has no stamp; see that the driver sends nothing when it '
             'sees nothing, or markers with coordinates that are not finite'
         )
@@ -68,16 +113,10 @@ def header_of(
     frame_ids = {text_at(data, markers[k].frame_id): k for k in reversed(rows)}
     frame_ids.pop('', None)
     if len(frame_ids) > 1:
-        shown = ', '.join(repr(name)[:_SHOWN_CHARACTERS] for name in sorted(frame_ids)[:2])
+        names = ', '.join(repr(name)[:_SHOWN_CHARACTERS] for name in sorted(frame_ids)[:2])
         raise MessageError(
-            f'MarkerArray has markers in {len(frame_ids)} frames, as {shown}: publish all of them '
+            f'MarkerArray has markers in {len(frame_ids)} frames, as {names}: publish all of them '
             'in one, such as that of the ground'
-        )
-    # If only some entries are lists they may be a drawing, and the others are the markers.
-    if rows and all(markers[k].points.number > 1 and entries[k].kind in LISTS for k in rows):
-        raise MessageError(
-            'MarkerArray has lists of points, and a marker of an array is but one point: send a '
-            'list as a Marker, or each point as a marker of the array'
         )
     framed = next(iter(frame_ids.values()), first)
     return markers[first].stamp, markers[framed].frame_id
@@ -88,16 +127,31 @@ def _has_header(marker: MarkerOffsets, data: bytes) -> bool:
     return any(data[marker.stamp : marker.stamp + 8]) or bool(text_at(data, marker.frame_id))
 
 
-def marker_names(keys: Sequence[tuple[str, int]], identity: str) -> tuple[str, ...]:
-    """Return the identities of markers by ns and id; MessageError where one comes twice."""
+def marker_names(
+    keys: Sequence[tuple[str, int]], points: Sequence[int | None], identity: str
+) -> tuple[str, ...]:
+    """
+    Return the identities of points by ns and id of their entries, and their index in a list.
+
+    Raises MessageError where one comes twice.
+    """
     if identity == 'id':
-        identities = tuple([str(number) for _, number in keys])
+        names = [str(number) for _, number in keys]
     elif identity == 'ns':
-        identities = tuple([ns for ns, _ in keys])
+        names = [ns for ns, _ in keys]
     else:
-        identities = tuple([f'{ns}/{number}' if ns else str(number) for ns, number in keys])
+        names = [f'{ns}/{number}' if ns else str(number) for ns, number in keys]
+    identities = in_lists(names, points)
     check_unique(identities, 'MarkerArray', identity)
     return identities
+
+
+def in_lists(names: Sequence[str], points: Sequence[int | None]) -> tuple[str, ...]:
+    """Return names with the index of each point of a list behind that of the list."""
+    return tuple(
+        name if index is None else f'{name}/{index}'
+        for name, index in zip(names, points, strict=True)
+    )
 
 
 def check_unique(identities: tuple[str, ...], kind: str, identity: str) -> None:
@@ -110,8 +164,10 @@ def check_unique(identities: tuple[str, ...], kind: str, identity: str) -> None:
         )
 
 
-def names_at(markers: Sequence[MarkerOffsets], identity: str, order: str) -> Names:
-    """Return what reads the identities of the markers of an array."""
+def names_at(
+    markers: Sequence[MarkerOffsets], points: Sequence[int | None], identity: str, order: str
+) -> Names:
+    """Return what reads the identities of points, each of an entry and maybe in its list."""
     number_at = struct.Struct(f'{order}i').unpack_from
 
     def names(data: bytes) -> tuple[str, ...] | None:
@@ -122,7 +178,7 @@ def names_at(markers: Sequence[MarkerOffsets], identity: str, order: str) -> Nam
                 return None
             keys.append((ns.decode(), number_at(data, number)[0]))
         try:
-            return marker_names(keys, identity)
+            return marker_names(keys, points, identity)
         except MessageError:
             return None
 

@@ -30,14 +30,20 @@ def layout_of_messages(
 
     Both are (n,) uint8. Their stamps are at byte `stamp`, in the byte order `order`.
     """
-    count = len(points.offsets)
     layout = MessageLayout(
-        *(size, len(mask), stamp, order == '>', END_OF_TIME, count, points.is_big_endian),
-        *(points.axes, points.widths),
+        message_bytes=size,
+        compared=len(mask),
+        stamp_offset=stamp,
+        is_stamp_big_endian=order == '>',
+        end_of_time=END_OF_TIME,
+        point_count=len(points.offsets),
+        is_big_endian=points.is_big_endian,
+        axis_offsets=points.axes,
+        axis_widths=points.widths,
     )
     layout.bind('mask', mask)
     layout.bind('key', key)
-    layout.bind('points', np.ascontiguousarray(points.offsets, np.int64))
+    layout.bind('point_offsets', np.ascontiguousarray(points.offsets, np.int64))
     return layout
 
 

@@ -9,15 +9,17 @@ are assembled here.
 
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from itertools import chain, count, groupby
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from kinpole_ros.messages._cdr import Writer
-from kinpole_ros.messages._offsets import MessageOffsets, PoseOffsets, stamp_at, text_at
+from kinpole_ros.messages._offsets import MessageOffsets, stamp_at, text_at
 from kinpole_ros.messages._points import blank_unseen, rotation_matrices
 from kinpole_ros.messages._reader import MarkerReader
+from kinpole_ros.messages._tf_frames import TransformFrames
 from kinpole_ros.messages._types import (
     END_OF_TIME,
     INPUT_TYPE_NAMES,
@@ -86,24 +88,19 @@ class PoseReader:
     Reads serialized messages of poses of the bodies called `names`, or of the only body.
 
     A body is called '0' in a PoseStamped, by its index in a PoseArray, and by its child_frame_id on
-    /tf. Of /tf only transforms directly from one fixed frame are read. Types of which MESSAGE_TYPES
-    has the fields name their bodies, or their markers, which are all read; without `has_names` the
-    index is the name.
+    /tf, where a chain of frames is multiplied out. Types of which MESSAGE_TYPES has the fields name
+    their bodies, or their markers, which are all read; without `has_names` the index is the name.
     """
 
     def __init__(self, kind: str, names: Sequence[str], has_names: bool = True) -> None:
         self._kind, self._names = kind, tuple(names)
         self._has_names = has_names
         self._width = 7 if MESSAGE_TYPES[kind].has_poses else 3
-        # The poses of the present stamp of /tf, and the fixed frame.
-        self._pending: _Poses | None = None
-        self._parent = ''
+        self._transforms = TransformFrames(self._names)
         # Names in the messages: of bodies, and of no body.
         self._seen_names: set[str] = set()
         self._stamps_of: dict[str, _Stamps] = {}  # of the bodies on /tf
         self._unused_names: dict[str, None] = {}
-        # Whether a frame is complete with each message, though bodies are missing.
-        self._is_single = kind != 'tf' or len(self._names) == 1
 
     def read(self, messages: Iterable[bytes]) -> list[MarkerFrames | MessageError]:
         """Read serialized messages: their frames in order, and errors."""
@@ -111,7 +108,18 @@ class PoseReader:
 
     def fault(self) -> str:
         """Say which of the names no message had, or which were stamped too late; '' if neither."""
-        return self._unseen_names() or self._late_names()
+        return self._unseen_names() or self._late_names() or self._stamps_apart()
+
+    def _stamps_apart(self) -> str:
+        """Say which body is on a frame that moves and came with other stamps."""
+        ((name, below), count), *_ = self._transforms.apart.most_common(1) or [(('', ''), 0)]
+        # The first time the frames below may not be known yet.
+        if count < 2:
+            return ''
+        return (
+            f'{_shown(name)} is on {_shown(below)}, and came {count} times with another stamp: its '
+            'pose in the fixed frame is not known then; fix: have both sent with one stamp'
+        )
 
     def _late_names(self) -> str:
         """Say which body on /tf always came with older stamps than another one before it."""
@@ -166,9 +174,7 @@ class PoseReader:
         try:
             offsets = MessageOffsets(self._kind, data)
             if self._kind == 'tf':
-                for transform in offsets.poses:
-                    self._add_transform(transform, data, offsets.order, results)
-                self._end_message(offsets, data, results)
+                self._read_transforms(offsets, data, results)
             else:
                 results.append(self._whole_frame(offsets, data))
         except MessageError as error:
@@ -224,47 +230,43 @@ class PoseReader:
         order = '<' if data[1] else '>'
         return str(struct.unpack_from(order + form, data, entry['number'])[0])
 
-    def _add_transform(
-        self,
-        transform: PoseOffsets,
-        data: bytes,
-        order: str,
-        results: 'list[_Poses | MessageError]',
-    ) -> None:
-        """Add a transform of /tf to the pending frame; append a frame that is complete."""
-        child = text_at(data, transform.child)
-        self._note_names((child,))
-        if child not in self._names:
-            return
-        parent = text_at(data, transform.frame_id)
-        if parent in self._names or parent != (self._parent or parent):
-            before = f', and others in {_shown(self._parent)}' if self._parent else ''
-            results.append(
-                MessageError(
-                    f'/tf has {_shown(child)} in {_shown(parent)}{before}: the frames of all '
-                    'bodies must be straight in one fixed frame; fix: have the driver publish '
-                    'them so, or name other frames'
-                )
-            )
-            return
-        self._parent = parent
-        stamp = stamp_at(data, transform.stamp, order)
-        self._note_stamp(child, stamp)
-        pending = self._pending
-        if pending is None or stamp != pending.stamp or child in pending.poses:
-            self._complete(results)
-            pending = self._pending = _Poses(stamp, parent, {})
-        pending.poses[child] = np.frombuffer(data, f'{order}f8', 7, transform.poses.start)
-
-    def _end_message(
+    def _read_transforms(
         self, offsets: MessageOffsets, data: bytes, results: 'list[_Poses | MessageError]'
     ) -> None:
-        """Complete the pending frame where no later message can add to it."""
-        if not self._is_single:
-            children = {text_at(data, transform.child) for transform in offsets.poses}
-            self._is_single = children >= set(self._names)
-        if self._pending and (self._is_single or len(self._pending.poses) == len(self._names)):
-            self._complete(results)
+        """Append the frames that transforms of /tf complete, and the errors of others."""
+        frames = self._transforms
+        links = [(text_at(data, one.child), text_at(data, one.frame_id)) for one in offsets.poses]
+        self._note_names(child for child, _ in links)
+        frames.link(dict(links))
+        for (child, parent), transform in zip(links, offsets.poses, strict=True):
+            if child not in frames.needed:
+                continue
+            if other := frames.parent_fault(child, parent):
+                results.append(
+                    MessageError(
+                        f'/tf has {_shown(child)} in {_shown(parent)}, and others in '
+                        f'{_shown(other)}: the frames of all bodies must lead to one fixed frame; '
+                        'fix: have the driver publish them so, or name other frames'
+                    )
+                )
+                continue
+            stamp = stamp_at(data, transform.stamp, offsets.order)
+            if child in self._names:
+                self._note_stamp(child, stamp)
+            pose = np.frombuffer(data, f'{offsets.order}f8', 7, transform.poses.start)
+            results += (_Poses(*one) for one in frames.add(child, stamp, pose))
+        children = {child for child, _ in links}
+        results += (_Poses(*one) for one in frames.end_message(children))
+
+    def add_static(self, data: bytes) -> None:
+        """Read a message of /tf_static: frames that do not move in their parents."""
+        with suppress(MessageError):
+            offsets = MessageOffsets('tf', data)
+            for one in offsets.poses:
+                pose = np.frombuffer(data, f'{offsets.order}f8', 7, one.poses.start)
+                child = text_at(data, one.child)
+                self._note_names((child,))
+                self._transforms.add_static(child, text_at(data, one.frame_id), pose)
 
     def _note_names(self, names: Iterable[str]) -> None:
         for name in names:
@@ -285,14 +287,6 @@ class PoseReader:
             self._stamps_of[name] = _Stamps(
                 own.first, max(own.last, stamp), min(own.least_late, late)
             )
-
-    def _complete(self, results: 'list[_Poses | MessageError]') -> None:
-        """Append the pending frame, with NaN for bodies that were not seen."""
-        if self._pending is not None:
-            seen = self._pending.poses
-            poses = {name: seen.get(name, _UNSEEN) for name in self._names}
-            results.append(self._pending._replace(poses=poses))
-        self._pending = None
 
 
 class _Stamps(NamedTuple):

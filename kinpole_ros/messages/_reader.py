@@ -8,9 +8,8 @@ Messages that agree with it in the masked bytes are read by compiled code. If th
 names of markers alone, as where markers come and go, the names are read again.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from ctypes import byref
-from functools import lru_cache
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -18,18 +17,9 @@ import numpy as np
 
 from kinpole_ros.core.bindings import MessageLayout, library, pass_new_array
 from kinpole_ros.messages._cdr import LITTLE
-from kinpole_ros.messages._cloud import cloud_layout, id_column
-from kinpole_ros.messages._marker_array import (
-    SINGLE,
-    Names,
-    check_unique,
-    entry_of,
-    header_of,
-    marker_names,
-    names_at,
-    shown_entries,
-)
-from kinpole_ros.messages._offsets import Items, MessageOffsets, stamp_at, text_at
+from kinpole_ros.messages._marker_array import Names, drawings_text
+from kinpole_ros.messages._marker_layouts import Mask, markers_in
+from kinpole_ros.messages._offsets import MessageOffsets, stamp_at, text_at
 from kinpole_ros.messages._points import (
     PointLayout,
     blank_unseen,
@@ -39,7 +29,6 @@ from kinpole_ros.messages._points import (
 from kinpole_ros.messages._types import (
     MARKER_TYPES,
     ROS_TYPE_NAMES,
-    Marker,
     MessageError,
     serialize_message,
     type_name,
@@ -58,8 +47,9 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
     """
     Read the markers of a MarkerArray, Marker, PoseArray or PointCloud2.
 
-    A MarkerArray gives one marker for each of its entries, at its position, except those that it
-    deletes. Its header is that of the first entry. A Marker gives its `points`, moved by its pose.
+    A MarkerArray gives one marker for each sphere, cube and cylinder, at its position, and those in
+    lists of them and of points, moved by the pose of the list; not what it deletes. Its header is
+    that of the first of them. A Marker gives its `points`, moved by its pose.
 
     Parameters
     ----------
@@ -68,7 +58,8 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
     identity : str
         How markers are named: auto, index, id, ns, ns_id or shape. A MarkerArray has all of them;
         auto means ns_id ('ns/id', or 'id' where ns is empty), and the index counts every entry, so
-        that a deleted marker does not rename others. The other types have the index alone, and a
+        that a deleted marker does not rename others. Point k of a list has '/k' behind the name of
+        the list. The other types have the index alone, and a
         PointCloud2 the id, its integer field `id`. shape reads as index does: the tracker assigns
         the markers by the shapes of the bodies.
 
@@ -81,8 +72,8 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
     Raises
     ------
     MessageError
-        Where the message cannot be read so: without a stamp, as an empty MarkerArray, with markers
-        in several frames, or with lists of points as entries.
+        Where the message cannot be read so: without a stamp, as an empty MarkerArray, or with
+        markers in several frames.
     ValueError
         For another identity.
     """
@@ -113,6 +104,11 @@ class MarkerReader:
         self._identity = 'index' if identity == 'shape' else identity
         # In the order of their last use, the newest first.
         self._layouts: list[_Layout] = []
+        self._drawings: dict[str, int] = {}  # the most in a message, by their kind
+
+    def fault(self) -> str:
+        """Say what messages had besides markers; '' for nothing."""
+        return drawings_text(self._drawings)
 
     def read(self, messages: Iterable[bytes]) -> list[MarkerFrames | MessageError]:
         """
@@ -192,6 +188,8 @@ class MarkerReader:
             return error
         if len(data) <= _MAX_LAYOUT_BYTES:
             self._remember(layout)
+        for kind, count in layout.drawings.items():
+            self._drawings[kind] = max(count, self._drawings.get(kind, 0))
         return layout.read(data, 0, 1)
 
 
@@ -199,9 +197,10 @@ class _Layout(NamedTuple):
     """
     Messages of `size` bytes that agree with `key` in the bits of `mask`.
 
-    Where they are the points of a Marker, the pose that transforms these is at byte `pose`. `names`
-    returns the identities of a message that agrees in `fixed`, a part of the mask, or None where
-    they are not plain ASCII. Without `names`, `fixed` is the mask.
+    `poses` are the bytes of poses that transform points of lists, each with the first of these and
+    behind the last. `drawings` counts what is no marker. `names` returns the identities of a
+    message that agrees in `fixed`, a part of the mask, or None where they are not plain ASCII.
+    Without `names`, `fixed` is the mask.
     """
 
     size: int
@@ -212,9 +211,10 @@ class _Layout(NamedTuple):
     key: np.ndarray
     fixed: np.ndarray
     names: Names | None
-    pose: int | None
+    poses: tuple[tuple[int, int, int], ...]
     frame_id: str
     identities: tuple[str, ...]
+    drawings: Mapping[str, int]
 
     @property
     def memory(self) -> int:
@@ -229,69 +229,40 @@ class _Layout(NamedTuple):
         identities = self.names(data)
         if identities is None:
             return None
-        key, stamp = start & self.mask, self.fields.stamp
+        key, stamp = start & self.mask, self.fields.stamp_offset
         fields = layout_of_messages(self.points, self.size, stamp, self.order, self.mask, key)
         return self._replace(fields=fields, key=key, identities=identities)
 
-    def count_matches(self, data: bytes, first: int, count: int) -> int:
-        """Return how many messages from `first` on are of the layout; `data` are `count`."""
-        matches: int = library.kinpole_count_matches(byref(self.fields), data, first, count)
+    def count_matches(self, data: bytes, first: int, end: int) -> int:
+        """Return how many messages from `first` to before `end` are of the layout."""
+        matches: int = library.kinpole_count_matches(byref(self.fields), data, first, end)
         return matches
 
     def read(self, data: bytes, first: int, count: int) -> MarkerFrames:
         """Read `count` messages from `first` on, which are all of this layout."""
-        stamps, points = np.empty(count, np.int64), np.empty((count, self.fields.count, 3))
+        stamps, points = np.empty(count, np.int64), np.empty((count, self.fields.point_count, 3))
         into = pass_new_array(stamps), pass_new_array(points)
-        library.kinpole_read_messages(byref(self.fields), data, first, count, *into)
-        if self.pose is not None:
-            start, strides = first * self.size + self.pose, (self.size, 8)
+        library.kinpole_read_messages(byref(self.fields), data, first, first + count, *into)
+        for pose, begin, end in self.poses:
+            start, strides = first * self.size + pose, (self.size, 8)
             poses = np.ndarray((count, 7), f'{self.order}f8', data, start, strides)
-            points = transformed(points, poses)
+            points[:, begin:end] = transformed(points[:, begin:end], poses)
+        if self.poses:
             blank_unseen(points)
         return MarkerFrames(stamps, self.frame_id, self.identities, points)
-
-
-class _Mask:
-    """The bytes of a message that decide what its numbers mean."""
-
-    def __init__(self, size: int) -> None:
-        self.bytes = np.zeros(size, np.uint8)
-
-    def add(self, start: int, size: int) -> None:
-        """Add `size` bytes from an offset on."""
-        self.bytes[start : start + size] = 0xFF
-
-
-class _Markers(NamedTuple):
-    """What the markers of a message are; `names` and `pose` as in a layout."""
-
-    points: PointLayout
-    stamp: int
-    frame_id: Items
-    identities: tuple[str, ...]
-    names: Names | None = None
-    pose: int | None = None
 
 
 def _make_layout(kind: str, identity: str, data: bytes) -> _Layout:
     """Return the layout of a message; MessageError for one that cannot be read."""
     offsets = MessageOffsets(kind, data)
     # The bytes that decide what the numbers mean, and those of names.
-    mask, naming = _Mask(offsets.size), _Mask(offsets.size)
+    mask, naming = Mask(offsets.size), Mask(offsets.size)
     mask.add(0, len(LITTLE))
     for start, end in offsets.layout:
         mask.add(start, end - start)
     for start in offsets.sizes:
         mask.add(start, 4)
-    if kind == 'marker_array':
-        found = _in_array(offsets, data, identity, mask, naming)
-    elif kind == 'point_cloud2':
-        found = _in_cloud(offsets, data, identity, mask)
-    else:
-        in_one = _in_marker if kind == 'marker' else _in_pose_array
-        found = in_one(offsets, data, mask)
-        if identity not in ('auto', 'index'):
-            raise _no_identity(kind, identity)
+    found = markers_in(kind, identity, offsets, data, mask, naming)
     # Raises its error; the compiled code reads the stamps.
     stamp_at(data, found.stamp, offsets.order)
     mask.add(*found.frame_id)
@@ -306,90 +277,6 @@ def _make_layout(kind: str, identity: str, data: bytes) -> _Layout:
     about = offsets.size, found.stamp, offsets.order
     return _Layout(
         *(offsets.size, offsets.order, layout_of_messages(found.points, *about, combined, key)),
-        *(found.points, combined, key, fixed, names, found.pose),
-        *(text_at(data, found.frame_id), found.identities),
-    )
-
-
-def _in_array(
-    offsets: MessageOffsets, data: bytes, identity: str, mask: _Mask, naming: _Mask
-) -> _Markers:
-    """Return what a MarkerArray has, and add the bytes that decide it."""
-    markers, order = offsets.markers, offsets.order
-    entries = [entry_of(marker, data, order) for marker in markers]
-    rows = shown_entries(entries)
-    stamp, frame_id = header_of(offsets, data, entries, rows)
-    for k in rows:
-        mask.add(*markers[k].frame_id)
-    # Where all entries are lists of points, their types decide whether they are refused.
-    has_lists = all(markers[k].points.number > 1 for k in rows)
-    is_deleting = any(entry.action >= Marker.DELETE for entry in entries)
-    for marker in markers:
-        mask.add(marker.number + 8, 4)
-        if has_lists:
-            mask.add(marker.number + 4, 4)
-        if is_deleting or identity not in ('index', 'id'):
-            naming.add(*marker.ns)
-        if is_deleting or identity not in ('index', 'ns'):
-            naming.add(marker.number, 4)
-    points = PointLayout(np.array([markers[k].pose for k in rows], np.int64), order == '>')
-    if identity == 'index':
-        return _Markers(points, stamp, frame_id, tuple(map(str, rows)))
-    names = None if is_deleting else names_at(markers, identity, order)
-    keys = [(entries[k].ns, entries[k].number) for k in rows]
-    return _Markers(points, stamp, frame_id, marker_names(keys, identity), names)
-
-
-def _in_marker(offsets: MessageOffsets, data: bytes, mask: _Mask) -> _Markers:
-    """Return what a Marker has, and add the bytes that decide it: action, and type if it counts."""
-    (marker,) = offsets.markers
-    entry = entry_of(marker, data, offsets.order)
-    start, count = marker.points
-    mask.add(marker.number + 8, 4)
-    if not count:
-        mask.add(marker.number + 4, 4)
-    if entry.action in (Marker.DELETE, Marker.DELETEALL):
-        count = 0
-    elif not count and entry.kind in SINGLE:
-        raise MessageError(
-            'Marker has no points, and these are the markers: send all markers of a frame in one '
-            'message, as a MarkerArray or as the points of a Marker'
-        )
-    points = PointLayout(start + 24 * np.arange(count), offsets.order == '>')
-    return _Markers(points, marker.stamp, marker.frame_id, _indices(count), pose=marker.pose)
-
-
-def _in_pose_array(offsets: MessageOffsets, _: bytes, __: _Mask) -> _Markers:
-    start, count = offsets.items
-    points = PointLayout(start + 56 * np.arange(count), offsets.order == '>')
-    return _Markers(points, offsets.stamp, offsets.frame_id, _indices(count))
-
-
-def _in_cloud(offsets: MessageOffsets, data: bytes, identity: str, mask: _Mask) -> _Markers:
-    """Return what a PointCloud2 has, and add the bytes of its ids if they are the names."""
-    points = cloud_layout(offsets.cloud)
-    if identity in ('auto', 'index'):
-        identities = _indices(len(points.offsets))
-    elif identity == 'id':
-        identities = tuple(map(str, id_column(offsets.cloud, data).ravel().tolist()))
-        check_unique(identities, 'PointCloud2', identity)
-        column = id_column(offsets.cloud, mask.bytes)
-        np.invert(column, out=column)
-    else:
-        raise _no_identity('point_cloud2', identity)
-    return _Markers(points, offsets.stamp, offsets.frame_id, identities)
-
-
-# Few entries: that of a dense cloud takes megabytes, and n changes seldom.
-@lru_cache(maxsize=16)
-def _indices(n: int) -> tuple[str, ...]:
-    return tuple(map(str, range(n)))
-
-
-def _no_identity(kind: str, identity: str) -> MessageError:
-    """Return the error of markers that have no identities but the index."""
-    name = ROS_TYPE_NAMES[kind].rpartition('/')[2]
-    return MessageError(
-        f"{name} has no identities but the index, so none by '{identity}': "
-        'set marker_identity to auto or index'
+        *(found.points, combined, key, fixed, names, found.poses),
+        *(text_at(data, found.frame_id), found.identities, found.drawings),
     )

@@ -61,7 +61,7 @@ class Row(NamedTuple):
     """
 
     kind: int
-    what: int
+    quantity: int
     template: Template
     order: int
     body: int = 0
@@ -152,9 +152,9 @@ class Rows:
         start, address = 0, address_of(self._templates)
         self._slices = []
         for fields, row, (data, head) in zip(self._fields, self.rows, templates, strict=True):
-            what = _GIVEN if row.values else row.what
-            about = row.kind, what, row.body, row.other, row.is_deviation, row.added_count
-            fields[: len(about) + 3] = *about, head, len(data), address + start
+            quantity = _GIVEN if row.values else row.quantity
+            about = row.kind, quantity, row.order, row.body, row.other, row.is_deviation
+            fields[: len(about) + 4] = *about, row.added_count, head, len(data), address + start
             self._slices.append(slice(start, start + len(data)))
             start += len(data)
         self._size, self._layout = start, layout

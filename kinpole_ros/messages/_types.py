@@ -1,26 +1,22 @@
 """
 Classes of messages, their types by name, and stamps, with ROS or without.
 
-The definitions are those of rosbags. Its classes are extended so that a constructor takes fields by
-name and has defaults for all, as those of rclpy do. A sequence of numbers is a numpy array, and a
-byte is an int. Classes of rclpy are needed only for publishers and subscriptions: see
-_installed.py.
+A constructor takes fields in order or by name and has defaults for all, as those of rclpy do. A
+sequence of numbers is a numpy array, and a byte is an int. Types that are not in _definitions.py
+are those of rosbags. It turns messages to bytes and back, and is imported then, which takes 0.1 s.
+Classes of rclpy are needed only for publishers and subscriptions: see _installed.py.
 """
 
-import re
 from collections.abc import Callable
-from dataclasses import field, make_dataclass
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from kinpole_ros.messages._definitions import DEFINITIONS
 from kinpole_ros.messages._installed import installed_fields
 from kinpole_ros.settings import MESSAGE_TYPES
 
-_STORE: Any = get_typestore(Stores.ROS2_JAZZY)
 # The only default in the .msg files in use that is not zero; rosbags does not read defaults.
 _DEFAULTS = {('geometry_msgs/msg/Quaternion', 'w'): 1.0}
 _DTYPES = {'byte': 'u1', 'char': 'u1', 'octet': 'u1'}
@@ -30,34 +26,116 @@ class MessageError(ValueError):
     """A message that cannot be read; the text names the field and says how to fix it."""
 
 
+class NoMarkersError(MessageError):
+    """A message without markers, and so without a stamp."""
+
+
+class _Message:
+    """A message: its fields are attributes, and the constants of its type are of the class."""
+
+    __msgtype__: ClassVar[str]
+    # The type of each field, as a .msg file has it, and a function that makes its default.
+    _kinds: ClassVar[dict[str, str]]
+    _makers: ClassVar[dict[str, Callable[[], Any]]]
+
+    def __init__(self, *values: Any, **by_name: Any) -> None:
+        by_name.update(zip(self._makers, values, strict=False))
+        if len(values) > len(self._makers) or by_name.keys() - self._makers.keys():
+            raise TypeError(f'the fields of {self.__msgtype__} are {", ".join(self._makers)}')
+        for name, make in self._makers.items():
+            setattr(self, name, by_name[name] if name in by_name else make())
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and vars(self) == vars(other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        values = ', '.join(f'{name}={value!r}' for name, value in vars(self).items())
+        return f'{type(self).__name__}({values})'
+
+
 def message_class(name: str) -> Any:
     """
     Return a message class by name, 'package/msg/Name' or 'package/Name'.
 
     Raises LookupError for a type that is neither known nor installed.
     """
-    package, short = name.partition('/')[0], name.rpartition('/')[2]
-    name = f'{package}/msg/{short}'
-    if name not in _STORE.fielddefs:
-        fields = installed_fields(name)
-        for kind in fields.values():
-            if '/' in kind:
-                message_class(re.sub(r'\[.*', '', kind))
-        lines = (f'{kind} {field}' for field, kind in fields.items())
-        _STORE.register(get_types_from_msg('\n'.join(lines), name))
-    return _message_class(name)
+    return _message_class(f'{name.partition("/")[0]}/msg/{name.rpartition("/")[2]}')
 
 
 @cache
 def _message_class(name: str) -> Any:
-    fields = [
-        (own, Any, field(default_factory=_default(kind, _DEFAULTS.get((name, own)))))
-        for own, kind in _STORE.fielddefs[name][1]
-    ]
-    # The store makes what it reads of these classes too.
-    bases = (_STORE.types[name],)
-    _STORE.types[name] = make_dataclass(name.rpartition('/')[2], fields, bases=bases)
-    return _STORE.types[name]
+    constants: dict[str, int] = {}
+    kinds: dict[str, str] = {}
+    for line in _definition_lines(name):
+        kind, _, field = line.partition(' ')
+        field, is_constant, value = field.partition('=')
+        if is_constant:
+            constants[field] = int(value)
+        else:
+            kinds[field] = kind
+    makers = {field: _maker(kind, _DEFAULTS.get((name, field))) for field, kind in kinds.items()}
+    own = {'__msgtype__': name, '_kinds': kinds, '_makers': makers}
+    return type(name.rpartition('/')[2], (_Message,), {**constants, **own})
+
+
+def _definition_lines(name: str) -> list[str]:
+    """Return the lines of a .msg file: fields, and constants if they are known."""
+    if name in DEFINITIONS:
+        return DEFINITIONS[name].split('; ')
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    if name in store.fielddefs:
+        text, _ = store.generate_msgdef(name, ros_version=2)
+        lines = text.partition('=' * 80)[0].splitlines()
+    else:
+        lines = [f'{kind} {field}' for field, kind in installed_fields(name).items()]
+    if all('=' in line.partition(' ')[2] for line in lines):
+        # As in a message of ROS 2: C has no empty structures.
+        lines.append('uint8 structure_needs_at_least_one_member')
+    return lines
+
+
+def _maker(kind: str, default: Any = None) -> Callable[[], Any]:
+    """Return a function that makes the default of a field of a type."""
+    if default is not None:
+        return lambda: default
+    item, is_list, count = kind.partition('[')
+    if is_list:
+        number = int(count[:-1]) if count[:-1].isdecimal() else 0
+        if '/' in item or 'string' in item:
+            make = _maker(item)
+            return lambda: [make() for _ in range(number)]
+        return lambda: np.zeros(number, _DTYPES.get(item, item))
+    if '/' in item:
+        return message_class(item)
+    if 'string' in item:
+        return str
+    return bool if item == 'bool' else float if item.startswith('float') else int
+
+
+@cache
+def _typestore() -> Any:
+    """Return the types of rosbags that are registered so far."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.EMPTY)
+
+
+@cache
+def _registered(name: str) -> Any:
+    """Return how rosbags reads and writes messages of a type, as instances of the class here."""
+    from rosbags.typesys import get_types_from_msg
+
+    store, cls = _typestore(), message_class(name)
+    for kind in cls._kinds.values():
+        if '/' in kind:
+            _registered(type_name(message_class(kind.partition('[')[0])))
+    store.register(get_types_from_msg('\n'.join(_definition_lines(name)), name))
+    store.types[name] = cls
+    return store.get_msgdef(name)
 
 
 def type_name(cls: Any) -> str:
@@ -75,7 +153,9 @@ def definition(cls: Any) -> str:
     These are the type itself, then those that it contains, once each, below a line of 80 '=' and a
     line 'MSG: package/Name'.
     """
-    return str(_STORE.generate_msgdef(type_name(message_class(type_name(cls))), ros_version=2)[0])
+    name = type_name(message_class(type_name(cls)))
+    _registered(name)
+    return str(_typestore().generate_msgdef(name, ros_version=2)[0])
 
 
 def serialize_message(message: Any) -> bytes:
@@ -88,7 +168,8 @@ def serialize_message(message: Any) -> bytes:
         from rclpy.serialization import serialize_message as serialize_of_rclpy
 
         return bytes(serialize_of_rclpy(message))
-    return bytes(_STORE.serialize_cdr(message, message.__msgtype__, little_endian=True))
+    _registered(message.__msgtype__)
+    return bytes(_typestore().serialize_cdr(message, message.__msgtype__, little_endian=True))
 
 
 def deserialize_message(data: bytes, cls: Any) -> Any:
@@ -99,9 +180,9 @@ def deserialize_message(data: bytes, cls: Any) -> Any:
     """
     try:
         # The method of the store refuses bytes behind the message.
-        kind = _STORE.get_msgdef(type_name(cls))
+        kind = _registered(type_name(cls))
         read = kind.deserialize_cdr_le if data[1] else kind.deserialize_cdr_be
-        return read(data[4:], 0, kind.cls, _STORE)[0]
+        return read(data[4:], 0, kind.cls, _typestore())[0]
     except Exception as error:  # of many kinds
         reason = ' '.join(str(error).split()) or type(error).__name__
         raise MessageError(
@@ -111,37 +192,12 @@ def deserialize_message(data: bytes, cls: Any) -> Any:
 
 def fields(cls: Any) -> dict[str, str]:
     """Return the types of the fields of a message class by name, as a .msg file has them."""
-    return {name: _msg_type(kind) for name, kind in _STORE.fielddefs[type_name(cls)][1]}
+    return dict(message_class(type_name(cls))._kinds)
 
 
-def _default(kind: Any, default: Any) -> Callable[[], Any]:
-    """Return a function that makes the default of a field."""
-    if default is not None:
-        return lambda: default
-    node, what = kind
-    if node == Nodetype.NAME:
-        return message_class(what)
-    if node == Nodetype.BASE:
-        of_text = {'string': str, 'wstring': str, 'bool': bool}
-        return of_text.get(what[0], float if what[0].startswith('float') else int)
-    item, count = what[0], what[1] if node == Nodetype.ARRAY else 0
-    one = _default(item, None)
-    if item[0] == Nodetype.NAME or item[1][0] in ('string', 'wstring'):
-        return lambda: [one() for _ in range(count)]
-    dtype = _DTYPES.get(item[1][0], item[1][0])
-    return lambda: np.zeros(count, dtype)
-
-
-def _msg_type(kind: Any) -> str:
-    node, what = kind
-    if node == Nodetype.NAME:
-        return str(what).replace('/msg/', '/')
-    if node == Nodetype.BASE:
-        return f'{what[0]}<={what[1]}' if what[1] else str(what[0])
-    bound = what[1] if node == Nodetype.ARRAY else f'<={what[1]}' if what[1] else ''
-    return f'{_msg_type(what[0])}[{bound}]'
-
-
+# Pictures, and the camera that took them.
+IMAGE, COMPRESSED_IMAGE = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
+CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 # The classes in use.
 Time = message_class('builtin_interfaces/msg/Time')
 DiagnosticArray = message_class('diagnostic_msgs/msg/DiagnosticArray')

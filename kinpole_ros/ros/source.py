@@ -319,10 +319,11 @@ class MarkerSource:
         return lost
 
     def note_pose_fault(self) -> None:
-        """Note names of poses that no message has, or that are stamped too late."""
+        """Note names of poses that no message has, or stamped too late, and what is no marker."""
         reader = self._reader if self._kind else None
-        fault = reader.fault() if isinstance(reader, PoseReader) else ''
-        self._note('names', f'on {self.topic} {fault}' if fault else '')
+        fault = reader.fault() if reader is not None else ''
+        key = 'names' if isinstance(reader, PoseReader) else 'drawings'
+        self._note(key, f'on {self.topic} {fault}' if fault else '')
 
     def note_several_publishers(self) -> None:
         """Note whether several publishers have sent alternately since the last call."""

@@ -10,6 +10,8 @@ import numpy as np
 
 from kinpole_ros.bags import BagError
 from kinpole_ros.messages import (
+    CAMERA_INFO,
+    COMPRESSED_IMAGE,
     DETECTIONS,
     MessageError,
     installed_class,
@@ -24,8 +26,7 @@ if TYPE_CHECKING:
     from kinpole_ros.film import FilmOptions, LiveTags
 
 _FRAME = 'world'
-_MARKERS, _IMAGE = 'visualization_msgs/msg/MarkerArray', 'sensor_msgs/msg/CompressedImage'
-_CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
+_MARKERS = 'visualization_msgs/msg/MarkerArray'
 _PATIENCE = 10.0  # s, for a CameraInfo, which drivers send with each picture
 _POLL_INTERVAL = 0.1  # s
 _DEPTH = 10  # messages
@@ -70,7 +71,7 @@ def publish_detections(detections: str, info: str, options: 'FilmOptions', topic
     """
     from rclpy.qos import qos_profile_sensor_data
 
-    from kinpole_ros.film import Lens, LiveTags
+    from kinpole_ros.film import LiveTags, rectified_lens
     from kinpole_ros.ros.source import MAX_MESSAGE_BYTES
 
     waiting: deque[bytes] = deque(maxlen=_DEPTH)
@@ -81,9 +82,7 @@ def publish_detections(detections: str, info: str, options: 'FilmOptions', topic
         if camera is None:
             return 0
         # Detectors look at rectified pictures, which have no lens any more.
-        matrix = np.array(camera.p, float).reshape(3, 4)[:, :3]
-        is_known = options.camera is None and matrix[0, 0] > 0 and matrix[1, 1] > 0
-        tags = LiveTags(options, Lens(matrix, np.zeros(5)) if is_known else None)
+        tags = LiveTags(options, rectified_lens(camera) if options.camera is None else None)
         picture = int(camera.width), int(camera.height)
 
         def receive(data: bytes) -> None:
@@ -122,7 +121,9 @@ def _publish(
     from kinpole_ros.film import jpeg
 
     markers = node.create_publisher(installed_class(_MARKERS), topic, _DEPTH)
-    image = node.create_publisher(installed_class(_IMAGE), '~/image', qos_profile_sensor_data)
+    image = node.create_publisher(
+        installed_class(COMPRESSED_IMAGE), '~/image', qos_profile_sensor_data
+    )
     was_learned, count = False, 0
     print(f'learning the plane; then markers on {markers.topic_name}', flush=True)
     with closing(frames):  # type: ignore[type-var]
@@ -140,7 +141,7 @@ def _publish(
                 count += 1
             if gray is not None and image.get_subscription_count():
                 data = np.frombuffer(jpeg(gray), np.uint8)
-                message = message_class(_IMAGE)(format='jpeg', data=data)
+                message = message_class(COMPRESSED_IMAGE)(format='jpeg', data=data)
                 message.header.stamp, message.header.frame_id = ns_to_stamp(stamp), _FRAME
                 image.publish(serialize_message(message))
     return count
@@ -179,7 +180,7 @@ def _camera_info(node: Any, topic: str, stop_requested: Callable[[], bool]) -> A
 
     came: list[Any] = []
     subscription = node.create_subscription(
-        installed_class(_CAMERA_INFO), topic, came.append, qos_profile_sensor_data
+        installed_class(CAMERA_INFO), topic, came.append, qos_profile_sensor_data
     )
     print(f'waiting for the CameraInfo on {subscription.topic_name}', flush=True)
     end = time.monotonic() + _PATIENCE

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.bags import BagError, Truncated, in_place_of, read_frames
+from kinpole_ros.bags import BagError, in_place_of, read_frames
 from kinpole_ros.files import printable
 from kinpole_ros.linkage import (
     Checked,
@@ -44,7 +44,7 @@ def find_linkage(
     seconds: float | None = None,
     plane: str = 'auto',
     progress: Progress = None,
-    on_truncated: Callable[[Truncated], None] | None = None,
+    on_truncated: Callable[[BagError], None] | None = None,
 ) -> Found:
     """
     Find the bodies and joints of a bag of markers, or of a topic that is being published.
@@ -75,7 +75,7 @@ def find_linkage(
 def discover_rig(
     options: Namespace,
     progress: Progress = None,
-    on_truncated: Callable[[Truncated], None] | None = None,
+    on_truncated: Callable[[BagError], None] | None = None,
 ) -> list[str]:
     """
     Find the bodies and joints of a rig; return lines to print, and write the files of the options.

@@ -3,7 +3,7 @@
 from argparse import Namespace
 from collections.abc import Callable, Iterator
 
-from kinpole_ros.bags import Truncated, bag_files, in_place_of, read_frames
+from kinpole_ros.bags import BagError, bag_files, in_place_of, read_frames
 from kinpole_ros.linkage.fit import fit_scene, fitted_lines, free_dimensions
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import Scene, SceneError, load_scene, scene_text
@@ -22,7 +22,7 @@ _READING, _TRACKING = 0.2, 0.7
 def fit_bag(
     options: Namespace,
     progress: Callable[[float], None] | None = None,
-    on_truncated: Callable[[Truncated], None] | None = None,
+    on_truncated: Callable[[BagError], None] | None = None,
 ) -> list[str]:
     """
     Fit a scene to the markers of a bag; return lines to print, and write it to the output.

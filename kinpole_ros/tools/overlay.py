@@ -46,7 +46,7 @@ def draw_over(
         body: float(np.mean([high.get(name.partition('_')[0], 0.0) for name in markers]))
         for body, markers in settings.bodies.items()
     }
-    write_overlay(video, filmed, shapes_of(record, heights), output, progress)
+    write_overlay(filmed, shapes_of(record, heights), output, progress)
     return lines
 
 

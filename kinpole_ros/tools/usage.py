@@ -39,8 +39,12 @@ class _HelpFormatter(argparse.HelpFormatter):
         )
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """Return the parser of the whole command line; `command` is the name of the subcommand."""
+def make_parser(only: str | None = None) -> argparse.ArgumentParser:
+    """
+    Return the parser of the whole command line; `command` is the name of the subcommand.
+
+    It knows all subcommands, or `only` one.
+    """
     parser = argparse.ArgumentParser(
         prog='kinpole',
         description='Planar kinematics of mechanisms from tracked markers: angular rates, poles '
@@ -56,14 +60,14 @@ def make_parser() -> argparse.ArgumentParser:
         description='Run the live node. All words after `node` go to ROS: '
         'kinpole node --ros-args --params-file config/kinpole.yaml -r markers:=/mocap/markers',
     )
-    for name, command in COMMANDS.items():
-        command.add_parser(name, subparsers, _HelpFormatter)
+    for name in COMMANDS if only is None else (only,):
+        COMMANDS[name].add_parser(name, subparsers, _HelpFormatter)
     return parser
 
 
 def parse_words(words: Sequence[str]) -> argparse.Namespace:
     """Parse the words after `kinpole`; end the process for --help and for bad usage."""
-    parser = make_parser()
+    parser = make_parser(words[0] if words and words[0] in COMMANDS else None)
     if words and words[0] in COMMANDS:
         words = [words[0], *_files_first(words[1:], COMMANDS[words[0]].options)]
     elif words and not words[0].startswith('-') and words[0] != 'node':

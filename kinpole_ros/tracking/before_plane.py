@@ -25,10 +25,10 @@ def take_again(state: State, take: Callable[[MarkerFrames, Sequence[np.ndarray]]
     """Take the earlier frames again, each by `take` with its times, now that the plane is known."""
     early = list(state.before_plane)
     state.before_plane.clear()
-    due = state.step.columns.due - (len(state.history) - len(early))
+    due = state.step.columns.next_result - (len(state.history) - len(early))
     state.assignment.set_plane(state.space.plane)
     assert state.assignment.plane is not None
     start_bodies(state)
     for frame, times in early:
         take(frame, times)
-    state.step.columns.due = max(due, 0)
+    state.step.columns.next_result = max(due, 0)

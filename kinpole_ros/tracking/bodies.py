@@ -94,21 +94,21 @@ class Bodies:
         Noise that is given, or due to rounding, m.
     angle_noise : (B,) float
         Noise of the angles of input poses, rad.
-    scale : (2, B) float
+    information_factor : (2, B) float
         Factors of the information of angle and position, for input poses.
     jump_scale : (2, B) float
         Residuals of angle, rad, and position, m, about the paths of the bodies.
-    never_repeats : (B,) uint8
+    repetition : (B,) uint8
         Whether noise is so far above rounding that markers of two frames are never the same: see
-        `noise.never_repeats`.
+        `noise.repetition`.
     freedom : (B,) float
         Degrees of freedom of the residuals of deformed bodies, 0 for rigid ones.
     hidden_factor : (B,) float
         By how much the noise of these residuals is larger, where markers are hidden.
     hub : (B,) complex
         Hub in the frame of the body, m, 0 for none.
-    extra_turn, last_angle : (B,) float
-        See `Step.total_turn`, and the angle of the last pose, rad.
+    learned_tilt_turn, last_angle : (B,) float
+        See `BodyArrays` of frames.h.
 
     """
 
@@ -122,13 +122,13 @@ class Bodies:
         self.misfit = np.zeros(self.count)
         self.noise = np.full(self.count, np.nan)
         self.lasting = np.zeros(self.count, bool)
-        self.never_repeats = np.zeros(self.count, np.uint8)
+        self.repetition = np.zeros(self.count, np.uint8)
         self.jump_scale = np.full((2, self.count), np.inf)
         self.begun = np.zeros(self.count, bool)
         self.least_noise = np.zeros(self.count)
         self.angle_noise = np.full(self.count, np.nan)
-        self.scale = np.ones((2, self.count))
-        self.extra_turn = np.zeros(self.count)
+        self.information_factor = np.ones((2, self.count))
+        self.learned_tilt_turn = np.zeros(self.count)
         self.last_angle = np.full(self.count, np.nan)
         self.given = np.zeros(self.count, bool)
         self.white = np.full(self.count, np.nan)
@@ -162,21 +162,19 @@ class Bodies:
         factors = procrustes_factors(self.shape, weights)
         mature = self.fits >= MIN_SAMPLES
         limits = marker_limits(mature, self.misfit, self.error, spread, size, self.relative)
-        unseen, incomplete = np.flatnonzero(learned_count == 0), bool((~is_learned).any())
-        places = np.where(is_learned, self.shape, complex(np.nan, np.nan))
         self.fitting = Fitting(
-            *(
-                places,
-                learned_count,
-                unseen,
-                ~is_learned,
-                incomplete,
-                spread,
-                size,
-                weights,
-                factors,
-            ),
-            *(factors.mean, mature, *limits),
+            places=np.where(is_learned, self.shape, complex(np.nan, np.nan)),
+            learned_count=learned_count,
+            unseen=np.flatnonzero(learned_count == 0),
+            unknown_slots=~is_learned,
+            incomplete=bool((~is_learned).any()),
+            spread=spread,
+            size=size,
+            weights=weights,
+            factors=factors,
+            middle=factors.mean,
+            mature=mature,
+            **limits._asdict(),
         )
 
     @property
@@ -229,7 +227,7 @@ class Bodies:
         self.noise[which] = self.white[which] = self.last_angle[which] = np.nan
         self.jump_scale[:, which] = np.inf
         self.given[which] = self.begun[which] = False
-        self.never_repeats[which] = 0
+        self.repetition[which] = 0
         self.update()
 
     def widen(self, width: int) -> None:

@@ -98,7 +98,7 @@ class Pins:
         """Take the `new` newest frames, and fit pins to the poses kept so far."""
         rows = slice(len(history) - new, None)
         angle, position = history['angle'][rows], history['position'][rows]
-        information = history['information'][rows] * bodies.scale
+        information = history['information'][rows] * bodies.information_factor
         has_pose = (information > 0).all(axis=1)
         with np.errstate(divide='ignore', invalid='ignore'):
             variance = bodies.error / information
@@ -135,7 +135,7 @@ class Pins:
         misfit = bodies.error[which]
         information = fit.weight[:, which], fit.spread[:, which]
         if posed:
-            information = bodies.scale[1, which], bodies.scale[0, which]
+            information = bodies.information_factor[1, which], bodies.information_factor[0, which]
         with np.errstate(divide='ignore', invalid='ignore'):
             even, of_angle = (np.where(is_pose, misfit / part, 0.0) for part in information)
             scale = np.sqrt(misfit[:, None] * bodies.relative[which])
@@ -210,7 +210,7 @@ def find_hubs(bodies: Bodies, history: History, window: int, before: Complex) ->
     rows = end[:, None] - np.arange((end - first).max(), 0, -1)
     is_inside = rows >= first[:, None]
     rows = np.maximum(rows, 0)
-    information = history['information'][rows] * bodies.scale
+    information = history['information'][rows] * bodies.information_factor
     visible = (information > 0).all(axis=2) & is_inside[..., None]
     count = visible.sum(axis=1)
     usable = count > np.maximum(_DEGREES[-1] + 1, _MIN_VISIBLE * (end - first)[:, None])

@@ -119,6 +119,10 @@ def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.
             return before, near
     origin = int(stamps[0])
     since = (stamps - origin).astype(float)
+    if np.ptp(np.diff(stamps)) <= 1:
+        # No clock is likelier than the one whose frames all came, at its ticks.
+        counts = np.arange(len(stamps))
+        return _fit_clock(origin, since, counts, resolution), counts
     number = min(SEARCHED, len(since))
     newest = since[-number:]
     # Any share of the frames up to one half may have been lost, and the first may have come late.
@@ -143,6 +147,19 @@ def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.
         return _fit_clock(origin, newest, likeliest, resolution), likeliest
     clock = _fit_clock(origin, newest, counts[0], resolution)
     return clock, count_frames(stamps[-number:], clock)
+
+
+def even_clock(stamps: np.ndarray, on_grid: Clock) -> tuple[Clock, np.ndarray] | None:
+    """
+    Return the clock that ticks at each step of a grid, and counts (N,), instead of a slower one.
+
+    None where frames have the same stamp (N,), ns, or step back.
+    """
+    counts = np.asarray((stamps - stamps[0]) // round(on_grid.resolution))
+    if np.diff(counts).min() < 1:
+        return None
+    since = (stamps - stamps[0]).astype(float)
+    return _fit_clock(int(stamps[0]), since, counts, on_grid.resolution), counts
 
 
 def _rate_has_changed(
@@ -406,7 +423,9 @@ def _fit_clock(origin: int, since: Real, counts: np.ndarray, resolution: float) 
     phase = float(late.min())
     late -= phase
     # Half of the time before the next tick in which no frame comes.
-    free = interval - float(np.quantile(late % interval, 1 - 1 / 512))
+    ranked = np.sort(late % interval)
+    last = len(ranked) - 1
+    free = interval - float(np.interp((1 - 1 / 512) * last, np.arange(last + 1), ranked))
     margin = min(max(free / 2, TOLERANCE * interval), interval / 2)
     largest = float(late.max())
     clock = Clock(

@@ -60,7 +60,7 @@ def correct_next(state: State, placed: PlacedFrames, k: int) -> Complex:
     if len(bodies.fitting.unseen):
         # Not from a marker that repeats: see `forget_held_markers`.
         last = state.history['markers'][-2:]
-        may_be_held = (bodies.never_repeats == NO_MARKER_REPEATS)[:, None]
+        may_be_held = (bodies.repetition == NO_MARKER_REPEATS)[:, None]
         is_held = may_be_held & (last == markers).all(axis=0)
         bodies.begin(np.where(is_held, complex(np.nan, np.nan), markers))
         state.step.bind(bodies, state.pins, state.history)

@@ -39,7 +39,7 @@ from kinpole_ros.tracking.reasons import (
     stands_out,
     texts_of,
 )
-from kinpole_ros.tracking.result_layout import COUNT, INSTANT_AXIS, ArrayPart, layout_of
+from kinpole_ros.tracking.result_layout import FILLED, INSTANT_AXIS, ArrayPart, layout_of
 from kinpole_ros.tracking.values import (
     POLE_NAMES,
     RATE_NAMES,
@@ -87,7 +87,7 @@ class Results(NamedTuple):
     @property
     def filled(self) -> int:
         """How many instants have results."""
-        return int(self.fields[COUNT])
+        return int(self.fields[FILLED])
 
     def array(self, name: str) -> np.ndarray:
         """Return an array, of all instants that there is memory for."""

@@ -7,6 +7,7 @@ import numpy as np
 from kinpole_ros.derivatives import Event, Samples, find_event
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
+from kinpole_ros.tracking.statistics import median
 
 # Frames after which the poses of those before are sure: see `wrong_before_last` in rejection.c.
 FRAMES_BEHIND = 6
@@ -130,7 +131,7 @@ def _poses(history: History, bodies: Bodies, hub: np.ndarray) -> tuple[np.ndarra
     angle, turns = history['angle'], history['turns']
     position = history['position'] + hub * np.exp(1j * angle)
     values = np.stack((angle + 2 * np.pi * turns, position.real, position.imag), axis=-1)
-    information = np.moveaxis(history['information'] * bodies.scale, 1, -1)
+    information = np.moveaxis(history['information'] * bodies.information_factor, 1, -1)
     turned, placed = information[..., 0], information[..., 1]
     with np.errstate(divide='ignore', invalid='ignore'):
         # Farther from the middle of the markers the error of the angle tells more.
@@ -156,7 +157,7 @@ def _body_event(
     along = np.array((arm.imag, -arm.real))
     covariance = np.diag(event.step_sigma[1:] ** 2)
     covariance += event.step_sigma[0] ** 2 * np.outer(along, along)
-    late = int(np.median(history['stamp'][rows] - time))
+    late = int(median(history['stamp'][rows] - time))
     return BodyEvent(
         body,
         at + late,

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from kinpole_ros.core.bindings import HistoryColumns
+
 
 class History:
     """
@@ -11,41 +13,13 @@ class History:
     `reserve`. Rows are dropped from the start; `dropped` counts them. Rows `first` to `end` of
     `columns` are in use.
 
-    stamp, time : int64, ns. As the message has it, and as the clock has it.
-    count : int64. The tick of the clock, where frames are counted.
-    goes_on : bool. False for a frame that follows a gap.
-    markers : complex (B, n), m. As they came, in the plane; NaN for those not seen.
-    used : bool (B, n). Those that the pose is fitted to.
-    residual : complex (B, n), m. Marker minus fitted marker, in the axes of the body.
-    angle, turns : (B,). The angle, rad, near (-pi, pi], and the whole turns beyond it.
-    position : complex (B,), m. The origin of the frame of the body.
-    information : (2, B). Inverse variances of angle and position, over that of one coordinate of a
-        marker; 0 where the pose is not known.
-    height : (B,), m. Mean height of the markers that were seen.
-    extra_turn : (B,), rad. Of poses of tilted bodies: see `Step.total_turn`.
-    heights : (B, n), m. Heights of the markers over the plane.
+    Columns are the arrays of `HistoryColumns` of frames.h, which says what they are.
     """
 
     def __init__(self, bodies: int, markers: int) -> None:
         self.dropped = self.first = self.end = 0
-        self.capacity = capacity = 256
-        each, both = (capacity, bodies), (capacity, bodies, markers)
-        self.columns: dict[str, np.ndarray] = {
-            'stamp': np.zeros(capacity, np.int64),
-            'time': np.zeros(capacity, np.int64),
-            'count': np.zeros(capacity, np.int64),
-            'goes_on': np.zeros(capacity, bool),
-            'markers': np.zeros(both, complex),
-            'used': np.zeros(both, bool),
-            'residual': np.zeros(both, complex),
-            'angle': np.zeros(each),
-            'turns': np.zeros(each),
-            'position': np.zeros(each, complex),
-            'height': np.zeros(each),
-            'extra_turn': np.zeros(each),
-            'information': np.zeros((capacity, 2, bodies)),
-            'heights': np.zeros(both),
-        }
+        self.capacity = 256
+        self.columns = HistoryColumns.new_arrays(rows=self.capacity, B=bodies, n=markers)
 
     @property
     def row_bytes(self) -> int:

@@ -21,6 +21,7 @@ from kinpole_ros.tracking.statistics import (
     bulk_maximum,
     divided_differences,
     mean_square,
+    median,
     medians,
 )
 from kinpole_ros.tracking.thresholds import MEMORY_FRAMES, MIN_DOF, MIN_SAMPLES, ROUNDED
@@ -237,10 +238,14 @@ def _without_noisy(bodies: Bodies, residual: Complex) -> Complex:
 
 def freedom_of(bodies: Bodies, residual: Complex) -> Real:
     """Return the expected square of each residual (N, B, n) for unit variance of a coordinate."""
-    seen = ~np.isnan(residual)
-    if seen.all():
-        return np.broadcast_to(bodies.fitting.factors.freedom, residual.shape)
-    return procrustes_factors(bodies.shape, np.where(seen, bodies.fitting.weights, 0.0)).freedom
+    seen, weights = ~np.isnan(residual), bodies.fitting.weights
+    freedom = np.broadcast_to(bodies.fitting.factors.freedom, residual.shape)
+    frames, lacking = (seen != (weights > 0)).any(axis=-1).nonzero()
+    if len(frames):
+        own = np.where(seen[frames, lacking], weights[lacking], 0.0)
+        freedom = freedom.copy()
+        freedom[frames, lacking] = procrustes_factors(bodies.shape[lacking], own).freedom
+    return freedom
 
 
 def _update_misfit(bodies: Bodies, history: History) -> None:
@@ -269,7 +274,7 @@ def _update_noise(bodies: Bodies, history: History, window: int, given: float) -
     noise = white
     bodies.lasting[:] = False
     if len(time) > 1:
-        frames = window / max(float(np.median(np.diff(time))), 1.0)
+        frames = window / max(median(np.diff(time)), 1.0)
         noise, bodies.lasting = correlated_noise(residual, freedom, goes_on, frames, white)
     misfit = np.sqrt(np.where(bodies.fitting.mature, bodies.misfit, np.nan))
     noise = np.where(degrees < MIN_DOF, misfit, noise)

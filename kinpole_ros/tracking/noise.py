@@ -10,7 +10,12 @@ variance, Baugh 1971).
 import numpy as np
 
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
-from kinpole_ros.tracking.rejection import MAX_REPEAT_CHANCE, NO_MARKER_REPEATS
+from kinpole_ros.tracking.rejection import (
+    MAX_REPEAT_CHANCE,
+    MAY_REPEAT,
+    NO_MARKER_REPEATS,
+    NO_POSE_REPEATS,
+)
 from kinpole_ros.tracking.statistics import (
     OUTLIER_RATIO,
     OUTLIER_SHARE,
@@ -272,12 +277,9 @@ def _pooled_variance(values: Complex, shape: Complex, which: np.ndarray) -> floa
     return variance + ROUNDED_SQUARE * float(spread[np.isfinite(spread)].max(initial=0.0))
 
 
-def never_repeats(markers: Complex, white: Real, degrees: int | None) -> np.ndarray:
+def find_repetition(markers: Complex, white: Real, degrees: int | None) -> np.ndarray:
     """
-    Return which bodies (B,) have so much noise that markers of two frames are never the same.
-
-    0 is that they may be, 1 that not all of a body are, and `NO_MARKER_REPEATS` that no marker is
-    in three frames.
+    Return how markers of bodies (B,) may repeat, as their noise says: REPETITIONS of codes.h.
 
     Two normal deviates are rounded to one number with the probability q / (2 sqrt(pi) sigma), where
     q is the resolution. That is the smallest distance between two different coordinates.
@@ -306,5 +308,7 @@ def never_repeats(markers: Complex, white: Real, degrees: int | None) -> np.ndar
             once = min(float(steps.min()) / (2 * np.sqrt(np.pi) * white[b]), 1.0)
             chance[b] = once ** (degrees or 2 * np.count_nonzero(seen))
             of_marker[b] = once**4
-    poses, markers_too = chance < MAX_REPEAT_CHANCE, of_marker < MAX_REPEAT_CHANCE
-    return np.where(markers_too & (degrees is None), NO_MARKER_REPEATS, poses).astype(np.uint8)
+    repetition = np.where(chance < MAX_REPEAT_CHANCE, NO_POSE_REPEATS, MAY_REPEAT)
+    if degrees is None:
+        repetition[of_marker < MAX_REPEAT_CHANCE] = NO_MARKER_REPEATS
+    return repetition.astype(np.uint8)

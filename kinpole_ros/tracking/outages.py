@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.core.bindings import Gaps
+
 
 class Outage(NamedTuple):
     """Number of gaps of a window or more; begin and length, ns, of the latest and the longest."""
@@ -15,16 +17,17 @@ class Outage(NamedTuple):
 
 
 def no_outages(bodies: int) -> np.ndarray:
-    """Return the gaps (B + 1, 5) of bodies, and last of all frames, before there is any."""
-    return np.zeros((bodies + 1, 5), np.int64)
+    """Return the gaps (B + 1,) of bodies, and last of all frames, before there is any."""
+    return np.zeros(bodies + 1, Gaps)
 
 
 def note_gap(outages: np.ndarray, since: int, lasted: int) -> None:
     """Note a gap without any frame; C notes those of bodies."""
-    times, _, _, _, longest = outages[-1].tolist()
-    outages[-1, :3] = times + 1, since, lasted
-    if not times or lasted > longest:
-        outages[-1, 3:] = since, lasted
+    gaps = outages[-1]
+    gaps['times'] += 1
+    gaps['latest_begin'], gaps['latest_length'] = since, lasted
+    if lasted > gaps['longest_length']:
+        gaps['longest_begin'], gaps['longest_length'] = since, lasted
 
 
 def named_outages(outages: np.ndarray, bodies: Sequence[str]) -> dict[str, Outage]:

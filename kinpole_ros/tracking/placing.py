@@ -130,11 +130,19 @@ class MarkerAssignment:
             counts[TOO_FAR] += too_far
         if layout.foreign_names or layout.unknown_names:
             count_misnamed(counts, layout, len(points))
-        about = points.shape[1], layout.is_numbered and not self.names_come
         tilts = None
         if in_space is not None and self.plane is not None:
             tilts = tilts_of(in_space, self.plane, self._upside_down)
-        return PlacedFrames(frames, layout, flat, heights, in_space, tilts, *about)
+        return PlacedFrames(
+            frames,
+            layout,
+            flat,
+            heights,
+            in_space,
+            tilts,
+            size=points.shape[1],
+            is_nameless=layout.is_numbered and not self.names_come,
+        )
 
     def assign_again(self, placed: PlacedFrames, first: int) -> None:
         """Place the frames from `first` on again, by what is known of names now."""
@@ -295,9 +303,13 @@ class MarkerAssignment:
 
     def _slots_of(self, rows: np.ndarray, points: int) -> Slots:
         """Return the slots that take these rows of so many points."""
-        about = {'scale': self._settings.scale, 'farthest': FARTHEST_MARKER}
-        slots = Slots(count=rows.size, points=points, **about)
-        slots.bind('rows', np.ascontiguousarray(rows, np.int64))
+        slots = Slots(
+            slots=rows.size,
+            point_count=points,
+            scale=self._settings.scale,
+            farthest=FARTHEST_MARKER,
+        )
+        slots.bind('row_of_slot', rows.astype(np.int64).ravel())
         if self.plane is not None:
             slots.has_axes = self.plane.axes is not None
             slots.axes = self.plane.axes or (0, 0, 0)
@@ -343,7 +355,7 @@ class MarkerAssignment:
         foreign = int(np.isin(rows[corrected], named).sum())
         unknown = int(corrected.sum()) - foreign
         is_numbered = identities == tuple(map(str, range(none)))
-        unassigned = np.setdiff1d(np.arange(none), rows)
+        unassigned = np.flatnonzero(~np.isin(np.arange(none), rows))
         # Names of poses are taken at their word.
         if self.posed or self._settings.marker_identity == 'shape':
             unassigned = unassigned[:0]

@@ -42,7 +42,7 @@ def learn_poses(bodies: Bodies, history: History, given: float) -> None:
     # Distance from their mean of markers with such noise.
     arm = bodies.noise / bodies.angle_noise
     scale = np.stack((arm**2, arm**2 / (arm**2 + np.abs(measured.middle) ** 2)))
-    bodies.scale = np.where(np.isnan(scale), 1.0, scale)
+    bodies.information_factor = np.where(np.isnan(scale), 1.0, scale)
     bodies.misfit = np.nan_to_num(bodies.noise**2)
     bodies.update()
     bodies.fitting = bodies.fitting._replace(middle=measured.middle, size=2 * arm)

@@ -73,8 +73,8 @@ def motion_of(*arrays: np.ndarray) -> Motion:
     motion.owners = owners = [np.asarray(array, kind, order='C') for array, kind in pairs]
     position, angle, of_position, of_angle, *rest = owners
     motion.orders, *shape = angle.shape
-    motion.shape, motion.count = tuple(shape), rest[0].size
-    motion.stride = motion.count
+    motion.shape, motion.poses = tuple(shape), rest[0].size
+    motion.stride = motion.poses
     square, each = (motion.orders, *angle.shape), {array.shape for array in rest[:5]}
     if position.shape != angle.shape or each != {motion.shape}:
         raise ValueError(f'expected arrays of one shape, got {[a.shape for a in arrays]}')
@@ -85,13 +85,13 @@ def motion_of(*arrays: np.ndarray) -> Motion:
     return motion
 
 
-def compute_quantity(what: int, motion: Motion) -> tuple[Complex, Real, np.ndarray, np.ndarray]:
+def compute_quantity(quantity: int, motion: Motion) -> tuple[Complex, Real, np.ndarray, np.ndarray]:
     """
     Compute a quantity with its covariance, and why it is undetermined.
 
     Parameters
     ----------
-    what : int
+    quantity : int
         Order of a pole, 1 to 4, that plus FREE, or another of QUANTITIES.
     motion : Motion
         What it follows from.
@@ -113,11 +113,11 @@ def compute_quantity(what: int, motion: Motion) -> tuple[Complex, Real, np.ndarr
         If the motion lacks derivatives that the quantity needs.
 
     """
-    needed = _NEEDED.get(what, what % FREE)
+    needed = _NEEDED.get(quantity, quantity % FREE)
     if not 1 <= needed < motion.orders <= SIZES['HIGHEST'] + 1:
         raise ValueError(f'expected derivatives up to order {needed}, got {motion.orders - 1}')
     arrays = *_empty(motion.shape), np.empty(motion.shape, np.uint8)
-    library.kinpole_quantities(what, byref(motion), *map(pass_new_array, arrays))
+    library.kinpole_quantities(quantity, byref(motion), *map(pass_new_array, arrays))
     return arrays
 
 
@@ -141,7 +141,7 @@ def relative_centers(motion: Motion, pairs: np.ndarray) -> tuple[Complex, Real, 
     *shape, bodies = motion.shape
     number = pairs.shape[1]
     arrays = _empty((*shape, number))
-    if motion.count:
+    if motion.poses:
         into = map(pass_new_array, arrays)
         library.kinpole_relative_centers(byref(motion), bodies, address_of(pairs), number, *into)
     return arrays

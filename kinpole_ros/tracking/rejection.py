@@ -65,8 +65,6 @@ MAX_ANGLE_NOISE = 0.15
 # A pose, or a marker, that repeats the one before to the last bit is held by the tracker if noise
 # repeats it with less than this probability.
 MAX_REPEAT_CHANCE = 1e-6
-# Of a body whose single markers do not repeat twice in a row either: as in frames.h.
-NO_MARKER_REPEATS = 2
 # Mean square residual of a corrected body over that of the body; 0.1% of chi-squares of three
 # degrees exceed it.
 MAX_SQUARE_RATIO = 5.4
@@ -97,6 +95,7 @@ GAP = 2.5
 
 # What is unusual of a body in a frame: see codes.h.
 UNUSUAL = codes_of('UNUSUAL_BITS')
+MAY_REPEAT, NO_POSE_REPEATS, NO_MARKER_REPEATS = codes_of('REPETITIONS').values()
 ODD, NAME_DOUBTFUL = UNUSUAL['ODD'], UNUSUAL['NAME_DOUBTFUL']
 
 

@@ -39,7 +39,7 @@ def new_tracks(bodies: int, outages: np.ndarray, wrong: np.ndarray) -> dict[str,
     ----------
     bodies : int
         Their number B.
-    outages : (B + 1, 5) int64
+    outages : (B + 1,) Gaps
         Gaps without each body, and last without any frame: see frames.h.
     wrong : (B,) int64
         Number of poses that left the path of their body.
@@ -47,23 +47,13 @@ def new_tracks(bodies: int, outages: np.ndarray, wrong: np.ndarray) -> dict[str,
     Returns
     -------
     dict of str to ndarray
-        `unusual` (B,): what is unusual of each body in the last frame. `held` (B,): how many poses
-        were held since they were last counted, and `held_markers` (B,) how many markers. `newest`
-        (B,): how many of the newest poses may be wrong, and are not used yet. `seen_last` (B,):
-        stamp of the last frame with a pose, ns, -1 for none. `total_turn` (B,): turns of tilting
-        bodies about the normal, beyond those of their headings, up to the last pose that is
-        certainly right, rad; its angle is `sure_angle`, and its tilt `sure_tilt`.
+        The fields of `BodyTracks` of frames.h, by their names.
 
     """
-    return {
-        'unusual': np.zeros(bodies, np.uint8),
+    return BodyTracks.new_arrays(B=bodies) | {
         'wrong': wrong,
-        'held': np.zeros(bodies, np.int64),
-        'held_markers': np.zeros(bodies, np.int64),
-        'newest': np.zeros(bodies, np.int64),
-        'seen_last': np.full(bodies, -1, np.int64),
         'outages': outages,
-        'total_turn': np.zeros(bodies),
+        'seen_last': np.full(bodies, -1, np.int64),
         'sure_angle': np.full(bodies, np.nan),
         'sure_tilt': np.full(bodies, complex(np.nan, np.nan)),
     }
@@ -84,8 +74,8 @@ class Step:
 
     def __init__(self, settings: Settings, posed: bool, tracks: dict[str, np.ndarray]) -> None:
         limits = FrameLimits(
-            window=round(settings.window * 1e9),
-            lag=settings.lag * 1e9,
+            window_ns=round(settings.window * 1e9),
+            lag_ns=settings.lag * 1e9,
             posed=posed,
             far=FAR,
             newest_factor=NEWEST_FACTOR,
@@ -95,7 +85,7 @@ class Step:
         )
         fields = Frames(limits)
         self._frames = byref(fields)
-        self.columns, self.known, self.incoming = fields.history, fields.bodies, fields.incoming
+        self.columns, self.known, self.incoming = fields.history, fields.known, fields.incoming
         self.tracks, self._posed, self._tracks = tracks, posed, fields.tracks
         for name in BodyTracks.elements:
             self._tracks.bind(name, tracks[name])
@@ -108,7 +98,7 @@ class Step:
     def bind(self, bodies: Bodies, pins: Pins, history: History) -> None:
         """Use these arrays, after an update of the bodies or growth of the history."""
         known, self._history = self.known, history
-        known.count, known.width = bodies.shape.shape
+        known.bodies, known.width = bodies.shape.shape
         hub, angle_noise = bodies.hub, None
         if self._posed:
             # The derivatives assume independent errors of position and angle: so at the middle.
@@ -119,9 +109,7 @@ class Step:
             'pin_arm': pins.arm,
             'pin_variance': pins.variance,
             'pin_since': pins.since,
-            'known_shape': bodies.fitting.places,
             'noise': np.where(bodies.noise > 0, bodies.noise, 1.0),
-            'tilt_turn': bodies.extra_turn,
             'reason': reasons_of(bodies.noise, bodies.fitting.spread, angle_noise),
         }
         for name in BodyArrays.elements:
@@ -174,8 +162,8 @@ class Step:
         """Return memory for the results that so many frames can complete; none without an order."""
         if order is None:
             return new_results(0, 1, 0, 0)
-        waiting = self._history.end - self._history.first - self.columns.due
-        return new_results(frames + waiting, order + 1, self.known.count, self.known.width)
+        waiting = self._history.end - self._history.first - self.columns.next_result
+        return new_results(frames + waiting, order + 1, self.known.bodies, self.known.width)
 
     def follow(self, until_update: int, results: Results) -> bool:
         """Take usual frames, at most so many; return whether the next frame is unusual."""

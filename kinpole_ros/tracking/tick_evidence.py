@@ -13,6 +13,7 @@ import numpy as np
 from kinpole_ros.planar._plane import ROUNDING, Real
 from kinpole_ros.tracking.clock import CHANGE_NATS, DECISIVE_NATS, UNSETTLED
 from kinpole_ros.tracking.history import History
+from kinpole_ros.tracking.statistics import median
 from kinpole_ros.tracking.thresholds import N_SIGMA
 
 # Number of neighbors on each side from which a pose is predicted.
@@ -130,7 +131,7 @@ def _evidence(times: Real, signals: Real, variance: Real) -> tuple[float, float]
     slopes = np.einsum('mk,mks->ms', around, signals[nearby])
     slopes /= (around**2).sum(axis=1, keepdims=True)
     early = ticks - stamps
-    early = early - np.median(early)
+    early = early - median(early)
     shift = -slopes * (early[centers] - (weights * early[neighbors]).sum(axis=1))[:, None]
     residual = signals[centers] - np.einsum('mk,mks->ms', weights, signals[neighbors])
     residual = np.stack((residual - shift, residual))

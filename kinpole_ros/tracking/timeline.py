@@ -23,6 +23,7 @@ from kinpole_ros.tracking.clock import (
     count_frames,
     count_until_slip,
     estimate_clock,
+    even_clock,
 )
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.frame_counter import FrameCounter
@@ -283,7 +284,7 @@ class Timeline:
         time, count = self._anchor
         return np.asarray(time + (counts - count) * max(round(self.clock.interval), 1))
 
-    def update_clock(self, history: History, samples: int, noise: Real) -> None:
+    def update_clock(self, history: History, noise: Real) -> None:
         """
         Estimate the clock, decide whether frames are at its ticks, and time the history.
 
@@ -291,15 +292,12 @@ class Timeline:
         ----------
         history : History
             The frames so far; its times and counts are updated.
-        samples : int
-            Number of frames in the window, whose motion decides.
         noise : (B,) float
             Noise of a marker of each body, m, NaN while not known.
 
         """
         was_at_ticks = self.at_ticks
-        counts = self._estimate_clock(history)
-        self._weigh_motion(history, samples, counts, noise)
+        counts = self._estimate_clock(history, noise)
         self.at_ticks = self._are_at_ticks()
         # After a quarter more frames, and at the latest after a twentieth of those remembered.
         self.until_update = min(max(1, self._seen // 4), MEMORY // 20)
@@ -315,7 +313,7 @@ class Timeline:
             self._counter = None
             history['time'][...] = _increasing(history['stamp'])
 
-    def _estimate_clock(self, history: History) -> np.ndarray:
+    def _estimate_clock(self, history: History, noise: Real) -> np.ndarray:
         """Estimate the clock; return the counts (n,) of the newest frames of the history."""
         kept, is_used = (np.concatenate(arrays) for arrays in zip(*self._appended, strict=True))
         stamps, is_used = kept[-MEMORY:], is_used[-MEMORY:]
@@ -325,14 +323,18 @@ class Timeline:
             # The frames of the history were counted by the motion: the clock is that of the counts.
             which = np.flatnonzero(is_used)
             which = which[: len(which) - uncounted][-len(history) :]
-            own = history['count'][len(history) - len(which) :]
+            own = history['tick'][len(history) - len(which) :]
             clock, counts = clock_of(clock, counts, stamps, which, own)
-        is_used = is_used[len(is_used) - len(counts) :]
-        self._appended = [(stamps[len(stamps) - len(counts) :], is_used)]
+        stamps, is_used = (part[len(part) - len(counts) :] for part in (stamps, is_used))
+        counted = is_used.nonzero()[0]
+        counted = counted[: len(counted) - uncounted]
+        self._weigh_motion(history, clock, counts[counted], noise)
+        if clock.is_on_grid and self._denies_grid():
+            clock, counts = even_clock(stamps, clock) or (clock, counts)
+        self._appended = [(stamps, is_used)]
         self._count_lost_at_update(clock, kept, counts)
         self.clock = clock
-        counts = counts[is_used]
-        return np.asarray(counts[: len(counts) - uncounted])
+        return np.asarray(counts[counted])
 
     def count_lost(self) -> None:
         """Count the frames that were lost up to now in the totals."""
@@ -358,18 +360,29 @@ class Timeline:
         return self.at_ticks or clock.is_on_grid or clock.largest < clock.interval / 2
 
     def _weigh_motion(
-        self, history: History, samples: int, counts: np.ndarray, noise: Real
+        self, history: History, clock: Clock, counts: np.ndarray, noise: Real
     ) -> None:
-        """Add the evidence of the motion in the frames that were not compared yet."""
-        assert self.clock is not None
-        number = min(samples, len(counts), self._unweighed + SIDE)
+        """Add the evidence of the motion for a clock, in the frames that were not compared yet."""
+        number = min(len(history), len(counts), self._unweighed + SIDE)
         if self._seen < MIN_SAMPLES or number < FEWEST_WEIGHED:
             return
         self._unweighed = UNSETTLED + SIDE
-        interval, half_life = self.clock.interval, HALF_LIFE * self._settings.window_ns
+        interval, half_life = clock.interval, HALF_LIFE * self._settings.window_ns
         self._evidence = add_evidence(
             self._evidence, history, counts, number, interval, half_life, noise
         )
+
+    def _denies_grid(self) -> bool:
+        """
+        Whether the motion denies that the stamps are on the grid of a timer.
+
+        Else they are even, and frames were lost, which regularly happens to a body that is hidden
+        once a turn. Both explain the stamps. Those of a file, or of a driver, are true unless it is
+        said, or the motion says, that they are not.
+        """
+        if self._settings.stamps == 'arrival':
+            return self._evidence.nats < -DECISIVE_NATS
+        return not self._evidence.says_ticks
 
     def _are_at_ticks(self) -> bool:
         """Whether frames are taken to be at ticks from now on."""
@@ -390,14 +403,14 @@ class Timeline:
         first = max(len(history) - len(counts), 0)
         counts = counts[len(counts) - (len(history) - first) :]
         if self._counter is not None:
-            counts = self._keep_counts(history['count'][first:], counts)
+            counts = self._keep_counts(history['tick'][first:], counts)
         if self._counter is None:
             counts = self._start_counter(history, first, counts)
         assert self._counter is not None
         count = self._counter.count
         self._anchor = clock.origin + round(clock.phase + count * clock.interval), count
         self._counter.learn_losses(counts)
-        history['count'][first:] = counts
+        history['tick'][first:] = counts
         history['time'][first:] = self._times_of(counts)
         # Earlier frames had another rate: they are at their stamps, less the mean lateness.
         before = _increasing(history['stamp'][:first] - round(clock.lateness))

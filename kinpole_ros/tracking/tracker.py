@@ -19,7 +19,7 @@ from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import note_gap
 from kinpole_ros.tracking.placed_frames import PlacedFrames
 from kinpole_ros.tracking.rejection import EXCHANGED
-from kinpole_ros.tracking.result_layout import COUNT, DEFORMED
+from kinpole_ros.tracking.result_layout import DEFORMED, FILLED
 from kinpole_ros.tracking.state import new_totals, start, widen
 from kinpole_ros.tracking.summary import TrackerSummary
 from kinpole_ros.tracking.timeline import TimedFrames, Timeline
@@ -189,7 +189,7 @@ class Tracker(TrackerSummary):
 
     def _follow(self, placed: PlacedFrames, times: Sequence[np.ndarray], results: Results) -> None:
         """Take frames up to the next update, or one that is not usual after correcting it."""
-        state, computed = self.state, int(results.fields[COUNT])
+        state, computed = self.state, int(results.fields[FILLED])
         before, is_unusual = state.step.incoming.frame, True
         if state.assignment.plane is None:
             keep_frame(state, placed, times)
@@ -234,7 +234,7 @@ class Tracker(TrackerSummary):
 
     def _keep_results(self, results: Results, numbers: np.ndarray) -> None:
         """Keep results for the next estimate; `numbers` count the frames passed to the step."""
-        if results.fields[COUNT]:
+        if results.fields[FILLED]:
             self._results.append((results, numbers))
 
     def _flush_results(self) -> list[Estimate]:
@@ -244,8 +244,16 @@ class Tracker(TrackerSummary):
             return []
         events, self._events = self._events, []
         names = self.state.assignment
-        about = self.bodies, self.state.run, names.plane, names.posed
-        return [estimate_of(results, self.frame_id, *about, tuple(events))]
+        estimate = estimate_of(
+            results,
+            self.frame_id,
+            self.bodies,
+            run=self.state.run,
+            plane=names.plane,
+            posed=names.posed,
+            events=tuple(events),
+        )
+        return [estimate]
 
     def learn_if_due(self) -> None:
         """Learn from the history now if an update is due; otherwise the next `add` does."""

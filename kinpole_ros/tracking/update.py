@@ -11,10 +11,11 @@ from kinpole_ros.tracking.learn import (
     learn,
     path_scale,
 )
-from kinpole_ros.tracking.noise import never_repeats
+from kinpole_ros.tracking.noise import find_repetition
 from kinpole_ros.tracking.posed import learn_poses
 from kinpole_ros.tracking.rejection import HELD, HELD_MARKERS, NO_MARKER_REPEATS
 from kinpole_ros.tracking.state import MIN_HISTORY_FRAMES, State, restart_bodies
+from kinpole_ros.tracking.statistics import median
 from kinpole_ros.tracking.thresholds import MEMORY_FRAMES
 
 # The history has at least this many windows, and at most so many bytes, whatever the window: 30 s
@@ -36,8 +37,7 @@ def update_clock(state: State) -> None:
     """Estimate the clock again, after an update of what is due."""
     # The clock depends on the noise, which is to be the same live and in replay.
     state.names_changed = update_if_due(state)
-    samples = int(state.step.columns.samples)
-    state.timeline.update_clock(state.history, samples, state.bodies.noise)
+    state.timeline.update_clock(state.history, state.bodies.noise)
 
 
 def learn_if_due(state: State) -> None:
@@ -61,7 +61,7 @@ def _update(state: State) -> bool:
     new = state.frame_count - state.learned_count
     if state.assignment.posed:
         learn_poses(bodies, history, state.settings.noise)
-        bodies.extra_turn = state.step.tracks['total_turn'].copy()
+        bodies.learned_tilt_turn = state.step.tracks['sure_tilt_turn'].copy()
     else:
         restarts, counts = learn(bodies, history, window, state.settings.noise)
         state.totals.counts.update(counts)
@@ -73,18 +73,18 @@ def _update(state: State) -> bool:
     is_measured = state.assignment.posed and not state.settings.noise
     noise = bodies.noise if is_measured else bodies.white
     degrees = 3 if state.assignment.posed else None
-    before = bodies.never_repeats
-    repeats = never_repeats(history['markers'][-MISFIT_FRAMES:], noise, degrees)
+    before = bodies.repetition
+    repetition = find_repetition(history['markers'][-MISFIT_FRAMES:], noise, degrees)
     # Of a body that starts again, what was known before holds until its noise is.
-    bodies.never_repeats = np.where(np.isnan(noise), before, repeats)
-    begins = (bodies.never_repeats == NO_MARKER_REPEATS) & (before != NO_MARKER_REPEATS)
+    bodies.repetition = np.where(np.isnan(noise), before, repetition)
+    begins = (bodies.repetition == NO_MARKER_REPEATS) & (before != NO_MARKER_REPEATS)
     if begins.any():
         last = history['markers'][-2:].copy()
         lacking = forget_held_markers(bodies, history, begins)
         if lacking.any():
             restart_bodies(state, lacking)
             history['markers'][-2:][:, lacking] = last[:, lacking]
-            bodies.never_repeats[lacking] = NO_MARKER_REPEATS
+            bodies.repetition[lacking] = NO_MARKER_REPEATS
     bodies.hub = find_hubs(bodies, history, window, bodies.hub)
     bodies.jump_scale = path_scale(history)
     if not state.assignment.posed:
@@ -104,7 +104,7 @@ def _find_deformed(state: State) -> None:
     bodies, history = state.bodies, state.history
     rows = slice(-MEMORY_FRAMES - 2, None)
     time, residual = history['time'][rows], history['residual'][rows]
-    interval = float(np.median(np.diff(time))) if len(time) > 1 else state.settings.window_ns / 2
+    interval = median(np.diff(time)) if len(time) > 1 else state.settings.window_ns / 2
     free = freedom_of(bodies, residual).sum(axis=-1)
     noise = np.fmax(bodies.noise, bodies.white)
     half = round(state.settings.window_ns / 2 / max(interval, 1.0))
@@ -136,8 +136,8 @@ def count_new_frames(state: State) -> None:
     if not new or state.assignment.plane is None:
         return
     markers, heights = (state.history[name][-new:] for name in ('markers', 'heights'))
-    for track, key in (('held', HELD), ('held_markers', HELD_MARKERS)):
-        held = state.step.tracks[track]
+    for key in (HELD, HELD_MARKERS):
+        held = state.step.tracks[key]
         if held.any():
             state.totals.counts[key] += int(held.sum())
             held[:] = 0
@@ -157,4 +157,4 @@ def drop_old_frames(state: State) -> None:
     drop = len(history) - kept
     if drop > 0:
         history.drop(drop)
-        columns.due = max(0, columns.due - drop)
+        columns.next_result = max(0, columns.next_result - drop)

@@ -170,6 +170,44 @@ def sleap_h5(motion: Motion) -> bytes:
         return file.getvalue()
 
 
+def movement(motion: Motion) -> bytes:
+    """A dataset as xarray writes it, by the dimensions of each array."""
+    h5py = pytest.importorskip('h5py')
+    content = BytesIO()
+    with h5py.File(content, 'w') as file:
+        file['position'] = motion.points[..., :2].transpose(0, 2, 1)[..., None]
+        file['confidence'] = motion.likelihoods[..., None]
+        scales = {'time': motion.times, 'space': [b'x', b'y'],
+                  'keypoints': [n.encode() for n in NAMES], 'individuals': [b'rod']}  # fmt: skip
+        for name, values in scales.items():
+            text = {} if name == 'time' else {'dtype': h5py.string_dtype()}
+            file.create_dataset(name, data=values, **text)
+            file[name].make_scale(name)
+        for array in ('position', 'confidence'):
+            axes = [name for name in scales if array == 'position' or name != 'space']
+            for k, name in enumerate(axes):
+                file[array].dims[k].attach_scale(file[name])
+        file.attrs.update(time_unit='seconds', ds_type='poses', fps=RATE)
+    return content.getvalue()
+
+
+def nwb(motion: Motion) -> bytes:
+    """Series of ndx-pose; the times of all are links to those of the first."""
+    h5py = pytest.importorskip('h5py')
+    content = BytesIO()
+    with h5py.File(content, 'w') as file:
+        file.attrs['nwb_version'] = '2.6.0'
+        for k, name in enumerate(NAMES):
+            series = file.create_group(f'processing/behavior/PoseEstimation/{name}')
+            series.attrs['neurodata_type'] = 'PoseEstimationSeries'
+            series['data'] = 2.0 * motion.points[:, k]
+            series['data'].attrs.update(unit=motion.unit, conversion=0.5)
+            series['confidence'] = motion.likelihoods[:, k]
+            first = f'/processing/behavior/PoseEstimation/{NAMES[0]}/timestamps'
+            series['timestamps'] = motion.times if k == 0 else h5py.SoftLink(first)
+    return content.getvalue()
+
+
 def anipose(motion: Motion) -> list[list[str]]:
     titles = [f'{n}_{what}' for n in NAMES for what in ('x', 'y', 'z', 'error', 'ncams', 'score')]
     rows = zip(motion.frames, motion.points, motion.likelihoods, strict=True)
@@ -311,6 +349,17 @@ def kinds(folder: Path) -> dict[str, Kind]:
         'deeplabcut': Kind(deeplabcut, ',', **pixels),
         'sleap': Kind(sleap, ',', **pixels),
         'sleap .h5': Kind(sleap_h5, '', **pixels, needs_h5py=True),
+        'movement': Kind(
+            movement,
+            '',
+            'px',
+            is_flat=True,
+            y_down=True,
+            says_unit=False,
+            has_likelihood=True,
+            needs_h5py=True,
+        ),
+        'nwb': Kind(nwb, '', has_likelihood=True, needs_h5py=True),
         'anipose': Kind(anipose, ',', 'mm', says_unit=False, has_times=False, has_likelihood=True),
         'keypoints': Kind(coco, '', **pixels),
         'kinovea': Kind(kinovea, ',', 'cm', is_flat=True, says_unit=False),

@@ -17,7 +17,7 @@ import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovarianceStamped, Quaternion
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
@@ -326,7 +326,6 @@ def test_a_chunk_without_a_checksum_that_ends_in_zeros_is_damaged(tmp_path):
 
 
 @given(st.data(), st.sampled_from(COMPRESSIONS))
-@settings(max_examples=150)
 def test_any_damage_gives_messages_or_a_bag_error_and_nothing_else(
     tmp_path_factory, data, compression
 ):

@@ -141,7 +141,8 @@ def test_all_formats_are_in_the_table() -> None:
     assert names == set(FORMATS)
 
 
-ENDINGS = {'sleap .h5': '.h5', 'keypoints': '.json', 'kinovea text': '.txt', 'kinovea .xml': '.xml',
+ENDINGS = {'sleap .h5': '.h5', 'movement': '.nc', 'nwb': '.nwb',
+           'keypoints': '.json', 'kinovea text': '.txt', 'kinovea .xml': '.xml',
            'tracker': '.txt', 'tracker .trk': '.trk', 'qualisys': '.tsv', 'trc': '.trc',
            'c3d': '.c3d', 'bag': '.mcap'}  # fmt: skip
 

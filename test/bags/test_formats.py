@@ -450,6 +450,26 @@ def test_measured_gait_has_its_rate_and_unit():
     assert knee.tolist() == [-255.79147, 532.41669, -490.22989]
 
 
+@pytest.mark.parametrize(
+    ('names', 'complaint'),
+    [
+        (('frames', 'instances', 'points', 'metadata'), 'is a project of SLEAP .*; fix: export an'),
+        (('pos_x', 'pos_y'), 'no program that is known here, with pos_x, pos_y in it; fix: '),
+    ],
+)
+def test_hdf_of_another_program_is_named_as_what_it_is(tmp_path, names, complaint):
+    h5py = pytest.importorskip('h5py')
+    with h5py.File(tmp_path / 'a.h5', 'w') as file:
+        for name in names:
+            file[name] = np.zeros(3)
+    with pytest.raises(BagError, match=complaint) as error:
+        read_points(tmp_path / 'a.h5')
+    assert 'DeepLabCut' not in str(error.value)
+    (tmp_path / 'b.nc').write_bytes(b'CDF\x01' + bytes(40))
+    with pytest.raises(BagError, match=r'is netCDF 3, .*; fix: save it by to_netcdf'):
+        read_points(tmp_path / 'b.nc')
+
+
 def redirect(content: bytes, folder: Path, how: str) -> bytes:
     """An .h5 of DeepLabCut whose table is somewhere else, or is no numbers."""
     h5py = pytest.importorskip('h5py')
@@ -617,7 +637,7 @@ def peak_memory(file: Path) -> tuple[int, str]:
     ('content', 'complaint', 'megabytes'),
     [
         (b',\n' * 3_000_000, 'of no format known here', 150),  # was 184
-        (b't,a_x,a_y\n' + b'1,2,3\n' * 1_000_000, '', 180),  # was 270
+        (b't,a_x,a_y\n' + b''.join(b'%d,2,3\n' % k for k in range(1_000_000)), '', 180),  # was 270
         (b't,a_x,a_y\n' + b'1_0,2,3\n' * 1_000_000, "'1_0' is not a number", 150),
         ('\U0001f600'.encode() * 15_000_000, 'a row has more than', 250),  # was 400
         (b't,a_x,a_y\n' + b',"\n"' * 5_000_000, '10001 columns', 150),  # was one endless row

@@ -341,10 +341,10 @@ def test_columns_that_are_not_read_are_named(tmp_path) -> None:
     columns = {'t': np.arange(40) / 100, 'a_x': points[:, 0], 'a_y': points[:, 1]}
     (tmp_path / 'plain.csv').write_text(table_of(columns))
     assert import_points(tmp_path / 'plain.csv', tmp_path / 'out.mcap').notes == ()
-    columns |= {f'a_q{axis}': np.ones(40) for axis in 'xyzw'}
+    columns |= {f'a_q{axis}': np.ones(40) for axis in 'xyz'}
     (tmp_path / 'poses.csv').write_text(table_of(columns))
     (note,) = import_points(tmp_path / 'poses.csv', tmp_path / 'out.mcap').notes
-    assert note.endswith('poses.csv: columns that are not read: a_qx, a_qy, a_qz, a_qw')
+    assert note.endswith('poses.csv: columns that are not read: a_qx, a_qy, a_qz')
 
 
 @pytest.mark.parametrize('unit', ['px', 'pixels'])
@@ -355,7 +355,7 @@ def test_y_points_down_in_pixels_unless_the_user_says_otherwise(tmp_path, unit) 
     table = tmp_path / 'px.csv'
     table.write_text(table_of(columns))
     (note,) = import_points(table, tmp_path / 'out.mcap', scale=1e-3).notes
-    assert 'is in pixels, so y points down; to change: --no-y-down' in note
+    assert 'is in pixels, so y points down unless you give --no-y-down' in note
     down = import_text(tmp_path, table_of(columns), scale=1e-3)
     up = import_text(tmp_path, table_of(columns), scale=1e-3, y_down=False)
     assert down[7][1]['a'][1] == pytest.approx(-up[7][1]['a'][1])

@@ -417,3 +417,75 @@ def test_bodies_stamped_by_two_clocks_are_refused_and_two_rates_are_named(tmp_pa
     assert re.search(r'rod at 120 Hz and arm at 100 Hz: .*; fix: record each in a bag', note)
     two_trackers(bag, kind, (100.0, 100.0), 0.0)
     assert not any('Hz' in note or 'clock' in note for note in import_points(bag, output).notes)
+
+
+def killed(path: Path, folder: Path) -> Path:
+    """A bag as its recorder leaves it when it is killed: all but two messages are in the -wal."""
+    file = sqlite3.connect(path)
+    rows = file.execute('SELECT * FROM messages ORDER BY timestamp').fetchall()
+    file.execute('DELETE FROM messages')
+    file.executemany(f'INSERT INTO messages VALUES ({",".join("?" * len(rows[0]))})', rows[:2])
+    file.commit()
+    file.execute('PRAGMA journal_mode=WAL')
+    file.executemany(f'INSERT INTO messages VALUES ({",".join("?" * len(rows[0]))})', rows[2:])
+    file.commit()
+    folder.mkdir()
+    for part in path.parent.glob(f'{path.name}*'):
+        (folder / part.name).write_bytes(part.read_bytes())
+    file.close()
+    return folder / path.name
+
+
+@pytest.mark.parametrize(
+    'how', ['killed', 'killed in a folder', 'compressed', 'folder, compressed']
+)
+def test_a_db3_is_read_with_all_that_was_recorded_and_stays_as_it_is(tmp_path, how):
+    path = write_bag(tmp_path, 'named poses', 'db3') / 'bag.db3'
+    whole = [(m.log_time, m.data) for m in read_messages(path)]
+    folder = tmp_path / 'bag_of_others'
+    if 'killed' in how:
+        file = killed(path, folder)
+        assert file.with_name('bag.db3-wal').stat().st_size
+    else:
+        folder.mkdir()
+        file = folder / 'bag.db3.zstd'
+        file.write_bytes(zstandard.compress(path.read_bytes()))
+    before = {part.name: part.read_bytes() for part in folder.iterdir()}
+    given = folder if 'folder' in how else file
+    assert [(m.log_time, m.data) for m in read_messages(given)] == whole
+    assert import_points(given, tmp_path / 'out.mcap').frames == len(PLACES)
+    assert {part.name: part.read_bytes() for part in folder.iterdir()} == before
+
+
+def test_a_compressed_db3_that_the_disk_cannot_hold_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / 'bag.db3.zstd'
+    path.write_bytes(zstandard.compress(b'SQLite format 3\0' + bytes(1 << 22)))
+    monkeypatch.setattr('shutil.disk_usage', lambda _: SimpleNamespace(free=1 << 22))
+    with pytest.raises(BagError, match=r'half of the free space of .*; fix: free some, or set'):
+        list(read_messages(path))
+
+
+@pytest.mark.parametrize('apart', [False, True])
+def test_a_chain_of_frames_on_tf_is_multiplied_out(tmp_path, apart):
+    path = tmp_path / 'run.mcap'
+    quarter = [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]
+    with BagWriter(path) as bag:
+        for k in range(6):
+            stamp = FIRST + k * STEP
+            parts = [('map', 'lab', 9.0), ('lab', 'crank', 1.0), ('crank', 'rod', 2.0 + k)]
+            for parent, child, x in parts[k > 0 :]:
+                topic = '/tf_static' if child == 'lab' else '/tf'
+                late = STEP // 2 if apart and child == 'rod' else 0
+                row = np.array([[x, 0.0, 0.0, *quarter]])
+                data = poses_data('tf', stamp + late, parent, [child], row)
+                bag.write_many([(topic, INPUT_TYPES['tf'], [stamp + late], [data])])
+    if apart:
+        with pytest.raises(BagError, match='rod is on crank, and these never have one stamp'):
+            import_points(path, tmp_path / 'out.mcap')
+        return
+    done = import_points(path, tmp_path / 'out.mcap')
+    assert 'multiplied out into lab: rod on crank' in ' '.join(done.notes)
+    stamps, found = markers_in(tmp_path / 'out.mcap')
+    assert sorted(found) == ['crank', 'rod']
+    assert stamps == [FIRST + k * STEP for k in range(6)]
+    np.testing.assert_allclose(found['rod'], [(1.0, 2.0 + k, 0.0) for k in range(6)], atol=1e-12)

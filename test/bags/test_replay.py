@@ -22,6 +22,7 @@ from kinpole_ros.bags import (
     read_messages,
     replay,
     type_name,
+    warnings_of,
 )
 from kinpole_ros.bags import topics as topics_of
 from kinpole_ros.messages import (
@@ -524,7 +525,7 @@ def test_the_order_limits_the_topics_and_not_the_figures(
     rows = result_outputs(tuple(FOUR_BAR.bodies), 'xy', highest=order)
     wanted = {row.under('/kinpole') for row in rows}
     full = noisy_figures
-    assert set(messages) - {'/diagnostics'} == wanted & {*full, TF}
+    assert set(messages) - {'/diagnostics', '/kinpole/rig'} == wanted & {*full, TF}
     # These have more poles, the more there are.
     for topic in ('/kinpole/visualization', '/kinpole/state'):
         wanted.remove(topic)
@@ -606,7 +607,7 @@ def test_topics_without_a_message_are_there_to_be_asked_for(simulated: Bag, tmp_
     bag = still(tmp_path / 'in.mcap', lambda t: 0j)
     replay(bag, ONE_BODY, tmp_path / 'out.mcap')
     results = {row.under('/kinpole') for row in result_outputs(('body',), 'xy')}
-    assert set(topics_of(tmp_path / 'out.mcap')) == results | {'/diagnostics'}
+    assert set(topics_of(tmp_path / 'out.mcap')) == results | {'/diagnostics', '/kinpole/rig'}
 
 
 def test_a_body_out_of_sight_is_left_out_beside_one_that_is_not(
@@ -839,11 +840,15 @@ def test_another_frame_id_is_counted_and_both_parts_are_right(
 def test_rows_of_a_table_in_which_nothing_was_seen_are_left_out(
     simulated: Bag, run: Any, tmp_path: Path
 ) -> None:
-    """They are arrays without markers, and so without a stamp."""
+    """They are arrays without markers, and so without a stamp, which is no fault of a driver."""
     listed = decoded(simulated('cardan', rate=100, duration=0.6), '/markers')['/markers']
     with BagWriter(tmp_path / 'all.mcap') as writer:
         for k, message in enumerate(listed):
             writer.write('/markers', MarkerArray() if k in (20, 21, 40) else message, k)
     result = replay(tmp_path / 'all.mcap', CARDAN)
-    assert (result.frames, result.unreadable, result.resets) == (57, 3, 0)
-    assert 'without markers has no stamp' in result.problem
+    assert (result.frames, result.empty, result.resets, result.lost) == (57, 3, 0, 0)
+    assert not warnings_of(result, CARDAN)
+    with BagWriter(tmp_path / 'none.mcap') as writer:
+        writer.write('/markers', MarkerArray(), 0)
+    with pytest.raises(BagError, match='no message on /markers has markers; fix: '):
+        replay(tmp_path / 'none.mcap', CARDAN)

@@ -76,14 +76,14 @@ def compare(found: Derivatives, expected: Derivatives, tolerance: float) -> None
         deviation = np.sqrt(np.einsum('kk...->k...', covariance))
         off = np.nan_to_num(np.abs(one - other) / deviation)
         # The arm of a hub is a quotient of small differences.
-        own = tolerance * np.where((k == 0) & (expected.hub != 0), 10.0, 1.0)
+        own = tolerance * np.where((k == 0) & (expected.reference != 0), 10.0, 1.0)
         # A sum is rounded.
         assert (off <= own + 1e-15 * np.nan_to_num(np.abs(other) / deviation)).all(), off.max()
         off = np.nan_to_num(np.abs(more - covariance) / (deviation * deviation[:, None]))
         assert (off <= own).all(), off.max()
     np.testing.assert_allclose(found.span, expected.span, rtol=1e-12)
     np.testing.assert_allclose(found.freedom, expected.freedom, rtol=1e-9)
-    np.testing.assert_allclose(found.hub, expected.hub, rtol=1e-6)
+    np.testing.assert_allclose(found.reference, expected.reference, rtol=1e-6)
 
 
 def both(

@@ -66,8 +66,8 @@ def derive_poses(
     # What was found is about the poses at the instants.
     result.angle[0] += poses.angle[windows.now]
     result.position[0] += poses.position[windows.now]
-    turned = result.hub != 0
-    result.hub[turned] *= np.exp(-1j * poses.angle[windows.now][turned])
+    turned = result.reference != 0
+    result.reference[turned] *= np.exp(-1j * poses.angle[windows.now][turned])
     return result
 
 

@@ -162,7 +162,7 @@ def test_a_dot_that_looks_like_two_others_is_not_guessed() -> None:
         (['--points', 'a=20,500', '--scale', '1,2 3,2=3'], 'shows nothing that can be followed'),
         (
             ['--points', 'crank={}'],
-            'shows no tag in 5 pictures (32 were searched); fix: give --scale',
+            'shows no tag: none was found in 5 or more of its 32 pictures; fix: give --scale',
         ),
     ],
 )

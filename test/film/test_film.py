@@ -276,8 +276,8 @@ def test_options_of_videos_are_refused_for_other_files(
     table.write_text('t,a_x,a_y\n0,0,0\n')
     assert main(['report', str(table), '--size', '24mm']) == 2
     assert 'is no video, and --size are of videos' in capsys.readouterr().err
-    assert main(['report', str(tmp_path / 'x.mp4'), '--rate', '30']) == 2
-    assert 'its scale is --size; --rate are for files of points' in capsys.readouterr().err
+    assert main(['report', str(tmp_path / 'x.mp4'), '--scale', '30']) == 2
+    assert 'its scale is --size; --scale are for files of points' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from kinpole_ros.film import FilmError, calibrate, print_sheet
+from kinpole_ros.film import FilmError, FilmOptions, calibrate, print_sheet
 from kinpole_ros.film._corners import refine_corners
 from kinpole_ros.film._lens import read_lens
 from kinpole_ros.film._tags import FAMILIES, codes
@@ -130,4 +130,4 @@ def test_a_film_that_shows_the_sheet_from_one_side_is_refused(tmp_path: Path) ->
     page = np.full((297 * DOTS, 210 * DOTS), 255, np.uint8)
     film_of_sheet(tmp_path / 'x.mp4', page, np.diag([900.0, 900, 1]), np.zeros(5))
     with pytest.raises(FilmError, match='from 0 sides, and 8 are needed'):
-        calibrate(tmp_path / 'x.mp4', tmp_path / 'x.yaml', 0.04)
+        calibrate(tmp_path / 'x.mp4', tmp_path / 'x.yaml', FilmOptions())

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from kinpole_ros.mechanism import _kennedy
@@ -347,7 +347,6 @@ def test_unknown_bodies_are_refused_in_one_line() -> None:
         centers.row('crank', 'crank')
 
 
-@settings(max_examples=25)
 @given(
     name=st.sampled_from([name for name in LINKAGES if name != 'eight-bar']),
     turn=st.floats(-3, 3),

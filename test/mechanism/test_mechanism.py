@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from closed_forms import cardan, four_bar, rolling_wheel
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from kinpole_ros.mechanism import (
@@ -207,7 +207,6 @@ def crank_rockers(draw: st.DrawFn) -> dict:
     return {**lengths, 'branch': branch, 'turns_per_second': 1.0, 'phase': 0.2}
 
 
-@settings(max_examples=50)
 @given(crank_rockers())
 def test_joints_of_neighboring_bodies_coincide(linkage: dict) -> None:
     bodies = four_bar(TIMES, **linkage)
@@ -221,7 +220,6 @@ def test_joints_of_neighboring_bodies_coincide(linkage: dict) -> None:
     assert np.all(side > 0 if linkage['branch'] == 'open' else side < 0)
 
 
-@settings(max_examples=50)
 @given(crank_rockers())
 def test_joint_b_moves_alike_on_coupler_and_rocker_up_to_snap(linkage: dict) -> None:
     bodies = four_bar(TIMES, **linkage)
@@ -233,7 +231,6 @@ def test_joint_b_moves_alike_on_coupler_and_rocker_up_to_snap(linkage: dict) -> 
     np.testing.assert_allclose(on_coupler / scale, on_rocker / scale, atol=1e-12)
 
 
-@settings(max_examples=50)
 @given(crank_rockers())
 def test_angles_are_continuous_and_only_the_crank_turns_fully(linkage: dict) -> None:
     bodies = four_bar(TIMES, **linkage)
@@ -295,7 +292,6 @@ def test_marker_positions_turn_then_shift_the_body_points() -> None:
 
 @pytest.mark.parametrize('name', NAMES)
 @given(times=st.lists(st.floats(-100, 100), min_size=1, max_size=20))
-@settings(max_examples=30)
 def test_markers_of_a_body_keep_their_distances(name: str, times: list[float]) -> None:
     exact = scene(name)
     for body, motion in exact.motion(np.array(times)).items():

@@ -935,7 +935,7 @@ ODD = [
 ]
 
 
-@settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_damaged_scenes_load_or_are_refused_in_one_line(
     tmp_path: Path, data: st.DataObject

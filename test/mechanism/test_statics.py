@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from hand_statics import Freed, balance, freed_reactions
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from kinpole_ros.mechanism import _equilibrium, load_scene
@@ -317,7 +317,6 @@ def well_posed(mechanism: Mechanism, loads: list[Load]) -> Statics:
 SEEDS = st.integers(0, 10**6)
 
 
-@settings(max_examples=40)
 @given(SEEDS)
 def test_random_linkages_both_ways(seed: int) -> None:
     """Multipliers and freed constraints agree for any joints and loads, and so do the efforts."""
@@ -327,7 +326,6 @@ def test_random_linkages_both_ways(seed: int) -> None:
     agree(found, freed_reactions(mechanism, at_start(mechanism), loads))
 
 
-@settings(max_examples=40)
 @given(SEEDS)
 def test_every_body_is_in_equilibrium(seed: int) -> None:
     """Loads, reactions and efforts on each body add up to no force and no moment."""
@@ -372,7 +370,6 @@ def test_every_body_is_in_equilibrium(seed: int) -> None:
         assert abs(moment[body]) < 1e-9
 
 
-@settings(max_examples=40)
 @given(SEEDS)
 @example(510511)  # A set of loops that counts right and yet does not hold its unknowns.
 def test_a_rod_too_many_leaves_open_what_both_ways_leave_open(seed: int) -> None:
@@ -400,7 +397,6 @@ def test_a_rod_too_many_leaves_open_what_both_ways_leave_open(seed: int) -> None
     assert line.startswith('overconstrained: ')
 
 
-@settings(max_examples=40)
 @given(SEEDS)
 def test_loads_superpose(seed: int) -> None:
     """Reactions to all loads are the sums of those to each, and twice the load is twice of all."""
@@ -418,7 +414,6 @@ def test_loads_superpose(seed: int) -> None:
     np.testing.assert_allclose(twice.force, 2 * whole.force, atol=1e-10 * size)
 
 
-@settings(max_examples=40)
 @given(SEEDS, st.floats(-3, 3), st.floats(0.1, 10))
 def test_turned_and_scaled_scenes(seed: int, turn: float, scale: float) -> None:
     """Turn a scene and its forces turn along; draw it larger and only its torques grow."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from kinpole_ros.mechanism._assembly import assemble
@@ -81,7 +81,6 @@ def test_lever_sign() -> None:
     assert effort == pytest.approx(15.0)
 
 
-@settings(max_examples=50)
 @given(st.integers(0, 10**6), st.booleans(), st.integers(0, 2))
 def test_partials_are_those_of_differences(seed: int, turning: bool, loaded: int) -> None:
     """Each partial derivative is what a small change of that derivative does, on any bodies."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from kinpole_ros import planar
@@ -141,7 +141,6 @@ def test_rigid_link_gives_the_figures_printed_in_the_seed() -> None:
 # --- exact motions ------------------------------------------------------------------------------
 
 
-@settings(max_examples=80)
 @given(motions())
 def test_rates_and_poles_of_an_exact_motion_are_found(motion: Motion) -> None:
     position, angle, _ = motion
@@ -163,7 +162,6 @@ def test_rates_and_poles_of_an_exact_motion_are_found(motion: Motion) -> None:
     assert found.centrode_curvature == pytest.approx(curvature, rel=1e-7, abs=1e-7)
 
 
-@settings(max_examples=40)
 @given(motions(), st.complex_numbers(max_magnitude=3))
 def test_points_move_as_the_seeds_matrices_say(motion: Motion, point: complex) -> None:
     found = kinematics(derivatives(motion))
@@ -182,7 +180,6 @@ def test_points_move_as_the_seeds_matrices_say(motion: Motion, point: complex) -
         assert moved == pytest.approx(matrix @ (p - getattr(found, name)), rel=1e-8, abs=1e-8)
 
 
-@settings(max_examples=40)
 @given(motions())
 def test_icr_derivatives_are_those_of_its_power_series(motion: Motion) -> None:
     position, angle, _ = motion
@@ -191,7 +188,6 @@ def test_icr_derivatives_are_those_of_its_power_series(motion: Motion) -> None:
     assert planar.icr_acceleration(position, angle).value == pytest.approx(du, rel=1e-9, abs=1e-8)
 
 
-@settings(max_examples=60)
 @given(motions(), st.floats(-3, 3), st.complex_numbers(max_magnitude=5), st.floats(0.1, 10))
 def test_turning_moving_and_scaling_the_scene_does_so_to_the_answer(
     motion: Motion, turn: float, shift: complex, scale: float
@@ -216,7 +212,6 @@ def test_turning_moving_and_scaling_the_scene_does_so_to_the_answer(
     )
 
 
-@settings(max_examples=40)
 @given(motions())
 def test_a_mirrored_scene_turns_the_other_way(motion: Motion) -> None:
     assume(abs(centrode_series(motion)[0]) > 0.1)
@@ -228,7 +223,6 @@ def test_a_mirrored_scene_turns_the_other_way(motion: Motion) -> None:
         assert getattr(after, name) == pytest.approx(expected, rel=1e-8, abs=1e-8)
 
 
-@settings(max_examples=40)
 @given(motions(), st.sampled_from((-1.0, 0.25, 3.0, -2.0)))
 def test_time_run_faster_or_backward_keeps_poles_and_scales_rates(
     motion: Motion, factor: float
@@ -248,7 +242,6 @@ def test_time_run_faster_or_backward_keeps_poles_and_scales_rates(
     )
 
 
-@settings(max_examples=40)
 @given(motions(), st.tuples(st.floats(0.3, 2), *[st.floats(-3, 3)] * 3))
 def test_curvature_and_icr_do_not_depend_on_how_a_mechanism_is_driven(
     motion: Motion, drive: tuple[float, ...]

@@ -449,3 +449,41 @@ def test_losses_of_exactly_even_stamps_are_not_taken_for_the_grid_of_a_timer(sha
         assert tracker.state.timeline.clock.interval == 1e7
         lost = kept[-1] + 1 - len(kept)
         assert lost - 1 <= tracker.counts['lost'] <= lost
+
+
+def turned(numbers, rate, seed=0):
+    """A body that turns once a second about a point beside it: points, and its rate (T,)."""
+    turn = np.exp(2j * np.pi * numbers / rate)
+    markers = (0.12 + KITE @ [1, 1j]) * turn[:, None]
+    points = np.stack((markers.real, markers.imag, np.zeros(markers.shape)), axis=-1)
+    points += 2e-4 * np.random.default_rng(seed).normal(size=points.shape)
+    return points, np.full(len(numbers), 2 * np.pi)
+
+
+@pytest.mark.parametrize('mode', ['auto', 'capture', 'arrival'])
+@pytest.mark.parametrize(('rate', 'every'), [(25, 20), (50, 49)])
+def test_frames_that_are_lost_regularly_make_no_slower_clock(rate, every, mode):
+    """A link that is hidden once a turn: the stamps alone are those of a slower camera."""
+    numbers = np.arange(4 * rate)
+    numbers = numbers[numbers % every != every // 2]
+    points, rates = turned(numbers, rate)
+    stamps = START + numbers * (10**9 // rate)
+    tracker, rms = errors(stamps, points, rates, skip=0.0, mode=mode)
+    state = tracker.stamp_state()
+    assert (state.interval, state.jitter) == (1 / rate, 0.0)
+    assert not state.costs
+    # At the ticks are the stamps.
+    assert tracker.counts['lost'] == pytest.approx(4 * rate - len(numbers), abs=1)
+    _, ideal = errors(*(part[:60] for part in (stamps, points, rates)), skip=0.0, mode='capture')
+    assert rms < 1.5 * ideal
+
+
+@pytest.mark.parametrize('kind', ['uniform', '0.001', 'rounded'])
+def test_late_stamps_of_a_slow_camera_are_recognized(kind):
+    """In a window of 0.3 s are fewer frames than the motion needs to decide."""
+    times = np.arange(150) / 25
+    points, rates = record(times)
+    tracker, found = errors(late(times, kind), points, rates / (1 + 1e-4), skip=2.0)
+    _, ideal = errors(START + np.rint(times * 1e9).astype(np.int64), points, rates, skip=2.0)
+    assert tracker.stamp_state().regularized
+    assert found < 1.1 * ideal

@@ -450,13 +450,57 @@ def test_where_all_bodies_come_in_one_message_nothing_waits_for_those_unseen() -
     np.testing.assert_array_equal(frames.stamps, [10, 20])
 
 
-def test_frames_in_frames_of_other_bodies_are_refused_and_say_why() -> None:
+QUARTER = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))  # of a turn about z
+
+
+@pytest.mark.parametrize('names', [('crank', 'coupler'), ('coupler', 'crank'), ('coupler',)])
+@pytest.mark.parametrize('order', [1, -1])
+def test_a_chain_of_frames_is_multiplied_out(names: tuple[str, ...], order: int) -> None:
+    reader = PoseReader('tf', names)
+    messages: list[bytes] = []
+    for k in range(3):
+        pair = [
+            tf(10 * k, crank=(1.0, *QUARTER)),
+            tf(10 * k, 'crank', coupler=(1.0 + k, *QUARTER)),
+        ]
+        messages += pair[::order]
+    frames, errors = read(reader, *messages)
+    assert not errors
+    whole = frames[-1]
+    assert whole.frame_id == 'world'
+    coupler = names.index('coupler')
+    # From (1, 0), a quarter turned: along y.
+    np.testing.assert_allclose(whole.points[-1, coupler, :2], (1.0, 3.0), atol=1e-12)
+    assert whole.axes is not None
+    np.testing.assert_allclose(whole.axes[-1, coupler, 0], (-1.0, 0.0, 0.0), atol=1e-12)
+    assert not reader.fault()
+
+
+def test_a_chain_of_other_stamps_is_not_known_and_says_why() -> None:
     reader = PoseReader('tf', ('crank', 'coupler'))
-    chained = tf(10, 'crank', coupler=(1.0,))
-    frames, errors = read(reader, tf(10, crank=(1.0,)), chained)
-    assert not frames
-    assert "/tf has 'coupler' in 'crank', and others in 'world'" in errors[0]
-    assert 'straight in one fixed frame' in errors[0]
+    messages = [tf(10 * k, crank=(1.0,)) for k in range(3)]
+    messages += [tf(10 * k + 5, 'crank', coupler=(1.0,)) for k in range(3, 6)]
+    frames, errors = read(reader, *messages)
+    assert not errors
+    assert all(np.isnan(one.points[:, 1]).all() for one in frames)
+    assert "'coupler' is on 'crank', and came 2 times with another stamp" in reader.fault()
+
+
+def test_frames_that_do_not_move_are_links_of_a_chain() -> None:
+    reader = PoseReader('tf', ('crank', 'tool'))
+    reader.add_static(tf(0, 'crank', tool=(0.5,)))
+    reader.add_static(tf(0, 'map', world=(7.0,)))
+    (frames,), errors = read(reader, *[tf(10 * k, crank=(1.0, *QUARTER)) for k in range(3)])
+    assert not errors
+    assert frames.frame_id == 'world'
+    np.testing.assert_allclose(frames.points[2, :, :2], [(1.0, 0.0), (1.0, 0.5)], atol=1e-12)
+
+
+def test_bodies_in_frames_that_do_not_meet_are_refused_and_say_why() -> None:
+    reader = PoseReader('tf', ('crank', 'coupler'))
+    _, errors = read(reader, tf(10, crank=(1.0,)), tf(10, 'camera', coupler=(1.0,)))
+    assert "/tf has 'coupler' in 'camera', and others in 'world'" in errors[0]
+    assert 'must lead to one fixed frame' in errors[0]
 
 
 @pytest.mark.parametrize('turn', [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.9), (1e200, 0, 0, 1)])

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from kinpole_ros import planar
@@ -150,7 +150,6 @@ def test_wobbling_markers_come_out_the_same_frame_by_frame() -> None:
             np.testing.assert_allclose(covariance, found.pole(order).covariance, rtol=1e-6)
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     st.floats(0.5, 2.0), st.floats(1e-4, 1e-2), st.integers(2, 5), st.floats(0.0, 0.05), st.data()
 )

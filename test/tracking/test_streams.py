@@ -172,7 +172,6 @@ def sifted(stamps: Sequence[int], window: int) -> tuple[list[int], Counter[str]]
 hops = st.sampled_from((1, 1, 1, 1, 1, 1, 2, 3, 0, -1, -1, -2, -3, -7, -20, 19, 25))
 
 
-@settings(max_examples=60)
 @given(st.lists(hops, min_size=1, max_size=120), st.lists(st.integers(1, 119)))
 def test_what_is_left_out_does_not_hang_on_how_many_frames_come_at_once(
     steps: list[int], cuts: list[int]

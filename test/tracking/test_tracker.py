@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from recordings import SCENES, START, STEP, Record, check, follow, record, two_bodies
 from stretches import instants, one_frame
@@ -443,7 +443,6 @@ def sound(estimate: Estimate) -> None:
         assert told or {'all', 'icr', 'centrode_curvature'} & set(reasons)
 
 
-@settings(max_examples=60)
 @given(
     st.lists(st.tuples(steps, messages, st.sampled_from((None, 1, 2, 3, 4))), max_size=20),
     st.booleans(),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from stretches import follow
 
@@ -20,7 +20,6 @@ pytestmark = pytest.mark.filterwarnings('error')
 # --- the buffer ---------------------------------------------------------------------------------
 
 
-@settings(max_examples=60)
 @given(st.lists(st.one_of(st.integers(1, 150), st.floats(0, 1)), max_size=25))
 def test_the_history_is_a_queue(actions: list[int | float]) -> None:
     """Whole numbers append so many rows, fractions drop that share."""

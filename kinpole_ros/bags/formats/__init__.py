@@ -27,12 +27,24 @@ from kinpole_ros.bags.formats._file import (
 from kinpole_ros.bags.formats._keypoints import KEYPOINTS
 from kinpole_ros.bags.formats._kinovea import KINOVEA
 from kinpole_ros.bags.formats._motion_capture import MOTIVE, TRC, VICON
+from kinpole_ros.bags.formats._named_arrays import MOVEMENT, NWB
 from kinpole_ros.bags.formats._open_source_physics import TRACKER
+from kinpole_ros.bags.formats._preamble import PIXELS, read_preamble
 from kinpole_ros.bags.formats._qualisys import QUALISYS
+from kinpole_ros.bags.formats._shares import SHARES, in_unit_square
 from kinpole_ros.bags.formats._sleap import SLEAP
-from kinpole_ros.bags.formats._table import ANIPOSE, TABLE, header_row
+from kinpole_ros.bags.formats._table import ANIPOSE, TABLE
 
-__all__ = ['FORMATS', 'UNITS', 'Options', 'Points', 'listed', 'read_points', 'shown']
+__all__ = [
+    'FORMATS',
+    'SHARES',
+    'UNITS',
+    'Options',
+    'Points',
+    'listed',
+    'read_points',
+    'shown',
+]
 
 # Tried in this order: the plain table is the least particular.
 FORMATS: dict[str, Format] = {
@@ -40,6 +52,8 @@ FORMATS: dict[str, Format] = {
     for format in (
         BAG,
         SLEAP,
+        MOVEMENT,
+        NWB,
         DEEPLABCUT,
         KINOVEA,
         TRACKER,
@@ -81,6 +95,8 @@ def read_points(
             if not len(points.frames):
                 raise BagError(f'{path} has no frames; fix: give a line for each frame')
             file.notes += _blank_stand_ins(path, points)
+            if points.unit.lower() in PIXELS and in_unit_square(points.points):
+                points = replace(points, unit=SHARES)
             return candidate.name, replace(points, notes=tuple(file.notes))
     raise _unrecognized(file, name)
 
@@ -105,10 +121,10 @@ def _unrecognized(file: File, name: str) -> BagError:
         return not_utf8(file.path, 1)
     if file.is_folder:
         text = 'is a folder'
-    elif file.is_sheet and name in ('auto', 'table') and (row := header_row(file.sheet)):
+    elif file.is_sheet and name in ('auto', 'table') and (row := read_preamble(file.sheet).row):
         return BagError(
             f'{file.path} names its columns in line {file.sheet.lines[row]}; fix: delete the lines '
-            'before it'
+            'before it, and give the unit and the rate that they say, if any, by --scale and --rate'
         )
     elif file.is_sheet:
         lines = [' '.join(file.sheet.row(row)) for row in range(min(2, len(file.sheet)))]

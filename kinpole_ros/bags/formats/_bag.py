@@ -12,17 +12,24 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from mcap.writer import MCAP0_MAGIC
 
 from kinpole_ros import messages
 from kinpole_ros.bags._bag_reader import read_messages, types_and_definitions
 from kinpole_ros.bags._channels import BagMessage
-from kinpole_ros.bags._files import ROS1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
+from kinpole_ros.bags._files import (
+    MCAP_MAGIC,
+    ROS1_MAGIC,
+    SQLITE_MAGIC,
+    ZSTD_MAGIC,
+    BagError,
+    Truncated,
+)
 from kinpole_ros.bags._marker_frames import read_frames
 from kinpole_ros.bags._storages import ros1_messages, ros1_topics
 from kinpole_ros.bags.formats import _series
 from kinpole_ros.bags.formats._cells import check_cells, check_names, number_names, shown
 from kinpole_ros.bags.formats._file import File, Format, Options, Points
+from kinpole_ros.bags.formats._tf_series import Links, multiplied_out
 
 _SECOND = 1_000_000_000  # ns
 _LARGEST_MESSAGE = 1 << 22  # bytes; as objects these take 20 times as much
@@ -62,9 +69,9 @@ class _Observation(NamedTuple):
 
 def _recognizes(file: File) -> bool:
     if file.is_folder:
-        files = (file.path.glob(ending) for ending in ('metadata.yaml', '*.mcap*', '*.db3'))
+        files = (file.path.glob(ending) for ending in ('metadata.yaml', '*.mcap*', '*.db3*'))
         return any(map(any, files))
-    magics = MCAP0_MAGIC, SQLITE_MAGIC, ROS1_MAGIC, ZSTD_MAGIC
+    magics = MCAP_MAGIC, SQLITE_MAGIC, ROS1_MAGIC, ZSTD_MAGIC
     return file.head.startswith(magics)
 
 
@@ -82,9 +89,11 @@ def _read(file: File, options: Options) -> Points:
             series.append(_series.MessageSeries('', one.identities, one.stamps, order, one.points))
             count += len(one.stamps)
     else:
+        links = Links({}, set())
         series = _read_series(
-            file, topics, _make_decoder(file, types, topics, definitions, is_ros1)
+            file, topics, _make_decoder(file, types, topics, definitions, is_ros1), links
         )
+        series = multiplied_out(file, series, links)
     if not any(part.stamps.any() for part in series):
         file.notes.append(f'{file.path} has no stamps in its messages: log times are taken')
         series = [part._replace(stamps=part.log_times) for part in series]
@@ -205,9 +214,13 @@ def _make_decoder(
 
 
 def _read_series(
-    file: File, topics: list[str], decode: Callable[[BagMessage], Any]
+    file: File, topics: list[str], decode: Callable[[BagMessage], Any], links: Links
 ) -> list[_series.MessageSeries]:
-    """Read the messages of these topics; those that cannot be read are left out, and noted."""
+    """
+    Read the messages of these topics; those that cannot be read are left out, and noted.
+
+    Adds the frames on /tf to `links`.
+    """
     names = _shorten_topics(topics)
     columns: dict[tuple[Any, ...], tuple[array[int], array[int], array[float]]] = {}
     fault, fault_count, size = '', 0, 0
@@ -217,9 +230,10 @@ def _read_series(
             try:
                 if len(message.data) > _LARGEST_MESSAGE:
                     raise ValueError(f'{len(message.data)} bytes')
-                observations = list(
-                    _observations(file, decode(message), message, names[message.topic])
-                )
+                content = decode(message)
+                observations = list(_observations(file, content, message, names[message.topic]))
+                if _kind(message.type_name) == 'tf':
+                    links.add(content.transforms, message.topic)
             except Exception as error:  # of the bytes, and where a type is not as its name says
                 fault_count += 1
                 reason = shown(' '.join(str(error).split()))

@@ -20,7 +20,13 @@ import numpy as np
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats._cells import check_cells, check_names, shown, whole_numbers
 from kinpole_ros.bags.formats._file import File, Format, Options, Points
-from kinpole_ros.bags.formats._hdf import HDF_MAGIC, hdf_item, no_scores, opened_hdf
+from kinpole_ros.bags.formats._hdf import (
+    HDF_MAGIC,
+    hdf_item,
+    no_scores,
+    opened_hdf,
+    unknown_hdf,
+)
 
 _SLICE_BYTES = 8 << 20  # of rows read at a time
 _LIKELIHOOD = 0.6  # DeepLabCut's own limit, "pcutoff"
@@ -165,7 +171,7 @@ def _find_hdf_table(file: File, content: Any) -> Any:
                     f"{file.path}: column '{shown(field)}' is not of numbers; fix: {_DLC_FIX}"
                 )
         return table
-    raise BagError(f'{file.path} has no table of DeepLabCut; fix: {_DLC_FIX}')
+    raise unknown_hdf(file, content)
 
 
 class _NameUnpickler(pickle.Unpickler):

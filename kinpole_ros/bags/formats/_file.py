@@ -25,7 +25,7 @@ UNITS = {
     **dict.fromkeys(('dm', 'decimeters', 'decimetres'), 0.1),
     **dict.fromkeys(('cm', 'centimeter', 'centimeters', 'centimetres', 'cent'), 0.01),
     **dict.fromkeys(('mm', 'millimeter', 'millimeters', 'millimetres', 'mill'), 0.001),
-    **dict.fromkeys(('um', 'µm', 'micrometers'), 1e-6),
+    **dict.fromkeys(('um', 'µm', 'micrometers', 'micron', 'microns'), 1e-6),
     **dict.fromkeys(('in', 'inch', 'inches'), 0.0254),
     **dict.fromkeys(('ft', 'foot', 'feet'), 0.3048),
 }

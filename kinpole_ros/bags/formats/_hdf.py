@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._cells import shown
+from kinpole_ros.bags.formats._cells import MOST_COLUMNS, listed, shown
 from kinpole_ros.bags.formats._file import File
 from kinpole_ros.packages import install_command
 
@@ -59,6 +59,35 @@ def hdf_item(file: File, group: Any, name: str, fix: str) -> Any:
             f'{_CHUNK_BYTES >> 20} MiB; fix: {fix}'
         )
     return item
+
+
+def hdf_texts(file: File, content: Any, name: str, fix: str) -> list[str]:
+    """Read a dataset of names; raises ValueError for what is none, or too long."""
+    item = hdf_item(file, content, name, fix)
+    if item.size > MOST_COLUMNS or item.dtype.itemsize * item.size > MOST_NAME_BYTES:
+        raise ValueError('names that are not')
+    texts, size = [], 0
+    for number in range(item.size):
+        text = item[number]
+        texts.append(text.decode() if isinstance(text, bytes) else str(text))
+        # Texts of any length may all be one in the file.
+        size += len(texts[-1])
+        if size > MOST_NAME_BYTES:
+            raise ValueError('names that are not')
+    return texts
+
+
+def unknown_hdf(file: File, content: Any) -> BagError:
+    """Return the error of an HDF5 file of none of the programs that are known: what it holds."""
+    names = sorted(map(shown, content))
+    if {'frames', 'instances', 'metadata'} <= set(names):
+        return BagError(
+            f'{file.path} is a project of SLEAP (.slp); fix: export an analysis .h5 or .csv from it'
+        )
+    return BagError(
+        f'{file.path} is HDF5 of no program that is known here, with '
+        f'{listed(names) or "nothing"} in it; fix: export the points as .csv'
+    )
 
 
 def no_scores(file: File, name: str = 'scores') -> BagError:

@@ -88,7 +88,9 @@ def _point_names(animals: Sequence[str], nodes: Sequence[str]) -> list[str]:
 
 def _read_sleap_hdf(file: File, content: Any, options: Options) -> Points:
     """Read an analysis .h5; scores (tracks, nodes, frames) count where a likelihood is given."""
-    nodes, animals = (_read_texts(file, content, name) for name in ('node_names', 'track_names'))
+    nodes, animals = (
+        _hdf.hdf_texts(file, content, name, _SLEAP_FIX) for name in ('node_names', 'track_names')
+    )
     tracks = _hdf.hdf_item(file, content, 'tracks', _SLEAP_FIX)
     _cells.check_cells(file.path, 2 * tracks.size)
     order = _sleap_axes(file, content, tracks, len(nodes), len(animals))
@@ -142,21 +144,6 @@ def _sleap_axes(file: File, content: Any, tracks: Any, nodes: int, animals: int)
         return found[0]
     fault = 'may be by track, xy, node, frame or the reverse' if found else 'fit no names'
     raise BagError(f'{file.path} has places by {tracks.shape}, which {fault}; fix: {_SLEAP_FIX}')
-
-
-def _read_texts(file: File, content: Any, name: str) -> list[str]:
-    item = _hdf.hdf_item(file, content, name, _SLEAP_FIX)
-    if item.size > _cells.MOST_COLUMNS or item.dtype.itemsize * item.size > _hdf.MOST_NAME_BYTES:
-        raise ValueError('names that are not')
-    texts, size = [], 0
-    for number in range(item.size):
-        text = item[number]
-        texts.append(text.decode() if isinstance(text, bytes) else str(text))
-        # Texts of any length may all be one in the file.
-        size += len(texts[-1])
-        if size > _hdf.MOST_NAME_BYTES:
-            raise ValueError('names that are not')
-    return texts
 
 
 SLEAP = Format(

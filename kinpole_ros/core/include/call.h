@@ -1,5 +1,7 @@
 /*
  * The arguments and the return values of `kinpole_derive`.
+ *
+ * Shapes have B bodies, N frames, T instants, and K derivatives, from order 0 on.
  */
 
 #ifndef KINPOLE_CALL_H
@@ -8,56 +10,63 @@
 #include "codes.h"
 #include "structs.h"
 
-/* Arrays that _models.py makes once for a kind of window, of `count` samples, each the mean of
-   `block` frames. `orders` says which: 0 is `models_of`, -1 `slopes_of`, and any other number is
-   `stencils_of` for the instant `at`, in samples from the middle. `exact` is 1 if the motion is so
-   much larger than the noise that rounding matters. */
-#define TABLE_FIELDS(VALUE, BLOCK, ARRAY) \
-    VALUE(long long, count)               \
-    VALUE(long long, block)               \
-    VALUE(long long, exact)               \
-    VALUE(long long, orders)              \
-    VALUE(double, at)                     \
-    ARRAY(const long long, integers)      \
-    ARRAY(const double, numbers)
+/* Arrays that _models.py makes once for a kind of window: those of `models_of`, `slopes_of` or
+   `stencils_of`. */
+#define TABLE_FIELDS(VALUE, BLOCK, ARRAY)                                           \
+    VALUE(long long, count, "samples of the window")                                \
+    VALUE(long long, block, "frames of which a sample is the mean")                 \
+    VALUE(long long, exact, "1 if rounding matters, in motion far above the noise") \
+    VALUE(long long, orders, "0 for models, -1 for slopes, and K for stencils")     \
+    VALUE(double, at, "instant of the stencils, samples from the middle")           \
+    ARRAY(const long long, integers, "(I)", "sizes and indices: see models.h")      \
+    ARRAY(const double, numbers, "(M)", "values of the models: see models.h")
 
 typedef STRUCT(TABLE_FIELDS) Table;
 
-/* The arguments of `derive_poses` in _pose_derivatives.py, which describes the arrays (N, B) of B
-   bodies in N frames, and (T, B) of T instants. Signals (T B) before `next` are done. The length
-   `window` is in s; `flat` is the log standard deviation of the prior of mean and slope, over that
-   of the noise. `time` (N) is in ns, and `windows` (3, T) are the frame of an instant, the oldest,
-   and the newest of its window. See `write_results` for the results. `lacking` is the table to make
-   before the next call. `workspace` is memory that C keeps for the next call: see memory.c. */
+/* Derivatives of poses; NaN with too few poses. */
+#define DERIVATIVE_ARRAYS_FIELDS(VALUE, BLOCK, ARRAY)                                              \
+    ARRAY(Number, position, "(K, T, B)", "m/s^k: derivatives of the position")                     \
+    ARRAY(double, angle, "(K, T, B)", "rad/s^k: derivatives of the angle")                         \
+    ARRAY(double, position_covariance, "(K, K, T, B)", "m^2/s^(k + l): covariances of the orders") \
+    ARRAY(double, angle_covariance, "(K, K, T, B)", "rad^2/s^(k + l): covariances of the orders")  \
+    ARRAY(double, span, "(T, B)", "s: length of the window")                                       \
+    ARRAY(double, freedom, "(T, B)", "effective parameters of the angle; 2 if it is steady")       \
+    ARRAY(Number, reference, "(T, B)", "m: point of this position, in its frame")
+
+typedef STRUCT(DERIVATIVE_ARRAYS_FIELDS) DerivativeArrays;
+
+/* The poses of a window, and the results: see `derive_poses` of _pose_derivatives.py. */
 typedef struct Workspace Workspace;
-#define CALL_FIELDS(VALUE, BLOCK, ARRAY)       \
-    VALUE(long long, frames)                   \
-    VALUE(long long, bodies)                   \
-    VALUE(long long, instants)                 \
-    VALUE(long long, next)                     \
-    VALUE(long long, orders)                   \
-    VALUE(long long, table_count)              \
-    VALUE(double, window)                      \
-    VALUE(double, flat)                        \
-    ARRAY(const long long, time)               \
-    ARRAY(const long long, windows)            \
-    ARRAY(const long long, left_out)           \
-    ARRAY(const double, angle)                 \
-    ARRAY(const double, turns)                 \
-    ARRAY(const double, position)              \
-    ARRAY(const double, angle_information)     \
-    ARRAY(const double, position_information)  \
-    ARRAY(const double, noise)                 \
-    ARRAY(const Table, tables)                 \
-    ARRAY(double, results)                     \
-    ARRAY(Workspace, workspace)                \
-    VALUE(Table, lacking)
+#define CALL_FIELDS(VALUE, BLOCK, ARRAY)                                                          \
+    VALUE(long long, frames, "N")                                                                 \
+    VALUE(long long, bodies, "B")                                                                 \
+    VALUE(long long, instants, "T")                                                               \
+    VALUE(long long, next, "number of signals (T B) that are done")                               \
+    VALUE(long long, orders, "K")                                                                 \
+    VALUE(long long, table_count, "number of tables")                                             \
+    VALUE(double, window, "s: length of a full window")                                           \
+    VALUE(double, flat, "log of prior over noise, standard deviations, of mean and slope")        \
+    ARRAY(const long long, time, "(N)", "ns: when each frame was, by the clock")                  \
+    ARRAY(const long long, windows, "(3, T)", "frames: the instant, oldest, newest")              \
+    ARRAY(const long long, left_out, "(T, B)", "newest frames that are not used")                 \
+    ARRAY(const double, angle, "(N, B)", "rad: angle of the body")                                \
+    ARRAY(const double, turns, "(N, B)", "whole turns beyond the angle")                          \
+    ARRAY(const Number, position, "(N, B)", "m: position of a point of the body")                 \
+    ARRAY(const double, angle_information, "(N, B)", "squared noise over variance; 0 if unknown") \
+    ARRAY(const double, position_information, "(N, B)", "the same, of a coordinate")              \
+    ARRAY(const double, noise, "(T, B)", "m: standard deviation at an information of 1")          \
+    ARRAY(const Table, tables, "(tables)", "the tables that are made")                            \
+    VALUE(DerivativeArrays, derivatives, "the results")                                           \
+    ARRAY(Workspace, workspace, "(1)", "memory that C keeps for the next call: see memory.h")     \
+    VALUE(Table, lacking, "the table to make before the next call")
 
 typedef STRUCT(CALL_FIELDS) Call;
 
-/* Returns DONE, LACKING if `lacking` has to be made before another call, or an error below 0. */
+/* Computes the results of all signals from `next` on. Changes `next`, the arrays of `derivatives`,
+   `workspace` and `lacking`. Returns DONE, LACKING if the table `lacking` has to be made before
+   another call, or an error below 0. */
 API int kinpole_derive(Call *call);
-/* Frees the memory that a call has used; it may be used again. */
+/* Frees the workspace; a later call makes another. */
 API void kinpole_free_workspace(Call *call);
 
 #endif

@@ -7,17 +7,22 @@
 
 #include "structs.h"
 
-/* An event: the log evidence for it, when it is and the deviation of that, intervals, which
-   derivative steps, by how much, and the deviations of these. */
-typedef struct {
-    double gain, place, place_sigma, order, size[3], size_sigma[3];
-} ChangePoint;
+/* An event. Times are in intervals between samples, signals in deviations of their noise. */
+#define CHANGE_POINT_FIELDS(VALUE, BLOCK, ARRAY)                                           \
+    VALUE(double, gain, "log evidence for it")                                             \
+    VALUE(double, place, "intervals: when it is")                                          \
+    VALUE(double, place_sigma, "intervals: standard deviation of this")                    \
+    VALUE(double, step_order, "order of the derivative that steps, 0 for the pose itself") \
+    BLOCK(double, step, 3, "by how much it steps: of the angle, and of both coordinates")  \
+    BLOCK(double, step_sigma, 3, "standard deviations of these")
 
-/* Find the likeliest event at most `radius` from `offset`. Samples of an angle and of both
-   coordinates of a point, `values` (3, count), are in deviations of their noise, and their
-   `time` (count) rises by about 1. In the longest window motion goes on until `after`, and for
-   twice as long before 0. Returns 1 if there is an event, 0 if smooth motion explains the
-   samples as well, and -1 without memory. */
+typedef STRUCT(CHANGE_POINT_FIELDS) ChangePoint;
+
+/* Finds the likeliest event at most `radius` from `offset`, both in intervals, as `time` (N), which
+   rises by about 1. `values` (3, N) are an angle and both coordinates of a point, in deviations of
+   their noise. In the longest window motion goes on for `after` intervals after the event, and for
+   twice as long before. Writes `found`, and returns 1 if there is an event, 0 if smooth motion
+   explains the samples as well, and -1 without memory. */
 API int kinpole_find_event(const double *time, const double *values, long long count,
                            long long after, double offset, double radius, ChangePoint *found);
 

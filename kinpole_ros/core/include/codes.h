@@ -67,6 +67,15 @@ enum { UNUSUAL_BITS(DECLARE_CODE) };
 
 enum { REASONS(DECLARE_CODE) };
 
+/* How measured markers of a body may repeat those of the frame before to the last bit: any may, not
+   all do at once, or no marker does twice in a row. */
+#define REPETITIONS(CODE)     \
+    CODE(MAY_REPEAT, 0)       \
+    CODE(NO_POSE_REPEATS, 1)  \
+    CODE(NO_MARKER_REPEATS, 2)
+
+enum { REPETITIONS(DECLARE_CODE) };
+
 /* What a quantity is. A pole has its order, and FREE plus that order is the pole by the motion
    alone; RATE plus its order is a derivative of the angle. VELOCITY is that of the ICR, CURVATURE
    that of the centrode, CIRCLE_CENTER and CIRCLE_DIAMETER are of the inflection circle, and GIVEN

@@ -447,7 +447,7 @@ find_order(const Fit *f, double near, double step, Hypothesis *best, ChangePoint
 {
     found->gain = -INFINITY;
     for (int k = 0; k < SETS; k++) {
-        ChangePoint one = {.place = near, .order = events[k].order[0]};
+        ChangePoint one = {.place = near, .step_order = events[k].order[0]};
         Hypothesis own = {.set = events + k};
         After after;
         int more[2];
@@ -460,10 +460,10 @@ find_order(const Fit *f, double near, double step, Hypothesis *best, ChangePoint
             more[part] = own.degree[part] + MORE_DEGREES;
             more[part] = more[part] < f->simplest ? more[part] : f->simplest;
         }
-        estimate_sizes(f, &own.steps, more, size, one.size_sigma);
-        memcpy(one.size, size[0], sizeof one.size);
+        estimate_sizes(f, &own.steps, more, size, one.step_sigma);
+        memcpy(one.step, size[0], sizeof one.step);
         for (int c = 0; c < 3; c++)
-            square += pow(one.size[c] / one.size_sigma[c], 2);
+            square += pow(one.step[c] / one.step_sigma[c], 2);
         if (one.gain > found->gain && (own.set->count == 1 || square > STANDS_OUT))
             *found = one, *best = own;
     }
@@ -532,11 +532,11 @@ search_window(const Fit *f, int shorter, double offset, double radius, Places *p
     if (fabs(found->place - offset) > radius || found->gain < enough[event.set->order[0]])
         return 0;
     /* Without a shorter window nothing says whether more degrees would explain it. */
-    int most = found->order > 1 ? SIMPLE_DEGREE : shorter ? STEP_DEGREE : f->simplest - 1;
+    int most = found->step_order > 1 ? SIMPLE_DEGREE : shorter ? STEP_DEGREE : f->simplest - 1;
     for (int part = 0; part < 2; part++)
         simple += event.degree[part] <= most ? event.gain[part] : 0.0;
-    if ((found->order > 1 && rival > RIVAL_SHARE * found->gain) ||
-        ((found->order > 1 || !shorter) && simple < ENOUGH_SIMPLE))
+    if ((found->step_order > 1 && rival > RIVAL_SHARE * found->gain) ||
+        ((found->step_order > 1 || !shorter) && simple < ENOUGH_SIMPLE))
         return 0;
     return !shorter || is_confirmed(f, f + 1, &event, found->place, scratch);
 }

@@ -63,7 +63,9 @@ typedef struct {
     double radians; /* the unit of the angle */
 } Window;
 
-/* Return a table; NULL if it has to be made, as `lacking` says then. */
+/* Return the table of a window of `count` samples: its models, slopes, or stencils of so many
+   `orders` at the instant `at`, see TABLE_FIELDS. NULL if it has to be made, as `lacking` says
+   then. */
 static const Table *
 find_table(Call *call, const Window *window, long long count, long long orders, double at)
 {
@@ -74,15 +76,22 @@ find_table(Call *call, const Window *window, long long count, long long orders, 
     return NULL;
 }
 
-/* Point to the arrays of `models_of`, in their order there. */
+/* Let `m` point to the arrays of a table of `models_of`, in their order there. */
 static void
 unpack_models(const Table *table, Models *m)
 {
     const long long *head = table->integers;
-    m->count = table->count, m->half = (m->count + 1) / 2, m->exact = table->exact;
-    m->processes = head[0], m->chunks = head[1], m->spectra = head[2], m->first_odd = head[3];
-    m->rows = head[4], m->groups = m->processes * m->chunks;
-    m->first_row = head + 5, m->spectrum = m->first_row + 2 * (m->processes + 1);
+    m->count = table->count;
+    m->half = (m->count + 1) / 2;
+    m->exact = table->exact;
+    m->processes = head[0];
+    m->chunks = head[1];
+    m->spectra = head[2];
+    m->first_odd = head[3];
+    m->rows = head[4];
+    m->groups = m->processes * m->chunks;
+    m->first_row = head + 5;
+    m->spectrum = m->first_row + 2 * (m->processes + 1);
     m->basis = (const Lanes *)table->numbers;
     m->shrinkage = m->residual_factor = m->basis + m->rows / LANES * m->half;
     if (m->exact)
@@ -135,7 +144,8 @@ prepare_window(Call *call, const Models *m, long long orders, const Samples *s, 
     return DONE;
 }
 
-/* Replace the position by that of a hub, if there is one; its path has no events. */
+/* Replace the position in `out` by that of a hub of the samples, if there is one; its path has no
+   events. `none` is the set without events, whose evidence changes. Returns NO_MEMORY or DONE. */
 static int
 derive_hub(Call *call, const Window *window, const Models *m, const Stencils *by, const Samples *s,
            Work *w, Set *none, Estimate *out)
@@ -154,8 +164,9 @@ derive_hub(Call *call, const Window *window, const Models *m, const Stencils *by
     return DONE;
 }
 
-/* Differentiate even samples at the instant of a window. Events are searched if the best evidence
-   of the angle or of the position is below SEARCH_BELOW log widths of a flat prior a component. */
+/* Differentiate even samples at the instant of a window, in samples and deviations of their noise.
+   Events are searched if the best evidence of the angle or of the position is below SEARCH_BELOW
+   log widths of a flat prior a component. Returns the same as `kinpole_derive`. */
 static int
 derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
 {
@@ -194,8 +205,9 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
 }
 
 /* Move samples to the even grid along the estimated motion, and estimate it again, until angle and
-   position settle, each by itself. `factor` (2) is by how much the last movement, as if it were
-   noise, increases the standard deviation of the noise. */
+   position settle, each by itself. Writes the moved samples to `s`, and to `factor` (2) by how much
+   the last movement, as if it were noise, increases the standard deviation of the noise. `scratch`
+   is memory for 6 signals. Returns the same as `kinpole_derive`. */
 static int
 move_until_settled(Call *call, const Window *window, Samples *s, double *scratch, double *factor)
 {
@@ -242,7 +254,7 @@ move_until_settled(Call *call, const Window *window, Samples *s, double *scratch
     return DONE;
 }
 
-/* Multiply derivatives and standard deviations of angle and position by a number each. */
+/* Multiply derivatives and standard deviations of angle and position by the numbers `by` (2). */
 static void
 scale_estimate(Estimate *found, const double *by)
 {
@@ -256,7 +268,8 @@ scale_estimate(Estimate *found, const double *by)
     }
 }
 
-/* Differentiate samples some of which may be missing, of low weight, or off the even grid. */
+/* Differentiate samples some of which may be missing, of low weight, or off the even grid.
+   `scratch` is memory for 12 signals. Returns the same as `kinpole_derive`. */
 static int
 derive_uneven(Call *call, const Window *window, const Samples *given, double *scratch,
               Estimate *out)
@@ -313,36 +326,41 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sc
     return code;
 }
 
+/* Write the derivatives of a signal, of the body with the pose `now`: an estimate relative to that
+   pose, in units of `scale` by order, of angle and position. Without an estimate they are NaN. */
 static void
 write_results(const Call *call, long long signal, long long now, const Estimate *estimate,
               const double (*scale)[MAX_ORDERS], double span)
 {
+    const DerivativeArrays *out = &call->derivatives;
     long long orders = call->orders, all = call->instants * call->bodies;
-    double *position = call->results + 2 * signal;
-    double *angle = call->results + 2 * orders * all + signal;
-    double *of_position = angle + orders * all, *of_angle = of_position + orders * orders * all;
-    double *span_and_freedom = of_angle + orders * orders * all;
-    double *hub = span_and_freedom + 2 * all + signal;
     Number arm = estimate ? estimate->hub * scale[1][0] : NAN;
     if (arm != 0.0) /* turned into the frame of the body */
         arm *= cos(call->angle[now]) - I * sin(call->angle[now]);
     for (long long k = 0; k < orders; k++) {
-        double base[3] = {call->angle[now], call->position[2 * now], call->position[2 * now + 1]};
-        angle[k * all] = estimate ? estimate->mean[0][k] * scale[0][k] + (k ? 0.0 : base[0]) : NAN;
-        for (int c = 0; c < 2; c++)
-            position[2 * k * all + c] =
-                estimate ? estimate->mean[1 + c][k] * scale[1][k] + (k ? 0.0 : base[1 + c]) : NAN;
+        Number place = call->position[now];
+        double base[3] = {call->angle[now], creal(place), cimag(place)};
+        double value[3];
+        for (int c = 0; c < 3; c++)
+            value[c] =
+                estimate ? estimate->mean[c][k] * scale[c > 0][k] + (k ? 0.0 : base[c]) : NAN;
+        out->angle[k * all + signal] = value[0];
+        out->position[k * all + signal] = value[1] + I * value[2];
         for (long long j = 0; j < orders; j++) {
-            of_angle[(k * orders + j) * all] =
+            long long at = (k * orders + j) * all + signal;
+            out->angle_covariance[at] =
                 estimate ? estimate->covariance[0][k][j] * scale[0][k] * scale[0][j] : NAN;
-            of_position[(k * orders + j) * all] =
+            out->position_covariance[at] =
                 estimate ? estimate->covariance[1][k][j] * scale[1][k] * scale[1][j] : NAN;
         }
     }
-    hub[0] = creal(arm), hub[1] = cimag(arm);
-    span_and_freedom[0] = span, span_and_freedom[all] = estimate ? estimate->freedom : NAN;
+    out->reference[signal] = arm;
+    out->span[signal] = span;
+    out->freedom[signal] = estimate ? estimate->freedom : NAN;
 }
 
+/* Derive the signals of a body at an instant from the frames of its window, and write the results.
+   Returns the same as `kinpole_derive`. */
 static int
 derive_signal(Call *call, long long instant, long long body, const Grid *grid)
 {
@@ -383,7 +401,6 @@ derive_signal(Call *call, long long instant, long long body, const Grid *grid)
     return DONE;
 }
 
-/* Do the signals that are left. Returns the same as `kinpole_derive`. */
 int
 DERIVE_SIGNALS(Call *call)
 {

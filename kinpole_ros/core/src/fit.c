@@ -10,19 +10,24 @@
 #include "numbers.h"
 #include "rejection.h"
 
+/* Markers nearer together than this part of their distance from the origin are at one place: four
+   units of rounding. No length below the least normal double is a direction. */
 static const double ROUNDING = 4 * 2.220446049250313e-16, TINY = 2.2250738585072014e-308;
 
-/* Fits the pose of body `b` to its markers (n,), and writes the newest row; what is unusual. */
+/* Fits the pose of body `b` to its markers `points` (n), m, by weighted least squares: turn and
+   position that bring its shape nearest to them (Procrustes). A marker is used if it has a weight,
+   is seen, and does not repeat while measured ones never do. There is no pose (NaN) without two
+   markers at different places. Writes the newest row; returns UNUSUAL_BITS. */
 static int
 fit(const Frames *f, long long b, const Number *points, int goes_on)
 {
     const HistoryColumns *history = &f->history;
-    const BodyArrays *known = &f->bodies;
-    long long n = known->width, newest = history->end - 1, at = newest * known->count + b;
+    const BodyArrays *known = &f->known;
+    long long n = known->width, newest = history->end - 1, at = newest * known->bodies + b;
     const Number *shape = known->shape + b * n;
     const double *weights = known->weights + b * n;
     Number *residual = history->residual + at * n, middle = 0.0, mean = 0.0, cross = 0.0;
-    double total = 0.0, spread = 0.0, reach = 0.0, own_reach = 0.0;
+    double total = 0.0, spread = 0.0, reach = 0.0, shape_reach = 0.0;
     int found = 0;
     for (long long k = 0; k < n; k++) {
         int is_seen = !isnan(creal(points[k])) && !kinpole_is_marker_held(f, b, points, k);
@@ -36,50 +41,52 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
             found |= weights[k] > 0.0 || !is_seen ? 0 : NEW_MARKER;
         }
     }
-    middle /= total, mean /= total;
+    middle /= total;
+    mean /= total;
     for (long long k = 0; k < n; k++)
         if (history->used[at * n + k]) {
-            Number arm = points[k] - middle, own = shape[k] - mean;
-            double square = square_of(own), far = square_of(arm);
-            cross += weights[k] * conj(own) * arm;
+            Number arm = points[k] - middle, shape_arm = shape[k] - mean;
+            double square = square_of(shape_arm);
+            cross += weights[k] * conj(shape_arm) * arm;
             spread += weights[k] * square;
-            reach = far > reach ? far : reach, own_reach = square > own_reach ? square : own_reach;
+            reach = larger(reach, square_of(arm));
+            shape_reach = larger(shape_reach, square);
         }
     double length = cabs(cross);
     int fits = !kinpole_is_held(f, b, points) && length > TINY &&
         sqrt(reach) > ROUNDING * cabs(middle) &&
-        sqrt(own_reach) > ROUNDING * cabs(mean);
+        sqrt(shape_reach) > ROUNDING * cabs(mean);
     Number turn = fits ? cross / length : NAN;
     double angle = fits ? atan2(cimag(turn), creal(turn)) : NAN;
     for (long long k = 0; k < n; k++) {
         if (!history->used[at * n + k] || !fits) {
-            history->used[at * n + k] = 0, residual[k] = NAN + NAN * I;
+            history->used[at * n + k] = 0;
+            residual[k] = NAN + NAN * I;
             continue;
         }
         residual[k] = (points[k] - middle) * conj(turn) - (shape[k] - mean);
         found |= verdict_on_marker(f, b, k, square_of(residual[k]));
     }
-    if (goes_on && newest > history->first && cos(angle - history->angle[at - known->count]) < 0.0)
+    if (goes_on && newest > history->first && cos(angle - history->angle[at - known->bodies]) < 0.0)
         found |= ODD;
     int is_known = fits && !is_unsteady(f, b, spread);
     history->angle[at] = is_known ? angle : NAN;
     history->position[at] = is_known ? middle - turn * mean : NAN;
-    double *information = history->information + 2 * newest * known->count + b;
+    double *information = history->information + 2 * newest * known->bodies + b;
     information[0] = !is_known ? 0.0 : f->limits.posed ? 1.0 : spread;
-    information[known->count] = !is_known ? 0.0 : f->limits.posed ? 1.0 :
+    information[known->bodies] = !is_known ? 0.0 : f->limits.posed ? 1.0 :
         1.0 / (1.0 / total + square_of(mean) / spread);
     return found;
 }
 
-/* Counts the whole turns of the newest angles from the last ones that were known. */
 void
 kinpole_unwrap(const Frames *f)
 {
     const HistoryColumns *history = &f->history;
-    const BodyArrays *known = &f->bodies;
-    for (long long b = 0; b < known->count; b++) {
-        long long at = (history->end - 1) * known->count + b;
-        double turns = history->end - 1 > history->first ? history->turns[at - known->count] : 0.0;
+    const BodyArrays *known = &f->known;
+    for (long long b = 0; b < known->bodies; b++) {
+        long long at = (history->end - 1) * known->bodies + b;
+        double turns = history->end - 1 > history->first ? history->turns[at - known->bodies] : 0.0;
         double angle = history->angle[at], last = known->last_angle[b];
         if (!isnan(angle)) {
             turns -= isnan(last) ? 0.0 : rint((angle - last) / TURN);
@@ -89,12 +96,11 @@ kinpole_unwrap(const Frames *f)
     }
 }
 
-/* Fits a frame of markers (B, n) into the newest row; what is unusual of any body. */
 int
 kinpole_fit_frame(const Frames *f, const Number *markers, int goes_on)
 {
     int found = 0;
-    for (long long b = 0; b < f->bodies.count; b++)
-        found |= f->tracks.unusual[b] = fit(f, b, markers + b * f->bodies.width, goes_on);
+    for (long long b = 0; b < f->known.bodies; b++)
+        found |= f->tracks.unusual[b] = fit(f, b, markers + b * f->known.width, goes_on);
     return found;
 }

@@ -7,9 +7,12 @@
 
 #include "../include/frames.h"
 
-/* Fits the poses of all bodies to `markers` (B, n), and writes the newest row; what is unusual. */
+/* Fits the poses of all bodies to `markers` (B, n), m. Writes `used`, `residual`, `angle`,
+   `position` and `information` of the newest row, and `unusual`. `goes_on` is whether the row
+   before is of the frame before. Returns the UNUSUAL_BITS of all bodies. */
 int kinpole_fit_frame(const Frames *f, const Number *markers, int goes_on);
-/* Counts the whole turns of the newest row. */
+/* Counts the whole turns from the last known angle of each body to that of the newest row. Writes
+   `turns` of that row, and `last_angle`. */
 void kinpole_unwrap(const Frames *f);
 
 #endif

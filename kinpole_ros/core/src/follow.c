@@ -2,7 +2,8 @@
  * The loop from the markers of frames to derivatives, which live and replay share.
  *
  * An unusual frame ends the loop, and is taken in Python. The result of a frame is computed when it
- * is due, from the window of frames up to the newest.
+ * is due, from the window of frames up to the newest. Arrays and shapes are those of frames.h: B
+ * bodies with up to n markers. A row is one of the history, counted from the begin of its memory.
  */
 
 #include <math.h>
@@ -13,24 +14,28 @@
 #include "numbers.h"
 #include "rejection.h"
 
-/* The poses of a window, and their derivatives. `heading` is the angle of the body, and `angle`
-   that by which its hub moves: the heading plus what a tilted body turns beyond it. */
+/* The poses of the N frames of a window, as `Call` takes them. */
 typedef struct {
-    double *angle, *heading, *turn_information, *place_information, *derivatives;
-    Number *position, *hub;
-    long long frames[3];
+    double *heading;           /* (N, B), rad: angle of the frame of the body */
+    double *angle;             /* (N, B), rad: the heading, and `tilt_turn` of a tilted body */
+    double *turn_information;  /* (N, B): inverse variance of the angle, times noise squared */
+    double *place_information; /* (N, B): the same of a coordinate of the position */
+    Number *position;          /* (N, B), m: of the hubs */
+    Number *hub;               /* (B), m: point that stands for the body, in its frame */
+    long long frames[3];       /* of the instant, the oldest, and the newest, of the N */
 } Poses;
 
 /* A result is due this share of an interval before its frame is as old as the lag. */
 static const double EARLY = 0.75;
 
+/* The unit vector at an angle, rad. */
 static Number
 unit_at(double angle)
 {
     return cos(angle) + I * sin(angle);
 }
 
-/* Number of frames in the history with a time before `at`, ns. */
+/* The number of frames in the history with a time before `at`, ns, by bisection. */
 static long long
 number_before(const Frames *f, long long at)
 {
@@ -46,7 +51,7 @@ number_before(const Frames *f, long long at)
     return low - history->first;
 }
 
-/* Whether the next frame follows the newest without a gap. */
+/* Whether the next frame follows the newest without a gap: after `gap` intervals at most. */
 static int
 next_goes_on(const Frames *f)
 {
@@ -56,7 +61,6 @@ next_goes_on(const Frames *f)
             f->limits.gap * history->interval;
 }
 
-/* Fits `markers` (B, n) of the next frame into the row after the newest; what is unusual. */
 int
 kinpole_try_frame(Frames *f, const Number *markers)
 {
@@ -67,13 +71,14 @@ kinpole_try_frame(Frames *f, const Number *markers)
     return found;
 }
 
-/* How far a body turned about the normal beyond the change of its heading, rad, between two tilts
-   at the begin and the end of a rotation with constant angular velocity. The heading is the twist
-   about the normal in the swing-twist decomposition. While a body is tilted, its rate is not the
-   angular velocity along the normal, and the integral of the difference depends on the path: it
+/* How far a body turned about the normal beyond the change of its heading, rad, from the tilt
+   `before` to the tilt `after`, while its heading changed by `heading`, rad, in a rotation with
+   constant angular velocity. A tilt is x + i y of the quaternion of the swing. The heading is the
+   twist about the normal in the swing-twist decomposition. While a body is tilted, its rate is not
+   the angular velocity along the normal, and the integral of the difference depends on the path: it
    does not return to zero with the pose. The result is 0 where either tilt is not known. */
 static double
-extra_turn(Number before, Number after, double heading)
+tilt_turn_between(Number before, Number after, double heading)
 {
     double rest = 1.0 - square_of(before), cosine = sqrt(rest > 0.0 ? rest : 0.0);
     double rest_after = 1.0 - square_of(after);
@@ -89,50 +94,81 @@ extra_turn(Number before, Number after, double heading)
     return isnan(extra) ? 0.0 : extra;
 }
 
-/* Adds what tilting bodies turn beyond their headings to the newest row; only poses that are
-   certainly right count for the rows after it. */
+/* Writes `tilt_turn` of the newest row, from the `tilts` (B) of its poses. It adds up from one pose
+   that is surely right to the next, the `sure` tracks. */
 static void
 follow_tilts(const Frames *f, const Number *tilts)
 {
     const HistoryColumns *history = &f->history;
     const BodyTracks *tracks = &f->tracks;
-    for (long long b = 0; b < f->bodies.count; b++) {
-        long long at = (history->end - 1) * f->bodies.count + b;
+    for (long long b = 0; b < f->known.bodies; b++) {
+        long long at = (history->end - 1) * f->known.bodies + b;
         double angle = history->angle[at];
-        double turned = extra_turn(tracks->sure_tilt[b], tilts[b], angle - tracks->sure_angle[b]);
-        history->extra_turn[at] = tracks->total_turn[b] + turned;
-        if (!isnan(angle) && tracks->newest[b] == 0)
-            tracks->total_turn[b] = history->extra_turn[at], tracks->sure_angle[b] = angle,
+        double heading = angle - tracks->sure_angle[b];
+        double turned = tilt_turn_between(tracks->sure_tilt[b], tilts[b], heading);
+        history->tilt_turn[at] = tracks->sure_tilt_turn[b] + turned;
+        if (!isnan(angle) && tracks->left_out[b] == 0) {
+            tracks->sure_tilt_turn[b] = history->tilt_turn[at];
+            tracks->sure_angle[b] = angle;
             tracks->sure_tilt[b] = tilts[b];
+        }
     }
 }
 
-/* Notes that a body is seen, and the gap before if it was as long as a window. */
+/* Notes that body `b` has a pose at `stamp`, ns, in `seen_last`, and the gap before in `outages`,
+   if it was as long as a window. */
 static void
 note_seen(const Frames *f, long long b, long long stamp)
 {
-    const BodyTracks *tracks = &f->tracks;
-    long long since = tracks->seen_last[b], lasted = stamp - since;
-    long long *outage = tracks->outages + OUTAGE_FIELDS * b;
-    tracks->seen_last[b] = stamp;
-    if (since < 0 || lasted < f->limits.window)
+    long long since = f->tracks.seen_last[b], lasted = stamp - since;
+    Gaps *gaps = f->tracks.outages + b;
+    f->tracks.seen_last[b] = stamp;
+    if (since < 0 || lasted < f->limits.window_ns)
         return;
-    outage[OUTAGE_LATEST] = since, outage[OUTAGE_LATEST + 1] = lasted;
-    if (!outage[OUTAGE_TIMES]++ || lasted > outage[OUTAGE_LONGEST + 1])
-        outage[OUTAGE_LONGEST] = since, outage[OUTAGE_LONGEST + 1] = lasted;
+    gaps->latest_begin = since;
+    gaps->latest_length = lasted;
+    if (!gaps->times++ || lasted > gaps->longest_length) {
+        gaps->longest_begin = since;
+        gaps->longest_length = lasted;
+    }
 }
 
-/* Takes the next frame, if it is usual or was corrected. */
+/* Copies the next frame into a row: times, markers and heights, and the mean height of the markers
+   of each body that are seen in `fitted` (B, n). */
+static void
+copy_frame(const Frames *f, long long row, const Number *fitted)
+{
+    const HistoryColumns *history = &f->history;
+    const NewFrames *incoming = &f->incoming;
+    long long frame = incoming->frame, bodies = f->known.bodies, width = f->known.width;
+    const double *heights = incoming->heights + frame * bodies * width;
+    history->stamp[row] = incoming->stamp[frame];
+    history->time[row] = incoming->time[frame];
+    history->tick[row] = incoming->tick[frame];
+    memcpy(history->markers + row * bodies * width, incoming->points + frame * bodies * width,
+           bodies * width * sizeof *incoming->points);
+    memcpy(history->heights + row * bodies * width, heights, bodies * width * sizeof *heights);
+    for (long long b = 0; b < bodies; b++) {
+        double sum = 0.0;
+        long long seen = 0;
+        for (long long i = b * width; i < (b + 1) * width; i++)
+            if (!isnan(creal(fitted[i])))
+                sum += heights[i], seen++;
+        history->height[row * bodies + b] = seen ? sum / seen : NAN;
+    }
+}
+
+/* Takes the next frame into the history, if it is usual or was corrected, and writes the tracks.
+   Returns DONE, or UNUSUAL if it is not taken. */
 static int
 take_frame(Frames *f)
 {
     HistoryColumns *history = &f->history;
-    const BodyArrays *known = &f->bodies;
     NewFrames *incoming = &f->incoming;
-    long long all = known->count * known->width, row = history->end, k = incoming->frame;
-    const Number *points = incoming->points + k * all;
+    long long bodies = f->known.bodies, width = f->known.width, all = bodies * width;
+    long long row = history->end;
+    const Number *points = incoming->points + incoming->frame * all;
     const Number *fitted = incoming->corrected ? incoming->corrected : points;
-    const double *heights = incoming->heights + k * all;
     if (incoming->hidden_is_unusual && !incoming->corrected)
         for (long long i = 0; i < all; i++)
             if (isnan(creal(points[i])))
@@ -143,59 +179,51 @@ take_frame(Frames *f)
         history->end--;
         return UNUSUAL;
     }
-    incoming->corrected = NULL;
-    history->stamp[row] = incoming->stamp[k], history->time[row] = incoming->time[k];
-    history->count[row] = incoming->count[k];
+    copy_frame(f, row, fitted);
     history->goes_on[row] = goes_on;
-    memcpy(history->markers + row * all, points, all * sizeof *points);
-    memcpy(history->heights + row * all, heights, all * sizeof *heights);
-    for (long long b = 0; b < known->count; b++) {
-        double sum = 0.0;
-        long long seen = 0;
-        for (long long i = b * known->width; i < (b + 1) * known->width; i++)
-            if (!isnan(creal(fitted[i])))
-                sum += heights[i], seen++;
-        history->height[row * known->count + b] = seen ? sum / seen : NAN;
-        history->extra_turn[row * known->count + b] = 0.0;
-    }
+    memset(history->tilt_turn + row * bodies, 0, bodies * sizeof *history->tilt_turn);
     kinpole_unwrap(f);
     kinpole_follow_paths(f);
     if (incoming->tilts)
-        follow_tilts(f, incoming->tilts + k * known->count);
-    for (long long b = 0; b < known->count; b++)
-        if (!isnan(history->angle[row * known->count + b]))
+        follow_tilts(f, incoming->tilts + incoming->frame * bodies);
+    for (long long b = 0; b < bodies; b++, points += width) {
+        if (!isnan(history->angle[row * bodies + b]))
             note_seen(f, b, history->stamp[row]);
         else
-            f->tracks.held[b] += kinpole_is_held(f, b, points + b * known->width);
-    for (long long i = 0; i < all; i++) {
-        long long b = i / known->width, k = i % known->width;
-        f->tracks.held_markers[b] += kinpole_is_marker_held(f, b, points + b * known->width, k);
+            f->tracks.poses_held[b] += kinpole_is_held(f, b, points);
+        for (long long k = 0; k < width; k++)
+            f->tracks.markers_held[b] += kinpole_is_marker_held(f, b, points, k);
     }
-    incoming->frame++, incoming->until_update--;
+    incoming->corrected = NULL;
+    incoming->frame++;
+    incoming->until_update--;
     return DONE;
 }
 
-/* Computes the poses of the hubs in the window from `oldest` on; whether any body tilts. */
+/* Fills the arrays of `poses` from the rows `oldest` to the newest, for the hubs in it. Returns
+   whether any body tilts in the window. */
 static int
 fill_window(const Frames *f, long long oldest, Poses *poses)
 {
     const HistoryColumns *history = &f->history;
-    const BodyArrays *known = &f->bodies;
+    const BodyArrays *known = &f->known;
     int tilts = 0;
-    for (long long i = oldest * known->count;
-         f->limits.posed && i < history->end * known->count; i++)
-        tilts |= history->extra_turn[i] != 0.0;
+    for (long long i = oldest * known->bodies;
+         f->limits.posed && i < history->end * known->bodies; i++)
+        tilts |= history->tilt_turn[i] != 0.0;
     for (long long row = oldest; row < history->end; row++)
-        for (long long b = 0; b < known->count; b++) {
-            long long at = row * known->count + b, to = at - oldest * known->count;
-            const double *information = history->information + 2 * row * known->count + b;
-            double turned = information[0] * known->scale[b];
-            double placed = information[known->count] * known->scale[known->count + b];
+        for (long long b = 0; b < known->bodies; b++) {
+            long long at = row * known->bodies + b, to = at - oldest * known->bodies;
+            const double *information = history->information + 2 * row * known->bodies + b;
+            double turned = information[0] * known->information_factor[b];
+            double placed =
+                information[known->bodies] * known->information_factor[known->bodies + b];
             double growth = 0.0;
             Number hub = poses->hub[b], position = history->position[at];
             poses->heading[to] = history->angle[at];
             poses->angle[to] =
-                history->angle[at] + (tilts ? history->extra_turn[at] - known->tilt_turn[b] : 0.0);
+                history->angle[at] +
+                (tilts ? history->tilt_turn[at] - known->learned_tilt_turn[b] : 0.0);
             if (hub != 0.0) {
                 position += hub * unit_at(poses->angle[to]);
                 /* The variance at the hub is that at the middle of the markers, plus that of the
@@ -215,76 +243,79 @@ fill_window(const Frames *f, long long oldest, Poses *poses)
     return tilts;
 }
 
-/* The weighted mean of the markers used in a row, in the frame of the body. */
+/* The weighted mean of the markers of body `b` used in a row, m, in its frame; NaN without any. */
 static Number
 middle_of_used(const Frames *f, long long row, long long b)
 {
-    const BodyArrays *known = &f->bodies;
+    const BodyArrays *known = &f->known;
     Number sum = 0.0;
     double total = 0.0;
     for (long long k = 0; k < known->width; k++)
-        if (f->history.used[(row * known->count + b) * known->width + k]) {
+        if (f->history.used[(row * known->bodies + b) * known->width + k]) {
             double weight = known->weights[b * known->width + k];
             sum += weight * known->shape[b * known->width + k], total += weight;
         }
     return total > 0.0 ? sum / total : NAN;
 }
 
-/* Copies the derivatives of one instant into the results; NaN for bodies without any. */
+/* Copies the derivatives of `call`, of one instant, into the results after those filled; NaN for a
+   body whose `reason` is worse than NOT_FULL. */
 static void
-copy_derivatives(const Frames *f, const Call *call, Results *r)
+copy_derivatives(const Call *call, Results *r)
 {
-    long long orders = call->orders, bodies = f->bodies.count, t = r->count;
-    const double *from = call->results;
-    double *to = r->derivatives;
-    const unsigned char *reason = r->reason + t * bodies;
-    for (long long k = 0; k < 2 * orders + 2 * orders * orders + 2; k++) {
-        long long size = k < orders ? 2 : 1;
-        for (long long i = 0; i < size * bodies; i++)
-            to[t * size * bodies + i] = reason[i / size] > NOT_FULL ? NAN : from[i];
-        from += size * bodies, to += r->instants * size * bodies;
+    const DerivativeArrays *from = &call->derivatives, *to = &r->derivatives;
+    long long orders = call->orders, bodies = call->bodies, all = r->instants * bodies;
+    for (long long b = 0; b < bodies; b++) {
+        long long at = r->filled * bodies + b;
+        int is_known = r->reason[at] <= NOT_FULL;
+        for (long long k = 0; k < orders; k++) {
+            to->position[k * all + at] = is_known ? from->position[k * bodies + b] : NAN + I * NAN;
+            to->angle[k * all + at] = is_known ? from->angle[k * bodies + b] : NAN;
+        }
+        for (long long k = 0; k < orders * orders; k++) {
+            long long square = k * bodies + b;
+            to->position_covariance[k * all + at] =
+                is_known ? from->position_covariance[square] : NAN;
+            to->angle_covariance[k * all + at] = is_known ? from->angle_covariance[square] : NAN;
+        }
+        to->span[at] = is_known ? from->span[b] : NAN;
+        to->freedom[at] = is_known ? from->freedom[b] : NAN;
     }
 }
 
-/* The numbers that `write_results` of derive.c writes of so many bodies. */
-static long long
-size_of_results(long long orders, long long bodies)
-{
-    return (3 * orders + 2 * orders * orders + 4) * bodies;
-}
-
-/* Replaces the angles by those of the headings of tilted bodies, and turns the hubs into their
-   axes. */
+/* Replaces the derived angles of order 0 (B), rad, by those of the headings, for bodies that tilt,
+   and turns the hubs of `poses` into their axes. Returns the same as `kinpole_derive`. */
 static int
 derive_headings(Call *call, Poses *poses)
 {
-    long long bodies = call->bodies;
-    /* The published angle is the heading; the hub is turned into its axes. */
-    double *angle = poses->derivatives + 2 * call->orders * bodies;
-    for (long long b = 0; b < bodies; b++)
-        poses->hub[b] *= isnan(angle[b]) ? 1.0 : unit_at(angle[b]);
-    call->angle = poses->heading, call->next = 0;
-    call->results = poses->derivatives + size_of_results(call->orders, bodies);
+    DerivativeArrays derived = call->derivatives;
+    if (kinpole_lay_out_derivatives(call, OF_HEADINGS, call->bodies, &call->derivatives))
+        return NO_MEMORY;
+    call->angle = poses->heading;
+    call->next = 0;
     int code = kinpole_derive(call);
-    if (code)
-        return code;
-    const double *heading = call->results + 2 * call->orders * bodies;
-    for (long long b = 0; b < bodies; b++) {
-        poses->hub[b] *= isnan(heading[b]) ? 1.0 : conj(unit_at(heading[b]));
-        angle[b] = heading[b];
+    const double *heading = call->derivatives.angle;
+    for (long long b = 0; b < call->bodies && !code; b++) {
+        if (!isnan(derived.angle[b]))
+            poses->hub[b] *= unit_at(derived.angle[b]);
+        if (!isnan(heading[b]))
+            poses->hub[b] *= conj(unit_at(heading[b]));
+        derived.angle[b] = heading[b];
     }
-    call->results = poses->derivatives;
-    return DONE;
+    call->derivatives = derived;
+    return code;
 }
 
-/* Computes the result of the frame in row `now` from the window of those from `oldest` on. */
+/* Computes the result of the frame in row `now` from the window of those from `oldest` on, and adds
+   it to the results. `poses` is memory for them. Returns the same as `kinpole_derive`; the results
+   are as before if that is not DONE. */
 static int
 compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long oldest,
                long long now)
 {
     const HistoryColumns *history = &f->history;
-    const BodyArrays *known = &f->bodies;
-    long long bodies = known->count, newest = history->end - 1, t = r->count, deforms = 0;
+    const BodyArrays *known = &f->known;
+    long long bodies = known->bodies, newest = history->end - 1, t = r->filled, deforms = 0;
     for (long long b = 0; b < bodies; b++) {
         long long to = t * bodies + b;
         int pinned = kinpole_holds_on_pin(f, oldest, b);
@@ -293,103 +324,112 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
         poses->hub[b] = pinned ? 0.0 : known->hub[b];
     }
     int tilts = fill_window(f, oldest, poses);
-    call->frames = history->end - oldest, call->bodies = bodies;
-    poses->frames[0] = now - oldest, poses->frames[1] = 0, poses->frames[2] = newest - oldest;
-    call->time = history->time + oldest, call->turns = history->turns + oldest * bodies;
-    call->windows = poses->frames, call->left_out = f->tracks.newest;
-    call->angle = poses->angle, call->position = (const double *)poses->position;
+    poses->frames[0] = now - oldest;
+    poses->frames[1] = 0;
+    poses->frames[2] = newest - oldest;
+    call->frames = history->end - oldest;
+    call->bodies = bodies;
+    call->time = history->time + oldest;
+    call->turns = history->turns + oldest * bodies;
+    call->windows = poses->frames;
+    call->left_out = f->tracks.left_out;
+    call->angle = poses->angle;
+    call->position = poses->position;
     call->angle_information = poses->turn_information;
     call->position_information = poses->place_information;
-    call->noise = known->noise, call->results = poses->derivatives, call->next = 0;
+    call->noise = known->noise;
+    call->next = 0;
+    if (kinpole_lay_out_derivatives(call, OF_DERIVATIVES, bodies, &call->derivatives))
+        return NO_MEMORY;
     int code = kinpole_derive(call);
     if (code)
         return code;
-    const double *of_hubs = poses->derivatives + size_of_results(call->orders, bodies) - 2 * bodies;
+    const DerivativeArrays *derived = &call->derivatives;
     for (long long b = 0; b < bodies; b++)
-        if (!isnan(of_hubs[2 * b]))
-            poses->hub[b] += of_hubs[2 * b] + I * of_hubs[2 * b + 1];
+        if (!isnan(creal(derived->reference[b])))
+            poses->hub[b] += derived->reference[b];
     if (tilts && (code = derive_headings(call, poses)))
         return code;
     for (long long b = 0; b < bodies; b++) {
-        long long at = now * bodies + b, to = t * bodies + b, orders = call->orders;
+        long long at = now * bodies + b, to = t * bodies + b;
         const double *information = history->information + 2 * now * bodies + b;
         int missing = kinpole_reason(f, now, b), seen = missing < NOT_SEEN;
-        const double *rate = poses->derivatives + (2 * orders + 1) * bodies + b;
-        const double *velocity = poses->derivatives + 2 * (bodies + b);
-        int found = isfinite(*rate) && isfinite(velocity[0]) && isfinite(velocity[1]);
+        Number velocity = derived->position[bodies + b];
+        int found = isfinite(derived->angle[bodies + b]) && isfinite(creal(velocity)) &&
+            isfinite(cimag(velocity));
         r->reason[to] = missing ? missing : found ? KNOWN : NOT_FULL;
-        r->size[to] = known->size[b], r->height[to] = history->height[at];
-        r->reference[to] = poses->hub[b];
+        r->size[to] = known->size[b];
+        r->height[to] = history->height[at];
+        r->derivatives.reference[to] = poses->hub[b];
         r->frame_angle[to] = history->angle[at] + TURN * history->turns[at];
         r->frame_position[to] = history->position[at];
         r->noise[to] = known->noise[b];
         r->middle[to] = f->limits.posed ? known->middle[b] : middle_of_used(f, now, b);
         for (int c = 0; c < 2; c++)
             r->information[(2 * t + c) * bodies + b] =
-                seen ? information[c * bodies] * known->scale[c * bodies + b] : 0.0;
+                seen ? information[c * bodies] * known->information_factor[c * bodies + b] : 0.0;
         deforms |= r->reason[to] == KNOWN && known->freedom[b] > 0.0;
     }
-    copy_derivatives(f, call, r);
-    memcpy(r->shape + t * bodies * known->width, known->known_shape,
+    copy_derivatives(call, r);
+    memcpy(r->shape + t * bodies * known->width, known->places,
            bodies * known->width * sizeof *r->shape);
-    r->stamp[t] = history->stamp[now], r->due[t] = f->incoming.frame - 1;
-    r->rows[3 * t] = now - history->first, r->rows[3 * t + 1] = oldest - history->first;
-    r->rows[3 * t + 2] = newest - history->first;
-    r->count++, r->deformed += deforms;
+    r->stamp[t] = history->stamp[now];
+    r->due[t] = f->incoming.frame - 1;
+    for (int k = 0; k < 3; k++)
+        r->rows[3 * t + k] = poses->frames[k] + oldest - history->first;
+    r->filled++;
+    r->deformed += deforms;
     return DONE;
 }
 
-/* Computes the results that are due with the newest frame. */
+/* Computes the results that are due with the newest frame, and moves `next_result` behind them. A
+   frame is due once it is as old as the lag. Also writes `samples` and `interval` of the window.
+   Returns DONE, FULL without memory for another result, or what `kinpole_derive` returns. */
 static int
 compute_due(Frames *f, Call *call, Results *r)
 {
     HistoryColumns *history = &f->history;
-    const BodyArrays *known = &f->bodies;
+    const BodyArrays *known = &f->known;
     if (history->end == history->first)
         return DONE;
     long long newest = history->end - 1, oldest;
-    oldest = history->first + number_before(f, history->time[newest] - f->limits.window);
+    oldest = history->first + number_before(f, history->time[newest] - f->limits.window_ns);
     history->samples = newest - oldest + 1;
     history->interval = (double)(history->time[newest] - history->time[oldest]) /
         (history->samples > 1 ? history->samples - 1 : 1);
     long long latest =
-        history->time[newest] - (long long)rint(f->limits.lag - EARLY * history->interval);
+        history->time[newest] - (long long)rint(f->limits.lag_ns - EARLY * history->interval);
     long long end = number_before(f, latest + 1);
     int code = DONE;
-    if (history->due < end && r->instants && newest - oldest >= r->fewest - 1) {
-        if (history->first + history->due < oldest)
-            history->due = oldest - history->first;
-        /* Twice the space for derivatives: bodies that tilt have two angles. */
-        long long all = (history->end - oldest) * known->count;
-        long long derivatives = 2 * size_of_results(call->orders, known->count);
+    if (history->next_result < end && r->instants && newest - oldest >= r->fewest - 1) {
+        if (history->first + history->next_result < oldest)
+            history->next_result = oldest - history->first;
+        long long all = (history->end - oldest) * known->bodies;
         Poses poses;
-        double *data = kinpole_buffer(
-            call, OF_POSES, (6 * all + derivatives + 2 * known->count) * sizeof *data);
+        char *data = kinpole_buffer(
+            call, OF_POSES, (all + known->bodies) * sizeof(Number) + 4 * all * sizeof(double));
         if (!data)
             return NO_MEMORY;
-        poses.position = (Number *)data, poses.hub = (Number *)(data + 2 * all);
-        poses.angle = data + 2 * all + 2 * known->count, poses.heading = poses.angle + all;
-        poses.turn_information = poses.heading + all;
-        poses.place_information = poses.turn_information + all;
-        poses.derivatives = poses.place_information + all;
-        for (; !code && history->due < end; ) {
-            if (r->count == r->instants) {
+        TAKE(poses.position, all), TAKE(poses.hub, known->bodies), TAKE(poses.angle, all);
+        TAKE(poses.heading, all), TAKE(poses.turn_information, all);
+        TAKE(poses.place_information, all);
+        while (!code && history->next_result < end) {
+            if (r->filled == r->instants) {
                 code = FULL;
                 break;
             }
-            code = compute_result(f, call, r, &poses, oldest, history->first + history->due);
+            long long now = history->first + history->next_result;
+            code = compute_result(f, call, r, &poses, oldest, now);
             if (code == DONE)
-                history->due++;
+                history->next_result++;
         }
         if (code)
             return code;
     }
-    history->due = end > history->due ? end : history->due;
+    history->next_result = end > history->next_result ? end : history->next_result;
     return DONE;
 }
 
-/* Takes frames while they are usual, and computes the results that are due. Returns DONE, or why it
-   has to be called again after step.py has done its part. */
 int
 kinpole_follow(Frames *f, Call *call, Results *r)
 {

@@ -22,16 +22,20 @@ typedef struct {
     Polynomials polynomials;
 } KeptPolynomials;
 
-/* The signals: both coordinates of the position, and cosine and sine of the angle. */
+/* The signals are both coordinates of the position, and from TURNED on cosine and sine of the
+   angle, the turning. A complex number stands for two signals. */
 enum { TURNED = 2 };
 
+/* The complex number of two signals. */
 static Number
 pair_of(const double *pair)
 {
     return pair[0] + I * pair[1];
 }
 
-/* Find the likeliest hub; `product` is that of what the powers leave of turning and position. */
+/* Return the likeliest hub, by the degree of its path, from what `p` has of the signals. `product`
+   is the sum of conj(turning) times position, of what the polynomials leave of both. Angles are in
+   units of `radians`. Its value is -infinity where there is none. */
 static Hub
 likeliest_hub(const Polynomials *p, Number product, double radians)
 {
@@ -58,8 +62,8 @@ likeliest_hub(const Polynomials *p, Number product, double radians)
     return best;
 }
 
-/* Whether a body turns there and back between two frames; `turn` are cosine and sine of its angle,
-   of `length` samples that are not missing. */
+/* Whether a body turns there and back between two frames. `turn` (2, n) are cosine and sine of its
+   angle, of which `length` samples are not missing. */
 static int
 turns_within_frames(const Samples *s, double *const *turn, double length)
 {
@@ -131,7 +135,8 @@ find_hub(Call *call, const Stencils *by, double radians, double least, Samples *
     return DONE;
 }
 
-/* Find exp(i angle) and its derivatives at the instant, of an angle with these derivatives. */
+/* Compute exp(i angle) and its derivatives `out` (orders) at the instant, of an angle with the
+   derivatives `angle` (orders), in units of `radians`. */
 static void
 differentiate_turn(const double *angle, double radians, long long orders, Number *out)
 {

@@ -9,8 +9,9 @@
 #include "numbers.h"
 #include "poles.h"
 
-/* Adds the angle or rate of a body `seconds` after an instant, by its Taylor series up to the
-   acceleration; or the variance of that. Returns whether the body is known. */
+/* Adds to `sums` (2) the angle, rad, and the rate, rad/s, of a body `seconds` after instant `t`,
+   times `sign`, by Taylor series up to the acceleration; or the variances of these. A body of -1 is
+   the ground, which adds nothing. Returns whether the body is known. */
 static int
 add_state(const Motion *m, const Joints *joints, long long body, long long t, double seconds,
           double sign, double *sums)
@@ -35,7 +36,8 @@ add_state(const Motion *m, const Joints *joints, long long body, long long t, do
     return kinpole_is_known(m, at);
 }
 
-/* Writes an integer aligned to its 4 bytes, and returns where it ends. */
+/* Writes an integer at `out`, or up to 3 bytes later, so that it is a multiple of 4 bytes after
+   `start`; returns where it ends. */
 static unsigned char *
 put_integer(unsigned char *start, unsigned char *out, int value)
 {
@@ -44,7 +46,8 @@ put_integer(unsigned char *start, unsigned char *out, int value)
     return out + sizeof value;
 }
 
-/* Writes the message of an instant, extrapolated to a stamp, and returns its bytes; 0 without
+/* Writes the message of instant `t`, extrapolated to a stamp, ns, to `out`: a header, the names of
+   the joints whose bodies are known, their angles, and their rates. Returns its bytes; 0 without
    joints. */
 static long long
 write_joint_state(const Motion *m, const Joints *joints, long long t, long long stamp,
@@ -52,7 +55,7 @@ write_joint_state(const Motion *m, const Joints *joints, long long t, long long 
 {
     double seconds = (double)(stamp - m->stamp[t]) * 1e-9;
     int listed = 0;
-    memset(out, 0, joints->size);
+    memset(out, 0, joints->message_bytes);
     out[1] = 1; /* little endian */
     unsigned char *start = out + 4, *at = put_integer(start, start, (int)(stamp / SECOND));
     at = put_integer(start, at, (int)(stamp % SECOND));
@@ -60,11 +63,11 @@ write_joint_state(const Motion *m, const Joints *joints, long long t, long long 
     unsigned char *number = at + (-(at - start) & 3);
     at = number + 4;
     /* The states follow all names, and wait for them behind the longest message. */
-    unsigned char *states = out + joints->size - 16 * joints->number;
-    for (long long k = 0; k < joints->number; k++) {
+    unsigned char *states = out + joints->message_bytes - 16 * joints->joints;
+    for (long long k = 0; k < joints->joints; k++) {
         double sums[2] = {0.0, 0.0}, state[2];
-        int is_known = add_state(m, joints, joints->second[k], t, seconds, 1.0, sums);
-        is_known &= add_state(m, joints, joints->first[k], t, seconds, -1.0, sums);
+        int is_known = add_state(m, joints, joints->second_body[k], t, seconds, 1.0, sums);
+        is_known &= add_state(m, joints, joints->first_body[k], t, seconds, -1.0, sums);
         if (!is_known || !isfinite(sums[0]) || !isfinite(sums[1]))
             continue;
         state[0] = joints->is_deviation ? sqrt(sums[0]) : atan2(sin(sums[0]), cos(sums[0]));
@@ -88,13 +91,11 @@ write_joint_state(const Motion *m, const Joints *joints, long long t, long long 
     return listed ? at - out : 0;
 }
 
-/* Writes `count` messages, of the instants `nearest` extrapolated to `stamps`, each in `size`
-   bytes, of which it takes `lengths`. */
 void
 kinpole_write_joints(const Motion *motion, const Joints *joints, const long long *stamps,
                      const long long *nearest, long long count, unsigned char *out,
                      long long *lengths)
 {
-    for (long long k = 0; k < count; k++, out += joints->size)
+    for (long long k = 0; k < count; k++, out += joints->message_bytes)
         lengths[k] = write_joint_state(motion, joints, nearest[k], stamps[k], out);
 }

@@ -27,6 +27,20 @@ kinpole_buffer(Call *call, int which, size_t size)
     return workspace ? workspace->buffer[which].data : NULL;
 }
 
+int
+kinpole_lay_out_derivatives(Call *call, int which, long long poses, DerivativeArrays *d)
+{
+    long long orders = call->orders, square = orders * orders;
+    size_t of_pose = (orders + 1) * sizeof(Number) + (orders + 2 * square + 2) * sizeof(double);
+    char *data = kinpole_buffer(call, which, poses * of_pose);
+    if (!data)
+        return NO_MEMORY;
+    TAKE(d->position, orders * poses), TAKE(d->reference, poses), TAKE(d->angle, orders * poses);
+    TAKE(d->position_covariance, square * poses), TAKE(d->angle_covariance, square * poses);
+    TAKE(d->span, poses), TAKE(d->freedom, poses);
+    return DONE;
+}
+
 void
 kinpole_free_workspace(Call *call)
 {

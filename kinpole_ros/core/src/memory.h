@@ -9,12 +9,27 @@
 
 #include "../include/call.h"
 
-enum { OF_POSES, OF_GRID, OF_CELLS, OF_WINDOW, OF_MODELS, OF_SETS, OF_SEGMENTS, OF_HUB, BUFFERS };
+enum {
+    OF_POSES,
+    OF_DERIVATIVES,
+    OF_HEADINGS,
+    OF_GRID,
+    OF_CELLS,
+    OF_WINDOW,
+    OF_MODELS,
+    OF_SETS,
+    OF_SEGMENTS,
+    OF_HUB,
+    BUFFERS
+};
 
 /* Let an array begin at `data`, and move `data` behind it. */
 #define TAKE(array, size) (array = (void *)data, data += (size) * sizeof *array)
 
 /* Return memory for one purpose, as the last call left it, or zeros; NULL if there is none. */
 void *kinpole_buffer(Call *call, int which, size_t size);
+/* Let the derivatives of so many poses, bodies at instants, point into memory for one purpose.
+   Returns DONE or NO_MEMORY. */
+int kinpole_lay_out_derivatives(Call *call, int which, long long poses, DerivativeArrays *d);
 
 #endif

@@ -8,7 +8,7 @@
 #include "../include/messages.h"
 #include "numbers.h"
 
-/* The unsigned integer in some bytes, at most 8. */
+/* The unsigned integer in so many bytes, at most 8. */
 static inline unsigned long long
 integer_at(const unsigned char *bytes, int width, int is_big_endian)
 {
@@ -18,6 +18,7 @@ integer_at(const unsigned char *bytes, int width, int is_big_endian)
     return value;
 }
 
+/* The float in 4 bytes, and the double in 8. */
 static inline double
 float_at(const unsigned char *bytes, int is_big_endian)
 {
@@ -40,53 +41,51 @@ double_at(const unsigned char *bytes, int is_big_endian)
 static long long
 stamp_of(const MessageLayout *layout, const unsigned char *message)
 {
-    const unsigned char *stamp = message + layout->stamp;
+    const unsigned char *stamp = message + layout->stamp_offset;
     int is_big_endian = layout->is_stamp_big_endian != 0;
     return (int)integer_at(stamp, 4, is_big_endian) * SECOND
         + (long long)integer_at(stamp + 4, 4, is_big_endian);
 }
 
-/* Returns how many messages from message `first` on are of the layout, of `count` in all. */
 long long
 kinpole_count_matches(const MessageLayout *layout, const unsigned char *messages, long long first,
-                    long long count)
+                      long long end)
 {
-    messages += first * layout->size;
-    for (long long t = first; t < count; t++, messages += layout->size) {
+    messages += first * layout->message_bytes;
+    for (long long t = first; t < end; t++, messages += layout->message_bytes) {
         unsigned char differs = 0;
         for (long long k = 0; k < layout->compared; k++)
             differs |= (messages[k] ^ layout->key[k]) & layout->mask[k];
         if (differs || stamp_of(layout, messages) >= layout->end_of_time)
             return t - first;
     }
-    return count - first;
+    return end - first;
 }
 
-/* Reads the points (n, 3) of a message. One with a coordinate that is not finite becomes NaN. */
+/* Reads the `points` (P, 3) of a message. One with a coordinate that is not finite becomes NaN. */
 static void
 read_points(const MessageLayout *layout, const unsigned char *message, double *points)
 {
     int is_big_endian = layout->is_big_endian != 0;
-    for (long long k = 0; k < layout->count; k++, points += 3) {
-        const unsigned char *point = message + layout->points[k];
+    for (long long k = 0; k < layout->point_count; k++, points += 3) {
+        const unsigned char *point = message + layout->point_offsets[k];
         for (int i = 0; i < 3; i++) {
-            const unsigned char *bytes = point + layout->axes[i];
-            points[i] = layout->widths[i] == 8 ? double_at(bytes, is_big_endian)
-                : layout->widths[i] == 4 ? float_at(bytes, is_big_endian) : 0.0;
+            const unsigned char *bytes = point + layout->axis_offsets[i];
+            points[i] = layout->axis_widths[i] == 8 ? double_at(bytes, is_big_endian)
+                : layout->axis_widths[i] == 4 ? float_at(bytes, is_big_endian) : 0.0;
         }
         if (!(isfinite(points[0]) && isfinite(points[1]) && isfinite(points[2])))
             points[0] = points[1] = points[2] = NAN;
     }
 }
 
-/* Reads stamps (count,), ns, and points (count, n, 3) of the messages from message `first` on. */
 void
 kinpole_read_messages(const MessageLayout *layout, const unsigned char *messages, long long first,
-                      long long count, long long *stamps, double *points)
+                      long long end, long long *stamps, double *points)
 {
-    messages += first * layout->size;
-    for (long long t = 0; t < count; t++, messages += layout->size) {
+    messages += first * layout->message_bytes;
+    for (long long t = 0; t < end - first; t++, messages += layout->message_bytes) {
         stamps[t] = stamp_of(layout, messages);
-        read_points(layout, messages, points + 3 * t * layout->count);
+        read_points(layout, messages, points + 3 * t * layout->point_count);
     }
 }

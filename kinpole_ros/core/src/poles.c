@@ -3,19 +3,25 @@
  * covariances, and where they stand out of their noise. numpy needs about 50 calls for each,
  * however few instants there are. The formulas are those of planar/, and test_quantities.py
  * compares both.
+ *
+ * Of one body at one instant, `z` (HIGHEST + 1) are the derivatives of its position, m/s^k, complex
+ * numbers of the plane, and `rate` (HIGHEST + 1) those of its angle, rad/s^k, both by order. `t` is
+ * the number of this pose in the arrays of `Motion`.
  */
 
 #include <math.h>
 
 #include "poles.h"
 
-/* A quantity with its partial derivatives by the derivatives of position and angle. */
+/* A quantity with its partial derivatives by `z` and by `rate`, by order. A vector has the partial
+   derivative u by a real error x in z if it changes by u x, and i u by an error i x. */
 typedef struct {
     Number value, by_position[HIGHEST + 1], by_angle[HIGHEST + 1];
 } Linear;
 
-/* Adds to `moments` (xx, xy, yy) the covariance of sum(by * errors), 0 to `highest`. `errors` has
-   shape (orders, orders); its elements are `step` apart. */
+/* Adds to `moments` (xx, xy, yy) the covariance of the sum of by[k] e_k over the orders k from 0 to
+   `highest`, for real errors e_k. `errors` (orders, orders) are the covariances of these errors;
+   its elements are `step` apart. */
 static void
 add_moments(const double *errors, long long orders, long long step, int highest, const Number *by,
             double *moments)
@@ -31,14 +37,16 @@ add_moments(const double *errors, long long orders, long long step, int highest,
     }
 }
 
-/* NaN for 0, as in numpy. */
+/* One over a number; NaN for 0, as in numpy. */
 static Number
 inverse_of(Number number)
 {
     return number == 0.0 ? NAN : 1.0 / number;
 }
 
-/* `turn` gets the rotation coefficient of that order and its derivatives by those of the angle. */
+/* Computes the pole of an order, m: the point whose derivative of that order is zero, z_0 - z_n / a
+   with the rotation coefficient a, the n-th derivative of exp(i angle) over exp(i angle). `turn`
+   gets a, 1/s^n. Writes the elements of both that are not zero. */
 static void
 pole(int order, const Number *z, const double *rate, Linear *turn, Linear *out)
 {
@@ -57,6 +65,7 @@ pole(int order, const Number *z, const double *rate, Linear *turn, Linear *out)
     }
 }
 
+/* Computes the velocity of the ICR along the centrodes, m/s: how fast the pole of order 1 moves. */
 static void
 velocity(const Number *z, const double *rate, Linear *out)
 {
@@ -67,8 +76,8 @@ velocity(const Number *z, const double *rate, Linear *out)
     out->by_angle[1] = iqq * (inner + nv), out->by_angle[2] = iqq * z[1];
 }
 
-/* The acceleration of the ICR over its speed squared: its real part is that across the velocity,
-   the curvature, of which the partial derivatives are. */
+/* Computes the acceleration of the ICR over its speed squared, 1/m. Its real part is that across
+   the velocity: the curvature of the fixed centrode, of which the partial derivatives are. */
 static void
 curvature(const Number *z, const double *rate, Linear *out)
 {
@@ -87,8 +96,8 @@ curvature(const Number *z, const double *rate, Linear *out)
     out->value = -I * g * slowness;
 }
 
-/* The center of the inflection circle, and its diameter from the ICR to the inflection pole: see
-   planar/_curvature.py. */
+/* Computes the center of the inflection circle, m, and its diameter as a vector from the ICR to the
+   inflection pole, m: see planar/_curvature.py. */
 static void
 circle(const Number *z, const double *rate, Linear *center, Linear *diameter)
 {
@@ -114,7 +123,8 @@ static const double MOVING = 1.7, STILL = 1e-6;
    deviations. */
 static const double TURNING = 1.5;
 
-/* Adds the covariance that follows from those of position and angle. */
+/* Adds to `spread` (xx, xy, yy) the covariance of a quantity that follows from those of position
+   and angle, by its partial derivatives of the orders up to `highest`. */
 static void
 add_covariance(const Motion *m, long long t, int highest, const Linear *linear, double *spread)
 {
@@ -126,6 +136,7 @@ add_covariance(const Motion *m, long long t, int highest, const Linear *linear, 
     spread[0] += by_position[0] + by_position[2], spread[2] += by_position[0] + by_position[2];
 }
 
+/* Whether a quantity and its covariance are finite. */
 static int
 is_known(const Quantity *q)
 {
@@ -133,6 +144,7 @@ is_known(const Quantity *q)
         isfinite(q->spread[1]) && isfinite(q->spread[2]);
 }
 
+/* Whether a point, m, is less than FARTHEST body sizes from the position of the body. */
 static int
 is_near(const Motion *m, long long t, Number point)
 {
@@ -146,7 +158,7 @@ deviation_of(const Quantity *q)
     return sqrt(q->spread[0] + q->spread[2]);
 }
 
-/* Reads the motion of one body at one instant. */
+/* Reads `z` and `rate` of one pose, up to the order `highest`. */
 static void
 motion_at(const Motion *m, long long t, int highest, Number *z, double *rate)
 {
@@ -161,7 +173,8 @@ is_far(const Motion *m, long long t, Number point)
     return cabs(point - m->position[t]) > FARTHEST * m->size[t];
 }
 
-/* The pole of an order, as it follows from the motion. */
+/* The pole of an order, m, as it follows from the motion. It is determined if the rotation
+   coefficient exceeds SIGNIFICANT standard deviations, and the pole is near. */
 static Quantity
 free_pole(const Motion *m, long long t, int order)
 {
@@ -181,7 +194,8 @@ free_pole(const Motion *m, long long t, int order)
     return q;
 }
 
-/* The pole of an order: on the pin where there is one, if any rate up to the order is seen. */
+/* The pole of an order, m. That of a body on a pin is the pin, and determined if any rate up to the
+   order exceeds SIGNIFICANT standard deviations. */
 static Quantity
 pole_at(const Motion *m, long long t, int order)
 {
@@ -205,7 +219,7 @@ pole_at(const Motion *m, long long t, int order)
     return q;
 }
 
-/* The velocity of the ICR, 0 on a pin, and whether the ICR is seen to move. */
+/* The velocity of the ICR, m/s, 0 on a pin. MOVES is set if the ICR is near and seen to move. */
 static Quantity
 velocity_at(const Motion *m, long long t)
 {
@@ -239,7 +253,7 @@ why_no_curvature(const Motion *m, long long t, const Quantity *velocity)
     return without_icr ? without_icr : on_pin ? ON_PIN : ICR_IN_NOISE;
 }
 
-/* The curvature of the fixed centrode. */
+/* The curvature of the fixed centrode, 1/m, determined where the ICR is seen to move. */
 static Quantity
 curvature_at(const Motion *m, long long t)
 {
@@ -267,9 +281,10 @@ curvature_at(const Motion *m, long long t)
     return q;
 }
 
-/* The center or the diameter of the inflection circle, where the ICR is seen to move. */
+/* CIRCLE_CENTER, m, or CIRCLE_DIAMETER, m, of the inflection circle, determined where the ICR is
+   seen to move. */
 static Quantity
-circle_at(const Motion *m, long long t, int what)
+circle_at(const Motion *m, long long t, int quantity)
 {
     double rate[3];
     Number z[3];
@@ -277,7 +292,7 @@ circle_at(const Motion *m, long long t, int what)
     Quantity q = {0}, u = velocity_at(m, t);
     motion_at(m, t, 2, z, rate);
     circle(z, rate, &center, &diameter);
-    if (what == CIRCLE_DIAMETER) {
+    if (quantity == CIRCLE_DIAMETER) {
         linear = &diameter;
         double length = cabs(diameter.value);
         Number along = conj(diameter.value) / length;
@@ -322,30 +337,30 @@ kinpole_missing(const Motion *m, long long t)
 }
 
 static Quantity
-quantity_of_known(const Motion *m, long long t, int what)
+quantity_of_known(const Motion *m, long long t, int quantity)
 {
-    switch (what) {
+    switch (quantity) {
     case POLE_1: case POLE_2: case POLE_3: case POLE_4:
-        return pole_at(m, t, what);
+        return pole_at(m, t, quantity);
     case FREE_POLE_1: case FREE_POLE_2: case FREE_POLE_3: case FREE_POLE_4:
-        return free_pole(m, t, what - FREE);
+        return free_pole(m, t, quantity - FREE);
     case VELOCITY:
         return velocity_at(m, t);
     case CURVATURE:
         return curvature_at(m, t);
     case CIRCLE_CENTER: case CIRCLE_DIAMETER:
-        return circle_at(m, t, what);
+        return circle_at(m, t, quantity);
     case RATE_1: case RATE_2: case RATE_3: case RATE_4:
-        return kinpole_rate(m, t, what - RATE);
+        return kinpole_rate(m, t, quantity - RATE);
     default:
         return (Quantity){NAN, {NAN, NAN, NAN}, 0, IN_NOISE};
     }
 }
 
 Quantity
-kinpole_quantity(const Motion *m, long long t, int what)
+kinpole_quantity(const Motion *m, long long t, int quantity)
 {
-    Quantity q = quantity_of_known(m, t, what);
+    Quantity q = quantity_of_known(m, t, quantity);
     if (kinpole_missing(m, t))
         q.reason = kinpole_missing(m, t);
     return q;
@@ -360,7 +375,6 @@ kinpole_relative_rate(const Motion *m, long long j, long long i)
     return q;
 }
 
-/* (q_j - q_i) / (i (w_j - w_i)) with q = i w z - v of each body: see `relative_pole` in planar/. */
 Quantity
 kinpole_relative_center(const Motion *m, long long j, long long i)
 {
@@ -383,36 +397,38 @@ kinpole_relative_center(const Motion *m, long long j, long long i)
     return q;
 }
 
+/* Writes a quantity to element `at` of arrays: its value, covariance (2, 2), and flags. */
 static void
-store(const Quantity *q, long long at, Number *values, double *spreads, unsigned char *flags)
+store(const Quantity *q, long long at, Number *values, double *covariances, unsigned char *flags)
 {
-    double *spread = spreads + 4 * at;
-    values[at] = q->value, flags[at] = (unsigned char)q->flags;
-    spread[0] = q->spread[0], spread[1] = spread[2] = q->spread[1], spread[3] = q->spread[2];
+    double *covariance = covariances + 4 * at;
+    values[at] = q->value;
+    flags[at] = (unsigned char)q->flags;
+    covariance[0] = q->spread[0];
+    covariance[1] = covariance[2] = q->spread[1];
+    covariance[3] = q->spread[2];
 }
 
-/* Computes quantity `what` at all instants. `values` (count,) are complex, `spreads` (count, 2, 2),
-   `flags` (count,) bits, and `reasons` (count,) of `REASONS`. */
 void
-kinpole_quantities(int what, const Motion *m, Number *values, double *spreads, unsigned char *flags,
-                   unsigned char *reasons)
+kinpole_quantities(int quantity, const Motion *m, Number *values, double *covariances,
+                   unsigned char *flags, unsigned char *reasons)
 {
-    for (long long t = 0; t < m->count; t++) {
-        Quantity q = kinpole_quantity(m, t, what);
-        store(&q, t, values, spreads, flags);
+    for (long long t = 0; t < m->poses; t++) {
+        Quantity q = kinpole_quantity(m, t, quantity);
+        store(&q, t, values, covariances, flags);
         reasons[t] = (unsigned char)q.reason;
     }
 }
 
-/* Computes the relative centers of `pairs` (2, number), all j and all i, at all instants. */
 void
 kinpole_relative_centers(const Motion *m, long long bodies, const long long *pairs,
-                         long long number, Number *values, double *spreads, unsigned char *flags)
+                         long long number, Number *values, double *covariances,
+                         unsigned char *flags)
 {
-    for (long long t = 0; t < m->count / bodies; t++)
+    for (long long t = 0; t < m->poses / bodies; t++)
         for (long long k = 0; k < number; k++) {
             long long j = t * bodies + pairs[k], i = t * bodies + pairs[number + k];
             Quantity q = kinpole_relative_center(m, j, i);
-            store(&q, t * number + k, values, spreads, flags);
+            store(&q, t * number + k, values, covariances, flags);
         }
 }

@@ -7,22 +7,26 @@
 
 #include "../include/motion.h"
 
-/* A quantity of one body at one instant: covariance xx, xy and yy, or a variance, and why it is
-   undetermined, of `REASONS`. */
+/* A quantity of one pose, a body at an instant: its value, m, m/s, 1/m or rad/s^k; its covariance
+   xx, xy and yy, or its variance alone; QUANTITY_FLAGS; and of REASONS why it is undetermined. */
 typedef struct {
     Number value;
     double spread[3];
     int flags, reason;
 } Quantity;
 
-/* Whether anything is known of a body at an instant. */
+/* Whether pose `t` of a motion has a finite rate and velocity, so anything is known of it. */
 int kinpole_is_known(const Motion *m, long long t);
-/* Why nothing is known of a body at an instant. */
+/* Of REASONS why nothing is known of pose `t`. */
 int kinpole_missing(const Motion *m, long long t);
-/* Of the body and instant `t`, or of `j` with respect to `i`; relative ones have no reason. */
+/* The derivative of an order of the angle of pose `t`, rad/s^k, determined where it is finite. */
 Quantity kinpole_rate(const Motion *m, long long t, int order);
-Quantity kinpole_quantity(const Motion *m, long long t, int what);
+/* The quantity of pose `t` with this code of QUANTITIES, up to RATE_4; NaN for another code. */
+Quantity kinpole_quantity(const Motion *m, long long t, int quantity);
+/* The rate of pose `j` with respect to pose `i`, rad/s, of two bodies at one instant. */
 Quantity kinpole_relative_rate(const Motion *m, long long j, long long i);
+/* The instant center of pose `j` with respect to pose `i`, m: (q_j - q_i) / (i (w_j - w_i)) with q
+   = i w z - v of each, for position z, velocity v and rate w. See `relative_center` in planar/. */
 Quantity kinpole_relative_center(const Motion *m, long long j, long long i);
 
 #endif

@@ -1,5 +1,9 @@
 /*
  * Which poses are not used, and why: poses off the path of their body, and off its pin.
+ *
+ * A path is two signals: s = 0 is the angle, rad, with its whole turns, and s = 1 the position, m.
+ * A pose is off the path if it is off a polynomial through its neighbors by more than their noise
+ * and a least distance allow. Nodes are the poses that a polynomial goes through.
  */
 
 #include <math.h>
@@ -7,18 +11,22 @@
 #include "numbers.h"
 #include "rejection.h"
 
-enum { LONGEST = 3, LOOK_BACK = 4 * LONGEST, NODES = 4 };
+/* Wrong poses in a row that are found at most; rows that are searched for poses; nodes of a cubic;
+   poses of a path, and the fewest that show one wrong. */
+enum { LONGEST = 3, LOOK_BACK = 4 * LONGEST, NODES = 4, MOST = LONGEST + NODES, FEWEST = 5 };
 /* Poses off a pin in a window that are outliers at most. */
 enum { MAX_OFF_PIN = 2 };
 
-/* An angle in [-pi, pi]. */
+/* How far a signal is off, rad or m: `off`, without whole turns of the angle. */
 static double
-wrapped(Number angle)
+distance_of(int s, Number off)
 {
-    return creal(angle) - TURN * rint(creal(angle) / TURN);
+    return s ? cabs(off) : fabs(creal(off) - TURN * rint(creal(off) / TURN));
 }
 
-/* Weights of values at nodes in the polynomial through them, at a time; the gain of white noise. */
+/* Writes the `weights` (count) of the values at times `nodes` (count) in the polynomial through
+   them, at the time `at`, all in s. Returns the standard deviation of a value there less that
+   polynomial, over that of a value. */
 static double
 lagrange(const double *nodes, int count, double at, double *weights)
 {
@@ -33,14 +41,17 @@ lagrange(const double *nodes, int count, double at, double *weights)
     return sqrt(gain);
 }
 
-/* The last poses of a body, oldest first: times, s, rows, and both signals. */
+/* The last `count` poses of a body that are used, oldest first: times, s, from the newest; their
+   rows; and both signals. */
 typedef struct {
     int count;
-    double time[LONGEST + NODES];
-    long long row[LONGEST + NODES];
-    Number value[2][LONGEST + NODES];
+    double time[MOST];
+    long long row[MOST];
+    Number value[2][MOST];
 } Path;
 
+/* Reads the path of body `b`. Returns 0 if there are fewer than FEWEST poses, or the newest row has
+   none. */
 static int
 path_of(const Frames *f, long long b, Path *path)
 {
@@ -49,14 +60,14 @@ path_of(const Frames *f, long long b, Path *path)
     begin = begin < history->first ? history->first : begin;
     long long rows[LOOK_BACK];
     int count = 0;
-    for (long long row = newest; row >= begin && count < LONGEST + NODES; row--)
-        if (history->information[2 * row * f->bodies.count + b] > 0.0)
+    for (long long row = newest; row >= begin && count < MOST; row--)
+        if (history->information[2 * row * f->known.bodies + b] > 0.0)
             rows[count++] = row;
     path->count = count;
-    if (count < 5 || rows[0] != newest)
+    if (count < FEWEST || rows[0] != newest)
         return 0;
     for (int k = 0; k < count; k++) {
-        long long row = rows[count - 1 - k], at = row * f->bodies.count + b;
+        long long row = rows[count - 1 - k], at = row * f->known.bodies + b;
         path->row[k] = row;
         path->time[k] = (history->time[row] - history->time[newest]) * 1e-9;
         path->value[0][k] = history->angle[at] + TURN * history->turns[at];
@@ -65,57 +76,73 @@ path_of(const Frames *f, long long b, Path *path)
     return 1;
 }
 
-/* How many poses before the last two are off the cubic through the two before and the two after.
-   While they were followed, the angles after may have been taken for `turns` more. */
-static int
-wrong_before_last(Path *p, const double *most, const double *least, double *turns)
+/* By how far pose `k` of a path is off the cubic through the poses `node` (NODES), by signals, rad
+   and m, into `distance` (2); `weights` and `gain` are those of `lagrange` at its time. */
+static void
+distances_from_cubic(const Path *p, int k, const int *node, const double *weights, double *distance)
 {
-    int last = p->count - 1;
-    *turns = 0.0;
+    for (int s = 0; s < 2; s++) {
+        Number off = p->value[s][k];
+        for (int j = 0; j < NODES; j++)
+            off -= weights[j] * p->value[s][node[j]];
+        distance[s] = distance_of(s, off);
+    }
+}
+
+/* Whether the poses after a gap go on from those before it: each is nearer than `smallest` (2), rad
+   and m, to the line through the two before, in the signals in which all poses of the gap are
+   off. After a jump that lasts they do not. */
+static int
+goes_back(const Path *p, const int *node, const double *nodes, const int *all,
+          const double *smallest)
+{
+    int back = 1;
+    for (int s = 0; s < 2; s++)
+        for (int k = 2; k < NODES && all[s]; k++) {
+            Number slope = p->value[s][node[1]] - p->value[s][node[0]];
+            slope /= nodes[1] - nodes[0];
+            Number ahead = p->value[s][node[1]] + slope * (nodes[k] - nodes[1]);
+            back &= cabs(p->value[s][node[k]] - ahead) < smallest[s];
+        }
+    return back;
+}
+
+/* How many poses before the last two are off the cubic through the two before and the two after: by
+   more than `most` (2) standard deviations allow, and than `least` (2), rad and m. While these were
+   followed, the angles after may have been taken for so many `turns` more. */
+static int
+wrong_before_last(const Path *path, const double *most, const double *least, double *turns)
+{
+    int last = path->count - 1;
     for (int length = LONGEST; length > 0; length--) {
-        if (length + NODES > p->count)
+        if (length + NODES > path->count)
             continue;
-        int gap = p->count - 2 - length;
-        int node[NODES] = {gap - 2, gap - 1, p->count - 2, p->count - 1};
+        Path trial = *path;
+        int gap = last - 1 - length, every = 1, all[2] = {1, 1};
+        int node[NODES] = {gap - 2, gap - 1, last - 1, last};
         double nodes[NODES], weights[NODES], smallest[2] = {INFINITY, INFINITY};
-        int every = 1, all[2] = {1, 1};
         for (int k = 0; k < NODES; k++)
-            nodes[k] = p->time[node[k]];
-        Number step = (p->value[0][node[1]] - p->value[0][node[0]]) / (nodes[1] - nodes[0]);
-        Number there = p->value[0][node[1]] + step * (nodes[2] - nodes[1]);
-        double more = rint(creal(p->value[0][last - 1] - there) / TURN);
-        p->value[0][last - 1] -= (more - *turns) * TURN;
-        p->value[0][last] -= (more - *turns) * TURN;
-        *turns = more;
+            nodes[k] = path->time[node[k]];
+        Number step = (path->value[0][node[1]] - path->value[0][node[0]]) / (nodes[1] - nodes[0]);
+        Number there = path->value[0][node[1]] + step * (nodes[2] - nodes[1]);
+        *turns = rint(creal(path->value[0][last - 1] - there) / TURN);
+        trial.value[0][last - 1] -= *turns * TURN;
+        trial.value[0][last] -= *turns * TURN;
         for (int k = gap; k < gap + length; k++) {
-            double gain = lagrange(nodes, NODES, p->time[k], weights);
+            double distance[2], gain = lagrange(nodes, NODES, path->time[k], weights);
             int any = 0;
+            distances_from_cubic(&trial, k, node, weights, distance);
             for (int s = 0; s < 2; s++) {
-                Number off = p->value[s][k];
-                for (int j = 0; j < NODES; j++)
-                    off -= weights[j] * p->value[s][node[j]];
-                double limit = most[s] * gain, distance = s ? cabs(off) : fabs(wrapped(off));
-                int far = distance > (limit > least[s] ? limit : least[s]);
-                any |= far, all[s] &= far;
-                smallest[s] = distance < smallest[s] ? distance : smallest[s];
+                int far = distance[s] > larger(most[s] * gain, least[s]);
+                any |= far;
+                all[s] &= far;
+                smallest[s] = smaller(distance[s], smallest[s]);
             }
             every &= any;
         }
-        if (!every)
-            continue;
-        /* After a jump that lasts, the poses after do not go on from those before. */
-        int back = 1;
-        for (int s = 0; s < 2; s++)
-            for (int k = 2; k < NODES && all[s]; k++) {
-                Number slope = p->value[s][node[1]] - p->value[s][node[0]];
-                slope /= nodes[1] - nodes[0];
-                Number ahead = p->value[s][node[1]] + slope * (nodes[k] - nodes[1]);
-                back &= cabs(p->value[s][node[k]] - ahead) < smallest[s];
-            }
-        if (back)
+        if (every && goes_back(&trial, node, nodes, all, smallest))
             return length;
     }
-    p->value[0][last - 1] += *turns * TURN, p->value[0][last] += *turns * TURN;
     *turns = 0.0;
     return 0;
 }
@@ -133,8 +160,7 @@ doubtful_newest(const Path *p, const double *most)
                 Number off = p->value[s][k];
                 for (int j = 0; j < used; j++)
                     off -= weights[j] * p->value[s][k - used + j];
-                double distance = (s ? cabs(off) : fabs(wrapped(off))) / gain;
-                least[s] = distance < least[s] ? distance : least[s];
+                least[s] = smaller(distance_of(s, off) / gain, least[s]);
             }
         }
         if (least[0] > most[0] || least[1] > most[1])
@@ -143,59 +169,56 @@ doubtful_newest(const Path *p, const double *most)
     return 0;
 }
 
-/* Poses that the newest row shows to be wrong get no information, and are added to `wrong` (B,);
-   `newest` (B,) gets how many of the newest cannot be told from wrong ones yet. */
 void
 kinpole_follow_paths(const Frames *f)
 {
-    const BodyArrays *known = &f->bodies;
+    const BodyArrays *known = &f->known;
     const FrameLimits *limits = &f->limits;
-    long long *wrong = f->tracks.wrong, *newest = f->tracks.newest;
-    for (long long b = 0; b < known->count; b++) {
+    long long *left_out = f->tracks.left_out;
+    for (long long b = 0; b < known->bodies; b++) {
         double least[2] = {limits->near, limits->near * known->size[b]}, most[2], more[2];
         Path path;
-        newest[b] = 0;
-        if (!(isfinite(known->jump_scale[b]) && isfinite(known->jump_scale[known->count + b])) ||
+        left_out[b] = 0;
+        if (!(isfinite(known->jump_scale[b]) && isfinite(known->jump_scale[known->bodies + b])) ||
             !path_of(f, b, &path))
             continue;
         for (int s = 0; s < 2; s++) {
-            most[s] = limits->far * known->jump_scale[s * known->count + b];
+            most[s] = limits->far * known->jump_scale[s * known->bodies + b];
             more[s] = larger(limits->newest_factor * most[s], least[s]);
         }
         double turns;
         int length = wrong_before_last(&path, most, least, &turns);
         for (int k = path.count - 2; k < path.count; k++)
-            f->history.turns[path.row[k] * known->count + b] -= turns;
+            f->history.turns[path.row[k] * known->bodies + b] -= turns;
         for (int k = path.count - 2 - length; k < path.count - 2; k++) {
-            double *information = f->history.information + 2 * path.row[k] * known->count + b;
-            information[0] = information[known->count] = 0.0;
+            double *information = f->history.information + 2 * path.row[k] * known->bodies + b;
+            information[0] = information[known->bodies] = 0.0;
         }
-        wrong[b] += length;
+        f->tracks.wrong[b] += length;
         if (length && !path_of(f, b, &path))
             continue;
-        newest[b] = doubtful_newest(&path, more);
+        left_out[b] = doubtful_newest(&path, more);
     }
 }
 
-/* Whether marker k of the markers (n,) of a body repeats that of an earlier row to the last bit. */
+/* Whether marker `k` of `points` (n) of body `b` repeats that of the row so many before the newest
+   to the last bit. */
 static int
 repeats(const Frames *f, long long b, const Number *points, long long k, long long rows_before)
 {
     const HistoryColumns *history = &f->history;
     long long row = history->end - 1 - rows_before;
     return row >= history->first &&
-        points[k] == history->markers[(row * f->bodies.count + b) * f->bodies.width + k];
+        points[k] == history->markers[(row * f->known.bodies + b) * f->known.width + k];
 }
 
-/* Whether the markers (n,) of a body repeat those of the row before to the last bit, while measured
-   ones never do: the tracker holds the last pose of a body that it has lost. */
 int
 kinpole_is_held(const Frames *f, long long b, const Number *points)
 {
     long long seen = 0;
-    if (f->bodies.never_repeats[b] == MAY_REPEAT)
+    if (f->known.repetition[b] == MAY_REPEAT)
         return 0;
-    for (long long k = 0; k < f->bodies.width; k++) {
+    for (long long k = 0; k < f->known.width; k++) {
         if (isnan(creal(points[k])))
             continue;
         if (!repeats(f, b, points, k, 1))
@@ -205,32 +228,30 @@ kinpole_is_held(const Frames *f, long long b, const Number *points)
     return seen > 1;
 }
 
-/* Whether one marker repeats those of two rows before, which no measured marker of the body ever
-   does: it is lost, and its last place or a constant stands for it. */
 int
 kinpole_is_marker_held(const Frames *f, long long b, const Number *points, long long k)
 {
-    return f->bodies.never_repeats[b] == NO_MARKER_REPEATS && repeats(f, b, points, k, 1) &&
+    return f->known.repetition[b] == NO_MARKER_REPEATS && repeats(f, b, points, k, 1) &&
         repeats(f, b, points, k, 2);
 }
 
-/* Whether a body was on its pin in all frames of the window but two at most. */
 int
 kinpole_holds_on_pin(const Frames *f, long long oldest, long long b)
 {
     const HistoryColumns *history = &f->history;
-    const BodyArrays *known = &f->bodies;
+    const BodyArrays *known = &f->known;
     if (!(isfinite(creal(known->pin[b])) && known->pin_since[b] <= history->time[oldest]))
         return 0;
     int off = 0;
     for (long long row = oldest; row < history->end; row++) {
-        const double *information = history->information + 2 * row * known->count + b;
-        if (!(information[0] > 0.0 && information[known->count] > 0.0))
+        const double *information = history->information + 2 * row * known->bodies + b;
+        if (!(information[0] > 0.0 && information[known->bodies] > 0.0))
             continue;
-        long long at = row * known->count + b;
-        double turned = known->error[b] / (information[0] * known->scale[b]);
+        long long at = row * known->bodies + b;
+        const double *factor = known->information_factor + b;
+        double turned = known->error[b] / (information[0] * factor[0]);
         double placed =
-            known->error[b] / (information[known->count] * known->scale[known->count + b]);
+            known->error[b] / (information[known->bodies] * factor[known->bodies]);
         Number turn = cos(history->angle[at]) + I * sin(history->angle[at]);
         double square = square_of(history->position[at] + turn * known->pin_arm[b] - known->pin[b]);
         double variance = placed + square_of(known->pin_arm[b]) * turned;
@@ -243,11 +264,11 @@ int
 kinpole_reason(const Frames *f, long long now, long long b)
 {
     const HistoryColumns *history = &f->history;
-    const BodyArrays *known = &f->bodies;
-    const double *information = history->information + 2 * now * known->count + b;
-    int seen = information[0] > 0.0 && information[known->count] > 0.0 &&
-        now < history->end - f->tracks.newest[b];
+    const BodyArrays *known = &f->known;
+    const double *information = history->information + 2 * now * known->bodies + b;
+    int seen = information[0] > 0.0 && information[known->bodies] > 0.0 &&
+        now < history->end - f->tracks.left_out[b];
     if (seen)
         return known->reason[b];
-    return isnan(history->angle[now * known->count + b]) ? NOT_SEEN : OFF_PATH;
+    return isnan(history->angle[now * known->bodies + b]) ? NOT_SEEN : OFF_PATH;
 }

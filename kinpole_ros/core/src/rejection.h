@@ -11,33 +11,40 @@
 #include "../include/codes.h"
 #include "../include/frames.h"
 
-/* The verdict on marker `k` of body `b`, whose residual has this square. */
+/* The UNUSUAL_BITS of marker `k` of body `b`, whose residual has this square, m^2. */
 static inline int
 verdict_on_marker(const Frames *f, long long b, long long k, double square)
 {
-    long long at = b * f->bodies.width + k;
-    int is_doubtful = square > f->bodies.doubtful[at];
-    return (square > f->bodies.largest[at] ? ODD : 0) | (is_doubtful ? NAME_DOUBTFUL : 0);
+    long long at = b * f->known.width + k;
+    int is_doubtful = square > f->known.doubtful[at];
+    return (square > f->known.largest[at] ? ODD : 0) | (is_doubtful ? NAME_DOUBTFUL : 0);
 }
 
-/* Whether a pose is fitted to markers too close together for their noise, of this spread, while
-   others of the body are hidden. */
+/* Whether a pose of body `b` is fitted to markers too close together for their noise, while others
+   of it are hidden. `spread`, m^2, is the weighted sum of their squared distances from their
+   mean. */
 static inline int
 is_unsteady(const Frames *f, long long b, double spread)
 {
-    return f->bodies.spread[b] > f->bodies.loosest[b] && spread < f->bodies.loosest[b];
+    return f->known.spread[b] > f->known.loosest[b] && spread < f->known.loosest[b];
 }
 
-/* Leaves out the poses that the newest row shows to be off their paths; see `wrong` and
-   `newest`. */
+/* Finds the poses before the newest two that these show to be off the path of their body. They get
+   an `information` of 0, and are added to `wrong` (B). `left_out` (B) gets how many of the newest
+   poses may be off it, and cannot be told yet. `turns` of the newest two rows change if they were
+   counted from a wrong pose. */
 void kinpole_follow_paths(const Frames *f);
-/* Whether the markers (n,) of body `b` are held by the tracker, which lost it. */
+/* Whether the markers `points` (n) of body `b`, all that are seen and at least two, repeat those of
+   the row before to the last bit, while measured ones never do: the driver repeats the last pose of
+   a body that it has lost. */
 int kinpole_is_held(const Frames *f, long long b, const Number *points);
-/* Whether marker `k` of them is. */
+/* Whether marker `k` of `points` (n) repeats those of the two rows before, which no measured marker
+   of body `b` does: it is lost, and its last place or a constant stands for it. */
 int kinpole_is_marker_held(const Frames *f, long long b, const Number *points, long long k);
-/* Whether a body was on its pin in all frames from row `oldest` on, but for outliers. */
+/* Whether body `b` was on its pin in all frames from row `oldest` to the newest, but for at most
+   two in which it was off by more than `n_sigma` standard deviations. */
 int kinpole_holds_on_pin(const Frames *f, long long oldest, long long b);
-/* Why a body has no result for row `now`, as far as its pose says. */
+/* Why body `b` has no result for row `now`, one of REASONS; KNOWN if its pose is used. */
 int kinpole_reason(const Frames *f, long long now, long long b);
 
 #endif

@@ -13,14 +13,15 @@
 #include "numbers.h"
 #include "poles.h"
 
-/* The doubles of any message of one quantity. */
+/* The doubles of any message of one quantity: their order is that in the message. */
 typedef union {
     double vector[3];
     PoseDoubles pose;
     OdometryDoubles odometry;
 } Doubles;
 
-/* A message to be written: of instant `t`, and of the body with the element `at` of the motion. */
+/* A message to be written: of a row, of instant `t`, and of the pose `at` of the motion, which has
+   so many bodies. */
 typedef struct {
     const Motion *motion;
     const Plane *plane;
@@ -28,15 +29,17 @@ typedef struct {
     long long bodies, t, at;
 } Task;
 
+/* The quantity of a message, with its covariance and flags: GIVEN by the row, of a pair of bodies,
+   or of one body. */
 static Quantity
 quantity_of(const Task *task)
 {
     const Motion *m = task->motion;
     const Row *row = task->row;
     long long other = task->t * task->bodies + row->other;
-    switch (row->what) {
+    switch (row->quantity) {
     case GIVEN: {
-        const double *spread = row->spread + 4 * task->t;
+        const double *spread = row->covariance + 4 * task->t;
         int flags = row->determined[task->t] ? DETERMINED : 0;
         return (Quantity){row->value[task->t], {spread[0], spread[1], spread[3]}, flags, KNOWN};
     }
@@ -45,10 +48,12 @@ quantity_of(const Task *task)
     case RELATIVE_CENTER:
         return kinpole_relative_center(m, other, task->at);
     default:
-        return kinpole_quantity(m, task->at, (int)row->what);
+        return kinpole_quantity(m, task->at, (int)row->quantity);
     }
 }
 
+/* Writes the vector or point `value` of the plane, at `height` over it, to `out` (3), along the
+   axes of the frame of the message. */
 static void
 in_space(const Plane *plane, Number value, double height, double *out)
 {
@@ -57,13 +62,15 @@ in_space(const Plane *plane, Number value, double height, double *out)
         out[c] = creal(value) * e[0][c] + cimag(value) * e[1][c] + height * e[2][c];
 }
 
+/* A standard deviation; 0 for a variance that is not positive. */
 static double
 root_of(double variance)
 {
     return variance > 0.0 ? sqrt(variance) : 0.0;
 }
 
-/* The element (c, d) of a covariance xx, xy, yy of the plane, along axes of the frame. */
+/* The covariance along the axes `c` and `d` of the frame, 0 to 2, of one of the plane, `spread`
+   (xx, xy, yy). */
 static double
 turned(const Plane *plane, const double *spread, int c, int d)
 {
@@ -72,7 +79,8 @@ turned(const Plane *plane, const double *spread, int c, int d)
         y[c] * y[d] * spread[2];
 }
 
-/* Writes a quantity, and returns the number of doubles; 0 if it is undetermined. */
+/* Writes the quantity of a message, or its standard deviation, to `out`. Returns the number of
+   doubles; 0 if it is undetermined. */
 static int
 write_quantity(const Task *task, Doubles *out)
 {
@@ -103,11 +111,15 @@ write_quantity(const Task *task, Doubles *out)
 
 /* The frame of a body: where it is and how it moves. */
 typedef struct {
-    Number origin, velocity, arm, half_turn;
-    double rate, of_angle[2][2], of_position[2];
+    Number origin, velocity;  /* of the frame, m and m/s */
+    Number arm;               /* from there to the point whose position is derived, m */
+    Number half_turn;         /* unit vector at half of its angle */
+    double rate;              /* rad/s */
+    double of_angle[2][2];    /* covariance of angle and rate */
+    double of_position[2];    /* variances of a coordinate of that point, and of its velocity */
 } Pose;
 
-/* Returns whether anything is known of the body. */
+/* Reads the pose `t` of a motion. Returns whether anything is known of it. */
 static int
 read_pose(const Motion *m, long long t, Pose *pose)
 {
@@ -128,8 +140,9 @@ read_pose(const Motion *m, long long t, Pose *pose)
     return 1;
 }
 
-/* The covariance of x, y and an angle in the plane, from their derivatives `by` angle and rate. The
-   variance of x and y besides is `even`: errors of the reference point are independent. */
+/* Computes the covariance `cells` (3, 3) of x, y and an angle in the plane, from their partial
+   derivatives `by` (3, 2) angle and rate. The variance of x and y besides is `even`: errors of the
+   point whose position is derived are independent. */
 static void
 covariance_of(const Pose *pose, const double (*by)[2], double even, double (*cells)[3])
 {
@@ -142,7 +155,8 @@ covariance_of(const Pose *pose, const double (*by)[2], double even, double (*cel
         }
 }
 
-/* Writes the covariance (6, 6) in space, as ROS orders it. */
+/* Writes the covariance `out` (6, 6) in space, as ROS orders it: x, y, z, and rotations about them.
+   `by` and `even` are those of `covariance_of`. */
 static void
 write_covariance(const Plane *plane, const Pose *pose, const double (*by)[2], double even,
                  double (*out)[6])
@@ -167,7 +181,8 @@ write_covariance(const Plane *plane, const Pose *pose, const double (*by)[2], do
         }
 }
 
-/* Writes where the frame of a body is, and for odometry its twist in that frame (REP-105). */
+/* Writes where the frame of a body is, and for odometry its covariance, and its twist in that frame
+   with its covariance (REP-105). Returns the number of doubles; 0 if nothing is known. */
 static int
 write_pose(const Task *task, Doubles *out)
 {
@@ -196,7 +211,8 @@ write_pose(const Task *task, Doubles *out)
     return ODOMETRY_DOUBLES;
 }
 
-/* A vector of the plane with its covariance, and a scalar, of the topic `state`. */
+/* A vector of the plane with its covariance, and a scalar with its standard deviation, as they are
+   in the topic `state`. */
 typedef struct {
     double x, y, xx, xy, yy;
 } StateVector;
@@ -215,15 +231,16 @@ typedef struct {
     StateVector velocity;
 } StatePoint;
 
+/* A vector of the plane with its covariance. */
 static StateVector
 state_vector(Number value, double xx, double xy, double yy)
 {
     return (StateVector){creal(value), cimag(value), xx, xy, yy};
 }
 
-/* Fills in position, angle and velocity of the frame of a body. An error d of the angle moves the
-   origin by -i d r, with r the arm, and changes its velocity by d w r; an error e of the rate w
-   changes the velocity by -i e r. */
+/* Writes position, angle, rad, and velocity of the frame of a body to its point. An error d of the
+   angle moves the origin by -i d r, with r the arm, and changes its velocity by d w r; an error e
+   of the rate w changes the velocity by -i e r. */
 static void
 fill_state_pose(const Pose *pose, double angle, StatePoint *point)
 {
@@ -247,6 +264,7 @@ typedef struct {
     unsigned char reasons[STATE_REASONS];
 } Verdicts;
 
+/* Appends whether a quantity is determined, and its code of REASONS. */
 static void
 add_verdict(Verdicts *verdicts, int is_determined, int reason)
 {
@@ -256,13 +274,13 @@ add_verdict(Verdicts *verdicts, int is_determined, int reason)
 
 /* Writes a quantity of a body, zeros if it is undetermined, and returns where it ends. */
 static unsigned char *
-write_state_quantity(const Task *task, long long at, int what, Verdicts *verdicts,
+write_state_quantity(const Task *task, long long at, int quantity, Verdicts *verdicts,
                      unsigned char *out)
 {
-    Quantity q = kinpole_quantity(task->motion, at, what);
+    Quantity q = kinpole_quantity(task->motion, at, quantity);
     StateVector vector = {0};
     StateScalar scalar = {0};
-    int is_scalar = what > RATE || what == CURVATURE || what == CIRCLE_DIAMETER;
+    int is_scalar = quantity > RATE || quantity == CURVATURE || quantity == CIRCLE_DIAMETER;
     if (q.flags & DETERMINED) {
         vector = state_vector(q.value, q.spread[0], q.spread[1], q.spread[2]);
         scalar = (StateScalar){creal(q.value), root_of(q.spread[0])};
@@ -273,8 +291,8 @@ write_state_quantity(const Task *task, long long at, int what, Verdicts *verdict
     return out + size;
 }
 
-/* Writes the point of a body of the topic `state`, with derivatives up to an order, and returns
-   where it ends. */
+/* Writes the point of the pose `at` of the topic `state`, with derivatives up to an order, to
+   `out`, and returns where it ends: the point, its quantities, and what the row adds. */
 static unsigned char *
 write_state_point(const Task *task, long long at, int order, unsigned char *out)
 {
@@ -299,8 +317,8 @@ write_state_point(const Task *task, long long at, int order, unsigned char *out)
         next = write_state_quantity(task, at, VELOCITY, &verdicts, next);
     if (order >= 3)
         next = write_state_quantity(task, at, CURVATURE, &verdicts, next);
-    for (int what = CIRCLE_CENTER; order >= 2 && what <= CIRCLE_DIAMETER; what++)
-        next = write_state_quantity(task, at, what, &verdicts, next);
+    for (int k = CIRCLE_CENTER; order >= 2 && k <= CIRCLE_DIAMETER; k++)
+        next = write_state_quantity(task, at, k, &verdicts, next);
     point.determined = verdicts.determined;
     memcpy(out, &point, sizeof point);
     /* Doubles follow, at a multiple of their size. */
@@ -313,20 +331,21 @@ write_state_point(const Task *task, long long at, int order, unsigned char *out)
     return next + count * sizeof *task->row->added;
 }
 
-/* Writes a message, and returns whether there is one. */
+/* Writes the bytes of a message to `out`, and returns whether there is one: whether what it is of
+   is determined, and all of its doubles are finite. */
 static int
 write_message(const Task *task, unsigned char *out)
 {
     const Row *row = task->row;
     long long stamp = task->motion->stamp[task->t];
     int time[] = {(int)(stamp / SECOND), (int)(stamp % SECOND)};
-    memcpy(out, row->template, row->size);
+    memcpy(out, row->template, row->message_bytes);
     /* A list has its length before the header of its first item. */
     memcpy(out + (row->kind == FRAME ? 8 : 4), time, sizeof time);
     out += row->head;
     if (row->kind == STATE) {
         for (long long b = 0; b < task->bodies; b++)
-            out = write_state_point(task, task->t * task->bodies + b, (int)row->what, out);
+            out = write_state_point(task, task->t * task->bodies + b, (int)row->order, out);
         return 1;
     }
     Doubles doubles;
@@ -340,14 +359,12 @@ write_message(const Task *task, unsigned char *out)
     return count > 0;
 }
 
-/* Writes the messages of `number` rows, of all instants of each, to `out`, and to `made` (number,
-   instants) whether there is one. */
 void
 kinpole_write_rows(const Motion *motion, long long bodies, const Plane *plane, const Row *rows,
                    long long number, unsigned char *out, unsigned char *made)
 {
     for (const Row *row = rows; row < rows + number; row++)
-        for (long long t = 0; t < motion->count / bodies; t++, out += row->size) {
+        for (long long t = 0; t < motion->poses / bodies; t++, out += row->message_bytes) {
             Task task = {motion, plane, row, bodies, t, t * bodies + row->body};
             *made++ = (unsigned char)write_message(&task, out);
         }

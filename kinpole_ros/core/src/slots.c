@@ -7,11 +7,12 @@
 
 #include "../include/messages.h"
 
-/* Writes a point, m, NaN for none; whether it is one that is too far. */
+/* Writes the point `row` of the `points` (P, 3) of a frame to `point` (3), m; NaN if it is none, is
+   not finite, or is too far. Returns whether it is too far. */
 static int
 write_point(const Slots *slots, const double *points, long long row, double *point)
 {
-    int is_finite = row < slots->points, is_near = is_finite;
+    int is_finite = row < slots->point_count, is_near = is_finite;
     for (int i = 0; i < 3 && is_finite; i++) {
         is_finite = isfinite(points[3 * row + i]);
         point[i] = points[3 * row + i] * slots->scale;
@@ -22,19 +23,16 @@ write_point(const Slots *slots, const double *points, long long row, double *poi
     return is_finite && !is_near;
 }
 
-/* Writes the points (T, slots, 3) of frames, m, into `in_space`. If that is NULL, writes them as
-   complex numbers of the plane (T, slots), and their heights over it. Returns how many are too
-   far. */
 long long
 kinpole_assign(const Slots *slots, const double *points, long long frames, double *flat,
                double *heights, double *in_space)
 {
     const long long *axes = slots->axes;
     long long too_far = 0;
-    for (long long at = 0; at < frames * slots->count; at++) {
+    for (long long at = 0; at < frames * slots->slots; at++) {
         double p[3], turned[3];
-        const double *frame = points + at / slots->count * slots->points * 3;
-        too_far += write_point(slots, frame, slots->rows[at % slots->count], p);
+        const double *frame = points + at / slots->slots * slots->point_count * 3;
+        too_far += write_point(slots, frame, slots->row_of_slot[at % slots->slots], p);
         if (in_space) {
             memcpy(in_space + 3 * at, p, sizeof p);
             continue;

@@ -123,7 +123,7 @@ fill_cells(Call *call, long long instant, long long body, const Grid *grid, Cell
     /* The first pass finds the range of the cells. */
     for (int pass = 0; pass < 2; pass++) {
         double a = call->angle[now], turns = call->turns[now];
-        double x = call->position[2 * now], y = call->position[2 * now + 1];
+        double x = creal(call->position[now]), y = cimag(call->position[now]);
         /* Without a pose at the instant, samples are relative to zero. */
         if (isnan(a))
             a = turns = x = y = 0.0;
@@ -133,8 +133,8 @@ fill_cells(Call *call, long long instant, long long body, const Grid *grid, Cell
                 continue;
             if (pass) {
                 s->x[0][at] = call->angle[row] - a + 2 * M_PI * (call->turns[row] - turns);
-                s->x[1][at] = call->position[2 * row] - x;
-                s->x[2][at] = call->position[2 * row + 1] - y;
+                s->x[1][at] = creal(call->position[row]) - x;
+                s->x[2][at] = cimag(call->position[row]) - y;
                 s->weight[0][at] = call->angle_information[row];
                 s->weight[1][at] = call->position_information[row];
                 s->off[at] = grid->late[k];

@@ -112,6 +112,12 @@ LENGTH, TIME = measured('length', 'm'), measured('time', 's')
 FREQUENCY, DEGREES = measured('frequency', 'Hz'), measured('angle', 'deg')
 
 
+def _scale(text: str) -> float | tuple[float, float]:
+    """Read a number, or the two sides of a picture."""
+    sides = text.split(',')
+    return (float(sides[0]), float(sides[1])) if len(sides) == 2 else float(text)
+
+
 def flag(name: str, text: str, action: Any = 'store_true') -> Option:
     """Return an option without a value."""
     return Option(name, 0, {'action': action, 'help': text})
@@ -130,8 +136,14 @@ TOPIC = option('--topic T', "topic of the markers (the parameter file's, or /mar
 BAG_OUTPUT = option('--output BAG', '.mcap file to write', required=True)
 # Options for data that a file of points may lack.
 POINT_OPTIONS = (
-    option('--rate HZ', 'frames per second of a file of points, instead of its times', FREQUENCY),
-    option('--scale M_PER_UNIT', 'meters per unit of a file of points (as it says)', float),
+    option(
+        '--rate HZ', 'frames per second of a file of points or a film, not its times', FREQUENCY
+    ),
+    option(
+        '--scale M_PER_UNIT',
+        'meters per unit of a file of points (as it says); WIDTH,HEIGHT of a picture in shares',
+        _scale,
+    ),
     flag(
         '--y-down',
         'y points down in a file of points, as in pictures (as its format has it)',
@@ -143,6 +155,6 @@ FILM_OPTIONS = (
     option('--size M', 'side of the black square of a tag, m, or as 40mm (0.04)', LENGTH),
     option('--ground ID...', 'tags that stand still; the first is the origin (0)', int),
     option('--family NAME', 'family of the tags, as 36h11 (auto: by what is seen)'),
-    option('--camera FILE', "file of the camera, as OpenCV's calibration writes it"),
+    option('--camera FILE', 'file of the camera, as OpenCV, ROS, Kalibr or Anipose write it'),
     option('--line-time S', 'time between two rows of a rolling shutter, s, or as 20us (0)', TIME),
 )

@@ -2,11 +2,17 @@
 
 import argparse
 import re
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kinpole_ros.tools.commands._command import FILM_OPTIONS, LENGTH, TIME, command, option
+from kinpole_ros.tools.commands._command import (
+    FILM_OPTIONS,
+    FREQUENCY,
+    LENGTH,
+    TIME,
+    command,
+    option,
+)
 from kinpole_ros.tools.commands._output_files import check_outputs
 from kinpole_ros.tools.commands._terminal import UsageError, print_lines, progress_bar
 from kinpole_ros.tools.filmed import film_options
@@ -45,7 +51,11 @@ def _ruler(text: str) -> tuple[complex, complex, float]:
 
 @command(
     'film',
-    option('video VIDEO', 'a video of the mechanism with tags on its links', nargs='?'),
+    option(
+        'video VIDEO',
+        'a video of the mechanism with tags on its links, a folder of pictures, or a bag of them',
+        nargs='?',
+    ),
     option('--output BAG', '.mcap file to write'),
     option('--overlay VIDEO', '.mp4 to write: the video with poles and centrodes drawn over it'),
     option('--print SHEET', 'write a sheet of tags to print, .svg or .pdf, and end'),
@@ -61,6 +71,8 @@ def _ruler(text: str) -> tuple[complex, complex, float]:
         dest='ruler',
     ),
     option('--picture PNG', 'write the picture in which dots are chosen, with a grid of pixels'),
+    option('--rate HZ', 'pictures per second that the camera took, instead of stamps', FREQUENCY),
+    option('--topic T', 'topic of pictures or of detected tags in a bag (the only one)'),
     *FILM_OPTIONS,
 )
 def film(options: argparse.Namespace) -> int:
@@ -69,7 +81,11 @@ def film(options: argparse.Namespace) -> int:
 
     A tag becomes four markers, tag3_1 to tag3_4: its corners in the plane of motion, from top left,
     clockwise. Several tags may be on one link, and one on the ground. The stamps are those of the
-    video. It prints what it assumed, and the option that changes it.
+    video, at the rate of its camera, or of the headers in a bag. It prints what it assumed, and the
+    option that changes it.
+
+    A folder of pictures, raw H.264, and the films of high-speed cameras do not say when a picture
+    was taken: give --rate. A bag may have pictures, or the tags that apriltag_ros found in them.
 
     Films without tags have points to follow: dots, corners of paint, bolts. --picture writes the
     picture in which to choose them. One that is hidden or blurred is lost until it matches again.
@@ -83,6 +99,7 @@ def film(options: argparse.Namespace) -> int:
       kinpole film crank.mp4 --overlay poles.mp4
       kinpole film sheet.mp4 --calibrate phone.yaml
       kinpole film crank.mp4 --output crank.mcap --camera phone.yaml
+      kinpole film slow.avi --output slow.mcap --rate 1000
       kinpole report crank.mp4
       kinpole film old.mp4 --picture first.png
       kinpole film old.mp4 --points 'crank=320,240 382,236; rod=512,190 700,205'
@@ -112,10 +129,10 @@ def film(options: argparse.Namespace) -> int:
         print(f'{count} tags of {given.size * 1e3:g} mm written to {options.print}')
         return 0
     if options.calibrate is not None:
-        found = calibrate(options.video, options.calibrate, given.size, given.family)
+        found = calibrate(options.video, options.calibrate, given)
         print(f'{found}; written to {options.calibrate}')
     if options.picture is not None:
-        shown = write_picture(options.video, options.at or 0.0, options.picture)
+        shown = write_picture(options.video, options.picture, given)
         print(f'the picture at {shown:.4g} s written to {options.picture}')
     if options.output is not None or options.overlay is not None:
         _write_markers(options, given)
@@ -124,6 +141,8 @@ def film(options: argparse.Namespace) -> int:
 
 def _write_markers(options: argparse.Namespace, given: 'FilmOptions') -> None:
     """Write the bag of a video, and the video with what follows from it drawn over it."""
+    import tempfile
+
     from kinpole_ros.film import film_to_bag
     from kinpole_ros.tools.overlay import draw_over
 

@@ -112,6 +112,7 @@ def _result_lines(result: Any) -> Iterator[str]:
         'stamps repeated': result.repeated,
         'frames late': result.late,
         'frames lost on the way': result.lost,
+        'messages without markers': result.empty,
         'jumps': result.resets,
         'changes of frame_id': result.frame_changes,
     }

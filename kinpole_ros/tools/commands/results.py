@@ -41,7 +41,7 @@ def plot(options: argparse.Namespace) -> int:
 
 @command(
     'report',
-    option('bag FILE', 'bag of markers or of results, a file of points, or a video of tags'),
+    option('bag FILE', 'bag of markers or of results, a file of points, or a film of tags'),
     option('--output FILE.html', 'report to write (named as FILE, in this folder)'),
     option('--config FILE', 'parameter file, as for replay'),
     SET,
@@ -59,9 +59,9 @@ def report(options: argparse.Namespace) -> int:
 
     The report shows the linkage in motion with its poles, centrodes and velocities, all quantities
     over time with their bands, and what was withheld and why. It needs a browser and nothing else.
-    FILE may be any file that import reads, or a video of printed tags. Without --config or --scene
-    the bodies and the plane are found first, as discover does; the assumptions are printed, with
-    the option that changes each.
+    FILE may be any file that import reads, or a film of printed tags, as film reads it. Without
+    --config or --scene the bodies and the plane are found first, as discover does; the assumptions
+    are printed, with the option that changes each.
 
     Examples:
       kinpole report recording.mcap --config rig.yaml --output report.html
@@ -88,7 +88,7 @@ def report(options: argparse.Namespace) -> int:
             ready.bag,
             output,
             ready.settings,
-            options.topic,
+            ready.topic,
             progress,
             assumptions.append,
             options.bag,

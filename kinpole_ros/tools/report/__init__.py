@@ -54,16 +54,15 @@ def report(
     progress: Callable[[float], None] | None = None,
     on_assumption: Callable[[str], None] | None = None,
     source: str | Path | None = None,
-    film: 'tuple[str, Filmed] | None' = None,
+    film: 'Filmed | None' = None,
 ) -> MotionRecord:
     """
     Write the report of a bag to `output`, an .html file; return what the page shows.
 
     A bag of results is shown as it is, unless `topic` names markers; markers are replayed with the
     settings first, and `on_assumption` is called with what the replay assumed. `source` is the file
-    that the bag was made of, which the page names, and `film` a video that it shows, with what was
-    found in it. Raises BagError if there is nothing to show, or
-    `output` cannot be written.
+    that the bag was made of, which the page names, and `film` what was found in a video that it
+    shows. Raises BagError if there is nothing to show, or `output` cannot be written.
     """
     joints: list[JointSummary] = []
     if topic is None and has_results(bag):
@@ -89,10 +88,10 @@ def report(
         'deviations': [[row.joint, f'{row.rms:.2g} m', f'{row.deviations:.1f}'] for row in joints],
         'made': f'kinpole {__version__}',
     }
-    if film is not None:
+    if film is not None and film.video is not None:
         from kinpole_ros.film import straightened
 
-        data['film'] = straightened(*film, shown.stamp)
+        data['film'] = straightened(film, shown.stamp)
     with in_place_of(output) as part:
         part.write_text(page(data), encoding='utf-8')
     return record

@@ -5,12 +5,13 @@ import tempfile
 from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from kinpole_ros.bags import BagError, Imported, import_points
+from kinpole_ros.bags import BagError, Imported, import_points, topics
 from kinpole_ros.settings import Settings, assignments, load_settings
-from kinpole_ros.tools.filmed import film_options, given_names, is_video
+from kinpole_ros.tools.filmed import film_options, given_names, is_bag_of_pictures, is_video
 from kinpole_ros.tools.record.result_bag import has_results, is_bag
 
 if TYPE_CHECKING:
@@ -28,13 +29,15 @@ class Prepared(NamedTuple):
     """
     A bag, the settings to replay it with, and the assumptions, with the options to change.
 
-    `film` is the video of the bag, if there is one, and what was found in it.
+    `topic` is that of its markers, if it was given, and `film` what was found in the video of the
+    bag, if there is one.
     """
 
     bag: str
     settings: Settings
     assumed: list[str]
-    film: 'tuple[str, Filmed] | None' = None
+    topic: str | None = None
+    film: 'Filmed | None' = None
 
 
 @contextmanager
@@ -52,11 +55,12 @@ def prepared(
     film = None
     with tempfile.TemporaryDirectory(prefix='kinpole_') as folder:
         bag = file
-        if is_video(file):
-            _refuse_given(options, f'{file} is a video, which has its stamps; its scale is --size')
-            bag = str(Path(folder) / f'{Path(file).stem}.mcap')
-            film = file, _read(file, options, bag, progress)
-            assumed += film[1].assumed
+        is_film = _is_film(file, topic)
+        if is_film:
+            _refuse(options, ('scale', 'y_down'), f'{file} is a film; its scale is --size')
+            bag, topic = str(Path(folder) / f'{Path(file).stem}.mcap'), None
+            film = _read(file, options, bag, progress)
+            assumed += film.assumed
         elif (names := given_names(options)) and options.video is None:
             raise BagError(
                 f'{file} is no video, and {", ".join(names)} are of videos; fix: leave them out'
@@ -66,9 +70,10 @@ def prepared(
             imported = import_points(file, bag, options.rate, options.scale, options.y_down)
             assumed.append(_import_text(imported))
         else:
-            _refuse_given(options, f'{file} is a bag, which has its stamps and is in m')
+            own = _OF_POINTS if options.video is None else _OF_POINTS[1:]
+            _refuse(options, own, f'{file} is a bag, which has its stamps and is in m')
         if options.video is not None:
-            film = options.video, _read(options.video, options, None, progress)
+            film = _read(options.video, options, None, progress)
         has_bodies = settings.bodies != Settings().bodies
         if not has_bodies and (topic is not None or not has_results(bag)):
             rig, lines, found = found_rig(file, bag, topic, Path(folder) / 'rig.yaml', progress)
@@ -80,15 +85,22 @@ def prepared(
                     'the markers; to change: --set window:=0.2 --set lag:=0.1'
                 )
             assumed += found
-        yield Prepared(bag, settings, assumed, film)
+        yield Prepared(bag, settings, assumed, topic, film)
 
 
-def _refuse_given(options: Namespace, why: str) -> None:
-    """Raise BagError if options of files of points are given."""
-    if given := [one for one in _OF_POINTS if getattr(options, one) is not None]:
-        names = ', '.join(f'--{name.replace("_", "-")}' for name in given)
+def _is_film(file: str, topic: str | None) -> bool:
+    """Return whether a file is a film, of a container, a folder or a bag."""
+    if is_video(file) or not (Path(file).exists() and is_bag(file)):
+        return is_video(file)
+    return is_bag_of_pictures(topics(file), topic) and not has_results(file)
+
+
+def _refuse(options: Namespace, names: tuple[str, ...], why: str) -> None:
+    """Raise BagError if one of these options, of files of points, is given."""
+    if given := [one for one in names if getattr(options, one) is not None]:
+        listed = ', '.join(f'--{name.replace("_", "-")}' for name in given)
         raise BagError(
-            f'{why}; {names} are for files of points; fix: leave them out, or set the parameter '
+            f'{why}; {listed} are for files of points; fix: leave them out, or set the parameter '
             'scale'
         )
 
@@ -99,12 +111,13 @@ def _read(file: str, options: Namespace, bag: str | None, progress: Progress) ->
 
     share = progress and (lambda done: progress(_OF_FILM * done))
     given = film_options(options)
+    given = given if bag else replace(given, topic=None)  # that of the markers
     return film_to_bag(file, bag, given, share) if bag else read_film(file, given, share)
 
 
 def _import_text(imported: Imported) -> str:
     notes = ''.join(f'; {note}' for note in imported.notes)
-    return f'file: {imported}{notes}; to change: --scale, --rate, --y-down'
+    return f'file: {imported}{notes}; to change: --scale, --rate, --y-down, --no-y-down'
 
 
 def found_rig(
@@ -124,7 +137,8 @@ def found_rig(
     names = [f'{name} of {count} markers' for name, count in counts]
     suffix = f' and {len(names) - _MOST_NAMES} more' if len(names) > _MOST_NAMES else ''
     command = f'kinpole discover {shlex.quote(file if file == bag else "BAG")} --output rig.yaml'
-    first = f'kinpole {"film" if is_video(file) else "import"} FILE --output BAG, then '
+    is_film = is_video(file) or (file != bag and is_bag(file))
+    first = f'kinpole {"film" if is_film else "import"} FILE --output BAG, then '
     first = '' if file == bag else first
     lines = [
         f'plane: {values["plane"]}; to change: --set plane:=xy',
@@ -132,7 +146,7 @@ def found_rig(
     ]
     # The plane and the unit of a film are those of its tags.
     lines = [
-        *([] if is_video(file) else lines),
+        *([] if is_film else lines),
         f'bodies: {", ".join(names[:_MOST_NAMES])}{suffix}, found from the motion; to change: '
         f'{first}{command}, edit it, and give --config rig.yaml',
     ]

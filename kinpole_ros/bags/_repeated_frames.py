@@ -1,0 +1,290 @@
+"""
+Frames that repeat the one before, as programs make them that change the rate of a film.
+
+From 24 to 30 Hz each fourth picture is shown twice; a film of uneven stamps that is made even has
+repeats where a stamp was late. All points then stay for a frame, and go on as before. Repeats tell
+nothing and are left out. The stamps of the others are off by up to a frame; they are right again
+if the camera took its pictures evenly, which the motion shows: stamps that are off move points
+along their paths, and noise moves them across as well.
+"""
+
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.bags._files import BagError
+
+_SMALL = 0.1  # of the steps before and after: so little is no motion
+# Of the largest step around: so much is motion, also where another step is twice as long, over a
+# lost frame.
+_LARGE = 0.25
+_MOST_BETWEEN = 0.2  # of the repeats: more steps that are neither are noise, which has all sizes
+_FEWEST = 5  # repeats that say something of the stamps; fewer are left out
+_LONGEST = 5  # repeats in a row; what stays longer may stand still
+_SAME_WAY = 0.5  # cosine between the steps before and after; a body that turns back has -1
+_ROUNDED = 0.2  # of a step: larger steps between values are rounding, which looks like repeats
+_COLUMNS = 20  # that are looked at
+_BLOCK = 1 << 18  # values in memory at a time
+_MOST_PARTS = 12  # frames of a pattern, as 12 from 25 to 60 Hz
+_NEAR_RATIO = 0.25  # of itself: so far is the share of repeats from a pattern, where some are slow
+_NEAR = 2  # frames from a repeat, where its stamps are tested
+_OFF = 0.05  # of a step: stamps that are more off, along the path alone, are wrong
+_ALONG = 3.0  # times the noise across the path
+_LEAST_FRAMES = 200  # by which the rate of a film without a pattern is known to 0.5%
+_NTSC = 1.001
+
+
+class Kept(NamedTuple):
+    """Frames that repeat no other: which they are (T,), their stamps, ns, and a note."""
+
+    is_kept: np.ndarray
+    stamps: np.ndarray
+    note: str
+
+
+def leave_out_repeats(
+    path: str,
+    noun: str,
+    stamps: np.ndarray,
+    points: np.ndarray,
+    rate: float | None = None,
+    least_step: float = 0.0,
+) -> Kept:
+    """
+    Leave out frames that repeat the one before, and estimate when the others were taken.
+
+    Parameters
+    ----------
+    path : str
+        The file.
+    noun : str
+        What it calls frames, for a line.
+    stamps : ndarray
+        (T,) int64, ns.
+    points : ndarray
+        (T, N, D), in any unit; NaN where not seen.
+    rate : float, optional
+        Frames per second that the camera took, Hz, if it is known: of those that repeat no other.
+    least_step : float
+        How far points move between frames, rms, where it is no noise.
+
+    Returns
+    -------
+    Kept
+
+    Raises
+    ------
+    BagError
+        If it is not known when frames were taken.
+
+    """
+    everything = Kept(np.ones(len(stamps), bool), stamps, '')
+    if len(stamps) < 2 * _LONGEST:
+        return everything
+    is_repeat, is_known = _find(points, least_step)
+    if not is_repeat.any():
+        return everything
+    interval = float(np.median(np.diff(stamps)))
+    frames = np.rint((stamps - stamps[0]) / interval).astype(int)
+    best: tuple[float, np.ndarray, np.ndarray, float] | None = None
+    for own, times, even in _hypotheses(stamps, frames, is_repeat, is_known, interval, rate):
+        off = _off(points[~own], times, np.flatnonzero(np.diff(np.flatnonzero(~own)) > 1))
+        # A later hypothesis has more freedom, so it must be clearly better.
+        if best is None or off < 0.8 * best[0]:
+            best = off, own, times, even
+    assert best is not None
+    off, own, times, even = best
+    if off > _OFF and is_repeat.sum() < _FEWEST:
+        own, times, even = is_repeat, (stamps - stamps[0])[~is_repeat], 0.0
+    share = f'{own.sum()} of {len(stamps)} {noun} repeat the one before'
+    if off > _OFF and is_repeat.sum() >= _FEWEST:
+        raise BagError(
+            f'{path}: {share} in no even pattern, as of a film of uneven stamps that was made '
+            'even, so it is not known when the others were taken; fix: take the film as the '
+            f'camera wrote it, or write each of the {noun} once, with its own time'
+        )
+    made = f', as a converter makes them from {even:.4g} to {1e9 / interval:.4g} Hz' if even else ''
+    made = ', and the rate is that of the others' if even and rate else made
+    stamps = stamps[0] + np.rint(times).astype(np.int64)
+    return Kept(~own, stamps, f'{share}{made}, and are left out')
+
+
+def _find(points: np.ndarray, least_step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return which frames (T,) repeat the one before, and of which it is known."""
+    is_repeat = np.zeros(len(points), bool)
+    sizes = _step_sizes(points)
+    windows = np.pad(np.nan_to_num(sizes), _LONGEST, mode='edge')
+    windows = np.lib.stride_tricks.sliding_window_view(windows, 2 * _LONGEST + 1)
+    with np.errstate(invalid='ignore'):
+        is_small = sizes < _LARGE * windows.max(axis=1)
+    between = 0
+    for first, last in _runs(is_small):
+        before, after = sizes[first - 1], sizes[last]
+        if last - first > _LONGEST or not (before > least_step and after > least_step):
+            continue
+        if not _cosine(points[first] - points[first - 1], points[last + 1] - points[last]) > (
+            _SAME_WAY
+        ):
+            continue
+        if sizes[first:last].max() < _SMALL * min(before, after):
+            is_repeat[first + 1 : last + 1] = True
+        else:
+            between += 1
+    if not is_repeat.any() or between > _MOST_BETWEEN * is_repeat.sum() or _is_rounded(points):
+        return np.zeros(len(points), bool), is_repeat
+    is_distinct = np.append(False, ~is_small & (sizes > 0))
+    # The first and the last frame may repeat others, too.
+    first, last = np.flatnonzero(is_distinct)[[0, -1]]
+    for ends, beside in ((slice(0, first - 1), first - 1), (slice(last, None), last - 1)):
+        own = sizes[ends]
+        if 0 < len(own) <= _LONGEST and own.max() < _SMALL * sizes[beside]:
+            is_repeat[1:][ends] = True
+    return is_repeat, is_repeat | is_distinct
+
+
+def _step_sizes(points: np.ndarray) -> np.ndarray:
+    """Return how far points move to the next frame (T - 1,), rms; NaN where none is seen twice."""
+    rows = max(1, _BLOCK // max(1, points[0].size))
+    sizes = np.full(len(points) - 1, np.nan)
+    for start in range(0, len(sizes), rows):
+        steps = np.diff(points[start : start + rows + 1], axis=0).reshape(-1, points[0].size)
+        count = np.isfinite(steps).sum(axis=1)
+        total = np.nansum(steps**2, axis=1)
+        sizes[start : start + rows] = np.sqrt(total / np.where(count, count, np.nan))
+    return sizes
+
+
+def _cosine(before: np.ndarray, after: np.ndarray) -> float:
+    before, after = np.nan_to_num(before).ravel(), np.nan_to_num(after).ravel()
+    lengths = np.linalg.norm(before) * np.linalg.norm(after)
+    return float(before @ after / lengths) if lengths else 0.0
+
+
+def _runs(is_small: np.ndarray) -> Iterator[tuple[int, int]]:
+    """Yield the first and the end of each run of small steps between others."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], is_small, [False])).astype(int)))
+    for first, last in edges.reshape(-1, 2).tolist():
+        if first > 0 and last < len(is_small):
+            yield first, last
+
+
+def _is_rounded(points: np.ndarray) -> bool:
+    """Return whether values are rounded to a good part of the usual step."""
+    columns = points.reshape(len(points), -1)
+    grains = []
+    for column in columns.T[:: max(1, columns.shape[1] // _COLUMNS)]:
+        values = np.unique(column[np.isfinite(column)])
+        moved = np.abs(np.diff(column))
+        moved = moved[moved > 0]
+        if len(values) > 1 and len(moved):
+            grains.append(float(np.diff(values).min() / np.median(moved)))
+    return bool(grains) and float(np.median(grains)) > _ROUNDED
+
+
+def _hypotheses(
+    stamps: np.ndarray,
+    frames: np.ndarray,
+    is_repeat: np.ndarray,
+    is_known: np.ndarray,
+    interval: float,
+    rate: float | None,
+) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+    """
+    Yield which frames (T,) repeat, when the n others were taken (n,), ns, and their rate, Hz.
+
+    The rate is 0 where the stamps are right: a program showed the last picture for one that was
+    lost.
+    """
+    if pattern := _pattern(frames, is_repeat, is_known):
+        taken, per_picture = pattern
+        own = np.diff(taken, prepend=-1) == 0
+        length = 1e9 / rate if rate else per_picture * interval
+        yield own, (taken[~own] - taken[0]) * length, 1e9 / length
+    yield is_repeat, (stamps - stamps[0])[~is_repeat].astype(float), 0.0
+    count = int((~is_repeat).sum())
+    if rate is not None or len(stamps) > _LEAST_FRAMES:
+        length = 1e9 / rate if rate else float(stamps[-1] - stamps[0]) / (count - 1)
+        yield is_repeat, np.arange(count) * length, 1e9 / length
+
+
+def _pattern(
+    frames: np.ndarray, is_repeat: np.ndarray, is_known: np.ndarray
+) -> tuple[np.ndarray, float] | None:
+    """
+    Return the number of the picture that each frame (T,) shows, and frames per picture.
+
+    They are those of a converter between two even rates: the last picture that was there. None if
+    no such pattern has these repeats.
+    """
+    distinct = 1 - is_repeat.sum() / is_known.sum()
+    ratios = {
+        Fraction(p, q) for p in range(2, _MOST_PARTS + 1) for q in range(-(-p // _LONGEST), p)
+    }
+    near = [ratio for ratio in ratios if abs(distinct * ratio - 1) < _NEAR_RATIO]
+    for ratio in sorted(near, key=lambda one: (one.numerator, abs(distinct * one - 1))):
+        for factor in (1.0, _NTSC, 1 / _NTSC):
+            length = float(ratio) * factor
+            phase = _phase(frames[is_known] / length, is_repeat[is_known], 1 / length)
+            if phase is not None:
+                return np.floor(frames / length + phase).astype(int), length
+    return None
+
+
+def _phase(places: np.ndarray, is_repeat: np.ndarray, step: float) -> float | None:
+    """
+    Return the phase at which places (n,) repeat as they do; None if there is none.
+
+    A place does not repeat the one before if its fraction is less than `step`, which leaves an arc
+    of the circle of phases for each place.
+    """
+    first = (np.where(is_repeat, step, 0.0) - places) % 1
+    last = (np.where(is_repeat, 1.0, step) - places) % 1
+    edges = np.concatenate((first, last))
+    order = np.argsort(edges, kind='stable')
+    change = np.repeat((1, -1), len(places))[order]
+    count = np.cumsum(change) + (first > last).sum()
+    widths = np.diff(edges[order], append=edges[order[0]] + 1)
+    widths[count < len(places)] = 0
+    widest = int(widths.argmax())
+    return float(edges[order[widest]] + widths[widest] / 2) if widths[widest] > 1e-9 else None
+
+
+def _off(points: np.ndarray, times: np.ndarray, repeats: np.ndarray) -> float:
+    """
+    Return how far stamps (n,) are off near repeats, rms, of a step, where it is no noise.
+
+    Each point is compared with the cubic through two frames before and after: stamps that are off
+    move it along its path.
+    """
+    middle = np.unique(repeats[:, None] + np.arange(-_NEAR + 1, _NEAR + 1))
+    middle = middle[(middle >= 2) & (middle < len(times) - 2)]
+    if not len(middle):
+        return 0.0
+    others = np.array([-2, -1, 1, 2])
+    near = times[middle[:, None] + others] - times[middle, None]
+    predicted = 0.0
+    for k in range(4):
+        share = np.ones(len(middle))
+        for j in range(4):
+            if j != k:
+                share = share * near[:, j] / (near[:, j] - near[:, k])
+        predicted = predicted + share[:, None, None] * points[middle + others[k]]
+    error = points[middle] - predicted
+    path = (points[middle + 1] - points[middle - 1]) / 2
+    length = np.linalg.norm(path, axis=-1)
+    with np.errstate(invalid='ignore', divide='ignore'):
+        is_fast = length > _LARGE * np.nanmax(length, axis=1, initial=0.0)[:, None]
+        along = np.where(is_fast, (error * path).sum(axis=-1) / length, np.nan)
+        total = np.where(is_fast, (error**2).sum(axis=-1), np.nan)
+        across = np.sqrt(np.maximum(total - along**2, 0) / max(points.shape[-1] - 1, 1))
+    step = _rms(np.where(is_fast, length, np.nan))
+    if not step or _rms(along) < _ALONG * _rms(across):
+        return 0.0
+    return _rms(along) / step
+
+
+def _rms(values: np.ndarray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if len(finite) else 0.0

@@ -1,0 +1,114 @@
+"""Frames that a converter repeated are found, left out, and the others get their stamps back."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinpole_ros.bags import BagError, import_points, leave_out_repeats, read_frames
+
+ARMS = np.array([0.04, 0.09 + 0.01j, 0.3])
+
+
+def turning(times: np.ndarray) -> np.ndarray:
+    """Two markers on a crank and one on the ground (T, 3, 2), m."""
+    angle = 3 * times + 0.4 * np.sin(2 * times)
+    places = ARMS * np.exp(1j * angle[:, None] * (1, 1, 0))
+    return np.stack((places.real, places.imag), axis=-1)
+
+
+def swinging(times: np.ndarray) -> np.ndarray:
+    """The same on a rocker that stands still twice a period."""
+    return turning(0.5 * np.sin(2 * times))
+
+
+def converted(
+    taken: np.ndarray, rate: float, noise: float, motion: Callable[[np.ndarray], np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return stamps of frames at a rate that show the last picture, their points, and its time."""
+    random = np.random.default_rng(0)
+    times = np.arange(round(taken[-1] * rate)) / rate
+    shown = taken.searchsorted(times + 1e-9, 'right') - 1
+    points = motion(taken) + noise * random.standard_normal((len(taken), 3, 2))
+    points = points[shown] + 1e-3 * noise * random.standard_normal((len(times), 3, 2))
+    return np.rint(times * 1e9).astype(np.int64), points, taken[shown]
+
+
+@pytest.mark.parametrize('motion', [turning, swinging])
+@pytest.mark.parametrize('noise', [0.0, 5e-5])
+@pytest.mark.parametrize(
+    ('before', 'after'),
+    [(24, 30), (25, 30), (15, 30), (10, 30), (24, 60), (30, 60), (24 / 1.001, 30)],
+)
+def test_the_rate_before_a_conversion_is_found(
+    before: float, after: float, noise: float, motion: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    stamps, points, taken = converted(np.arange(5 * before) / before, after, noise, motion)
+    kept = leave_out_repeats('f', 'pictures', stamps, points)
+    off = kept.stamps * 1e-9 - taken[kept.is_kept]
+    assert np.ptp(off) < 1e-5
+    assert (np.diff(taken[kept.is_kept]) > 0).all()
+    repeats = len(stamps) - len(kept.stamps)
+    assert kept.note == (
+        f'{repeats} of {len(stamps)} pictures repeat the one before, as a converter makes them '
+        f'from {before:.4g} to {after:.4g} Hz, and are left out'
+    )
+
+
+def test_uneven_stamps_that_were_made_even_are_not_known() -> None:
+    random = np.random.default_rng(2)
+    taken = np.cumsum(random.uniform(0.026, 0.05, 120))
+    stamps, points, _ = converted(taken - taken[0], 30, 5e-5, turning)
+    with pytest.raises(BagError, match=r'f: \d+ of \d+ pictures repeat the one before in no even'):
+        leave_out_repeats('f', 'pictures', stamps, points)
+
+
+def test_where_the_last_picture_stands_for_a_lost_one_stamps_are_right() -> None:
+    taken = np.delete(np.arange(150) / 30, [20, 50, 51, 90])
+    stamps, points, shown = converted(taken, 30, 5e-5, turning)
+    kept = leave_out_repeats('f', 'pictures', stamps, points)
+    np.testing.assert_allclose(kept.stamps * 1e-9, shown[kept.is_kept], atol=1e-8)
+    assert kept.note == '4 of 149 pictures repeat the one before, and are left out'
+
+
+def test_a_given_rate_is_that_of_pictures_that_repeat_no_other() -> None:
+    stamps, points, _ = converted(np.arange(100) / 24, 30, 5e-5, turning)
+    kept = leave_out_repeats('f', 'pictures', stamps, points, 240.0)
+    np.testing.assert_allclose(np.diff(kept.stamps), 1e9 / 240, atol=1)
+
+
+def dwelling(times: np.ndarray) -> np.ndarray:
+    return turning(np.floor(times) + np.clip(3 * (times % 1), 0, 1))
+
+
+@pytest.mark.parametrize(
+    'points',
+    [
+        np.zeros((200, 3, 2)),
+        dwelling(np.arange(200) / 30),
+        swinging(np.arange(200) / 30),
+        np.round(turning(np.arange(200) / 3000), 4),
+        turning(np.arange(200) / 30000)
+        + 1e-4 * np.random.default_rng(1).standard_normal((200, 3, 2)),
+    ],
+    ids=['still', 'dwell', 'swing', 'rounded', 'noise'],
+)
+def test_slow_and_rounded_motion_is_no_repeat(points: np.ndarray) -> None:
+    kept = leave_out_repeats('f', 'rows', np.arange(200) * 33_333_333, points)
+    assert kept.is_kept.all() and not kept.note
+
+
+def test_a_table_of_such_a_film_is_imported_at_the_rate_of_the_film(tmp_path: Path) -> None:
+    stamps, points, taken = converted(np.arange(100) / 24, 30, 0.0, turning)
+    rows = np.column_stack((stamps * 1e-9, points.reshape(len(stamps), -1))).tolist()
+    table = tmp_path / 'points.csv'
+    lines = [','.join(map(repr, row)) for row in rows]
+    table.write_text('\n'.join(['t,a_x,a_y,b_x,b_y,c_x,c_y', *lines]))
+    imported = import_points(table, tmp_path / 'out.mcap', scale=1.0)
+    assert imported.rate == pytest.approx(24)
+    assert 'frames repeat the one before, as a converter' in imported.notes[-1]
+    frames, _ = read_frames(tmp_path / 'out.mcap', None, 60.0)
+    read = np.concatenate([part.stamps for part in frames])
+    assert len(read) == len(np.unique(taken))
+    np.testing.assert_allclose(np.diff(read), 1e9 / 24, atol=2)
