@@ -55,7 +55,9 @@ def test_it_is_the_first_message_and_says_what_was_learned(replayed: Any) -> Non
     assert begun['plane']['name'] == 'xy' and begun['bodies'][0]['size'] is None
     assert rig['run'] == begun['run'] and rig['frame_id'] == last.frame_id
     assert (rig['window'], rig['lag'], rig['order']) == (0.3, 0.1, 4)
-    assert rig['pairs'] == [[last.bodies[j], last.bodies[i]] for j, i in zip(*last.pairs, strict=True)]
+    assert rig['pairs'] == [
+        [last.bodies[j], last.bodies[i]] for j, i in zip(*last.pairs, strict=True)
+    ]
     for b, body in enumerate(rig['bodies']):
         assert body['size'] == pytest.approx(last.size[b], rel=0.01)
         assert list(body['markers']) == list(FOUR_BAR.bodies[body['name']])
