@@ -20,6 +20,7 @@ from kinpole_ros.bags._files import BagError, Truncated, bag_files, in_place_of
 from kinpole_ros.bags._marker_frames import NODE_NAME, frame_blocks, input_topic
 from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._tables import TABLES
+from kinpole_ros.findings import Finding
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
@@ -211,7 +212,7 @@ class _Replaying:
             if isinstance(self._reader, messages.PoseReader):
                 outcome.pose_problem = self._reader.fault()
             elif drawings := self._reader.fault():
-                outcome.misnamed.append(drawings)
+                outcome.misnamed.append(Finding('source', values={'text': drawings}))
             self._check_frames()
         outcome.concatenated = _unlisted_files(self._bag)
         if self._positions is not None:

@@ -5,6 +5,7 @@ from itertools import compress
 from typing import TYPE_CHECKING
 
 from kinpole_ros.bags._files import Truncated
+from kinpole_ros.findings import Finding
 from kinpole_ros.messages import faults
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
@@ -71,8 +72,8 @@ class Replayed:
         How far the joints are from the scene, if there is one.
     stamps : StampState or None
         How the stamps deviate from their clock; None where there are too few.
-    misnamed : list of str
-        Markers that are not those that their names say, and further remarks, a line each.
+    misnamed : list of Finding
+        Markers that are not those that their names say, and further remarks.
     pose_problem : str
         Poses that no message has, or that are stamped too late; '' if all is well.
     erring : dict
@@ -109,7 +110,7 @@ class Replayed:
     concatenated: list[str] = field(default_factory=list)
     scene_positions: 'PositionReport | None' = None
     stamps: StampState | None = None
-    misnamed: list[str] = field(default_factory=list)
+    misnamed: list[Finding] = field(default_factory=list)
     pose_problem: str = ''
     erring: dict[str, dict[str, float]] = field(default_factory=dict)
     wrong: dict[str, int] = field(default_factory=dict)
@@ -180,13 +181,10 @@ def finish(outcome: Replayed, tracker: Tracker) -> None:
     outcome.noise_underestimated = [*compress(bodies, tracker.noise_underestimated())]
     outcome.space = updated(outcome.space, tracker.space())
     outcome.stamps = tracker.stamp_state()
-    outcome.misnamed = [*faults.identity_lines(tracker, counts), *outcome.misnamed]
+    outcome.misnamed = [*faults.identity_findings(tracker, counts), *outcome.misnamed]
     if len(bodies) > MOST_PAIRED_BODIES:
-        outcome.misnamed.append(
-            f'relative rates and centers of pairs are left out: there are {len(bodies)} bodies, '
-            f'and pairs are measured of up to {MOST_PAIRED_BODIES}; fix: for these, name fewer '
-            'bodies'
-        )
+        about = {'count': len(bodies), 'most': MOST_PAIRED_BODIES}
+        outcome.misnamed.append(Finding('unpaired', values=about))
     outcome.erring = tracker.erring()
     outcome.wrong = dict(zip(bodies, tracker.wrong().tolist(), strict=True))
     outcome.outages = tracker.outages()

@@ -1,7 +1,7 @@
 """ROS messages to arrays and back: no other package handles the fields of a message."""
 
 from kinpole_ros.messages._detections import DETECTIONS, Detections, read_detections
-from kinpole_ros.messages._diagnostics import RECEIVED, RESTARTS, DiagnosticsMaker
+from kinpole_ros.messages._diagnostics import FINDING, DiagnosticsMaker
 from kinpole_ros.messages._drawing import COLORS, deletion_of_all
 from kinpole_ros.messages._events import read_event
 from kinpole_ros.messages._installed import installed_class
@@ -65,13 +65,12 @@ __all__ = [
     'COMPRESSED_IMAGE',
     'DETECTIONS',
     'DRAWING',
+    'FINDING',
     'IMAGE',
     'INPUT_TYPES',
     'INPUT_TYPE_NAMES',
     'MARKER_TYPES',
     'PAGE_TOPICS',
-    'RECEIVED',
-    'RESTARTS',
     'RIG',
     'ROS_TYPE_NAMES',
     'STATE',

@@ -2,8 +2,9 @@
 
 from typing import Any
 
-# Levels of diagnostic_msgs/DiagnosticStatus.
-_WARN, _ERROR = 1, 2
+from kinpole_ros.findings import ERROR, WARN, finding_of
+from kinpole_ros.messages import FINDING
+
 _MOST_NOTES = 20
 
 
@@ -25,5 +26,9 @@ class DiagnosticsLog:
 
     def add_status(self, status: Any) -> None:
         """Append a DiagnosticStatus."""
-        if int(status.level) in (_WARN, _ERROR):
-            self._warnings.setdefault(f'{status.name.rpartition(": ")[2]}: {status.message}')
+        for pair in status.values:
+            if pair.key.startswith(FINDING):
+                finding = finding_of(pair.value)
+                if finding.level in (WARN, ERROR):
+                    subject = finding.subject or 'markers'
+                    self._warnings.setdefault(f'{subject}: {finding.words()}')
