@@ -33,15 +33,16 @@ ifneq ($(AMENT_PREFIX_PATH),)
 KIND := $(shell "$(BASE)" -c 'import rclpy' 2>/dev/null && echo ros)
 endif
 demo_EXTRAS := plot
-# OpenCV 5 needs numpy 2, so the oldest versions go without films.
-oldest_EXTRAS := batch,cluster,formats,pandas,parquet,plot,test
-newest_EXTRAS := film,$(oldest_EXTRAS)
-test_EXTRAS := $(newest_EXTRAS)
+oldest_EXTRAS := batch,cluster,film,formats,pandas,parquet,plot,test
+newest_EXTRAS := $(oldest_EXTRAS)
+test_EXTRAS := $(oldest_EXTRAS)
 docs_EXTRAS := docs,plot
 ifeq ($(KIND),ros)
-# numpy and the other packages of that ROS are used, so there is no lock.
+# numpy and the other packages of that ROS are used, so there is no lock. Its messages are compiled for
+# its numpy, and the newest OpenCV would bring another one.
 SITE := --system-site-packages
 LOCK :=
+PINNED := $(shell "$(BASE)" -c 'import numpy; print("numpy==" + numpy.__version__)' 2>/dev/null)
 else
 ifneq ($(PLATFORM),linux-x86_64)
 $(error the package index has wheels of rclpy for linux-x86_64 only, and this Python is \
@@ -57,7 +58,7 @@ COMPILER := $(shell for c in $(CC) gcc clang; do command -v $$c && break; done 2
 # A lock file lists every package, so pip resolves nothing, and later releases change nothing.
 LOCKED = $(LOCK)/$*.txt $(if $(COMPILER),,--requirement $(LOCK)/compiler.txt)
 INSTALL = $(if $(LOCK),$(PIP) --require-hashes --no-deps --requirement $(LOCKED) && \
-  $(PIP) --no-deps --no-build-isolation --editable .,$(PIP) --editable '.[$($*_EXTRAS)$(ROS)]')
+  $(PIP) --no-deps --no-build-isolation --editable .,$(PIP) --editable '.[$($*_EXTRAS)$(ROS)]' $(PINNED))
 READY := $(VERSION)-$(KIND)
 endif
 

@@ -116,7 +116,7 @@ setup(
         'cluster': ['dask>=2023.5', 'distributed>=2023.5'],
         'bench': ['matplotlib>=3.7', 'pynumdiff>=0.3', 'scipy>=1.11'],
         'docs': ['furo>=2024.1.29', 'myst-parser>=3', 'numpydoc>=1.8', 'sphinx>=7.4'],
-        'film': ['av>=17.1', 'opencv-python-headless>=5.0.0.93'],
+        'film': ['av>=17.1', 'opencv-python-headless>=4.10.0.84'],
         'formats': ['h5py>=3.8'],
         'pandas': ['pandas>=2.1'],
         'parquet': ['pyarrow>=12'],

@@ -224,6 +224,9 @@ TABLE = {
     ),
     # Recordings.
     'unreadable': Row('{count} messages left out, the first: {problem}'),
+    'repeated': Row(
+        '{count} of {frames} messages have the stamp of the one before, and are left out', _CAPTURE
+    ),
     'concatenated': Row(
         '{first} to {last}, {count} files, were read as one recording, since the folder has no '
         'metadata.yaml to tell, but the stamps do not run on',

@@ -106,7 +106,7 @@ def _check(found: Any, sample: Sample, identity: str) -> str:
 
 
 def _check_same(found: Any, expected: Any) -> None:
-    assert type(found) is type(expected), f'{found!r}, expected {expected!r}'
+    assert isinstance(found, type(expected)), f'{found!r}, expected {expected!r}'
     if not isinstance(expected, MessageError):
         assert found.stamps.tolist() == expected.stamps.tolist()
         assert found[1:3] == expected[1:3]

@@ -8,7 +8,7 @@ if the camera took its pictures evenly, which the motion shows: stamps that are 
 along their paths, and noise moves them across as well.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -16,12 +16,14 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError
 
-_SMALL = 0.1  # of the steps before and after: so little is no motion
-# Of the largest step around: so much is motion, also where another step is twice as long, over a
-# lost frame.
-_LARGE = 0.25
-_MOST_BETWEEN = 0.2  # of the repeats: more steps that are neither are noise, which has all sizes
+# Of the steps before and after: so little is noise, and no motion. Even pictures are found with
+# the most noise, and pictures at uneven times, whose steps differ, with less.
+_SMALLS = 0.3, 0.1, 0.03
+_LARGE = 0.6  # of these: so much is motion
+_STILL = 0.1  # of the fast steps of a film: where all are shorter, nothing moves
+_MOST_BETWEEN = 0.2  # of the repeats: more steps of up to twice this are noise, of all sizes
 _FEWEST = 5  # repeats that say something of the stamps; fewer are left out
+_AROUND = 7  # frames, of which the usual step is taken
 _LONGEST = 5  # repeats in a row; what stays longer may stand still
 _SAME_WAY = 0.5  # cosine between the steps before and after; a body that turns back has -1
 _ROUNDED = 0.2  # of a step: larger steps between values are rounding, which looks like repeats
@@ -32,6 +34,7 @@ _NEAR_RATIO = 0.25  # of itself: so far is the share of repeats from a pattern, 
 _NEAR = 2  # frames from a repeat, where its stamps are tested
 _OFF = 0.05  # of a step: stamps that are more off, along the path alone, are wrong
 _ALONG = 3.0  # times the noise across the path
+_ONE_FRAME = 1.3  # as the line through few of them is not the best one
 _LEAST_FRAMES = 200  # by which the rate of a film without a pattern is known to 0.5%
 _NTSC = 1.001
 
@@ -90,7 +93,9 @@ def leave_out_repeats(
     frames = np.rint((stamps - stamps[0]) / interval).astype(int)
     best: tuple[float, np.ndarray, np.ndarray, float] | None = None
     for own, times, even in _hypotheses(stamps, frames, is_repeat, is_known, interval, rate):
-        off = _off(points[~own], times, np.flatnonzero(np.diff(np.flatnonzero(~own)) > 1))
+        # All repeats fit a pattern, which is evidence enough to allow for some shocks.
+        scales = (_rms, _largest) if best or not even else (_usual,)
+        off = _off(points[~own], times, np.flatnonzero(np.diff(np.flatnonzero(~own)) > 1), scales)
         # A later hypothesis has more freedom, so it must be clearly better.
         if best is None or off < 0.8 * best[0]:
             best = off, own, times, even
@@ -115,33 +120,48 @@ def _find(points: np.ndarray, least_step: float) -> tuple[np.ndarray, np.ndarray
     """Return which frames (T,) repeat the one before, and of which it is known."""
     is_repeat = np.zeros(len(points), bool)
     sizes = _step_sizes(points)
-    windows = np.pad(np.nan_to_num(sizes), _LONGEST, mode='edge')
-    windows = np.lib.stride_tricks.sliding_window_view(windows, 2 * _LONGEST + 1)
+    windows = np.pad(np.nan_to_num(sizes), _AROUND, mode='edge')
+    windows = np.lib.stride_tricks.sliding_window_view(windows, 2 * _AROUND + 1)
+    # The largest step may be twice as long, over a lost frame.
+    usual = np.partition(windows, -2, axis=1)[:, -2]
+    usual = np.maximum(usual, _STILL * np.quantile(np.nan_to_num(sizes), 0.9))
     with np.errstate(invalid='ignore'):
-        is_small = sizes < _LARGE * windows.max(axis=1)
-    between = 0
-    for first, last in _runs(is_small):
+        is_distinct = np.append(False, sizes >= _LARGE * usual)
+        runs = list(_runs(sizes < _SMALLS[0] * usual))
+        is_dip = sizes[1:-1] < _LARGE * np.minimum(sizes[:-2], sizes[2:])
+    found = []
+    for first, last in {*runs, *((k, k + 1) for k in (1 + np.flatnonzero(is_dip)).tolist())}:
         before, after = sizes[first - 1], sizes[last]
-        if last - first > _LONGEST or not (before > least_step and after > least_step):
+        ratio = sizes[first:last].max() / max(min(before, after), least_step, 1e-300)
+        if last - first > _LONGEST or not ratio < _LARGE:
             continue
-        if not _cosine(points[first] - points[first - 1], points[last + 1] - points[last]) > (
-            _SAME_WAY
-        ):
+        if _cosine(points[first] - points[first - 1], points[last + 1] - points[last]) < _SAME_WAY:
             continue
-        if sizes[first:last].max() < _SMALL * min(before, after):
-            is_repeat[first + 1 : last + 1] = True
-        else:
-            between += 1
-    if not is_repeat.any() or between > _MOST_BETWEEN * is_repeat.sum() or _is_rounded(points):
+        found.append((ratio, first, last))
+    ratios = np.array([ratio for ratio, _, _ in found])
+    for small in _SMALLS:
+        between = ((ratios >= small) & (ratios < 2 * small)).sum()
+        count = (ratios < small).sum()
+        if between <= _MOST_BETWEEN * count and (count >= _FEWEST or small == _SMALLS[0]):
+            break
+    else:
+        return is_repeat, is_repeat
+    for ratio, first, last in found:
+        is_repeat[first + 1 : last + 1] |= ratio < small
+    if not is_repeat.any() or _is_rounded(points):
         return np.zeros(len(points), bool), is_repeat
-    is_distinct = np.append(False, ~is_small & (sizes > 0))
-    # The first and the last frame may repeat others, too.
-    first, last = np.flatnonzero(is_distinct)[[0, -1]]
-    for ends, beside in ((slice(0, first - 1), first - 1), (slice(last, None), last - 1)):
-        own = sizes[ends]
-        if 0 < len(own) <= _LONGEST and own.max() < _SMALL * sizes[beside]:
-            is_repeat[1:][ends] = True
+    # The first and the last frames may repeat others, too.
+    is_repeat[1 : 1 + _edge(sizes, small)] = True
+    is_repeat[len(points) - _edge(sizes[::-1], small) :] = True
     return is_repeat, is_repeat | is_distinct
+
+
+def _edge(sizes: np.ndarray, small: float) -> int:
+    """Return how many of the first steps are small beside the one that follows."""
+    for count in range(1, min(_LONGEST + 1, len(sizes))):
+        if sizes[:count].max() < small * sizes[count]:
+            return count
+    return 0
 
 
 def _step_sizes(points: np.ndarray) -> np.ndarray:
@@ -197,16 +217,24 @@ def _hypotheses(
     The rate is 0 where the stamps are right: a program showed the last picture for one that was
     lost.
     """
-    if pattern := _pattern(frames, is_repeat, is_known):
+    # The first and the last frames may stand still.
+    inner = is_known.copy()
+    inner[: _LONGEST + 1] = inner[-_LONGEST - 1 :] = False
+    pattern = _pattern(frames, is_repeat, is_known) or _pattern(frames, is_repeat, inner)
+    if pattern:
         taken, per_picture = pattern
         own = np.diff(taken, prepend=-1) == 0
         length = 1e9 / rate if rate else per_picture * interval
         yield own, (taken[~own] - taken[0]) * length, 1e9 / length
     yield is_repeat, (stamps - stamps[0])[~is_repeat].astype(float), 0.0
-    count = int((~is_repeat).sum())
-    if rate is not None or len(stamps) > _LEAST_FRAMES:
-        length = 1e9 / rate if rate else float(stamps[-1] - stamps[0]) / (count - 1)
-        yield is_repeat, np.arange(count) * length, 1e9 / length
+    # Even pictures of any rate are shown within a frame of their time.
+    shown = (stamps - stamps[0])[~is_repeat].astype(float)
+    number = np.arange(len(shown))
+    length = float(np.polyfit(number, shown, 1)[0])
+    is_even = np.ptp(shown - length * number) < _ONE_FRAME * interval
+    if rate is not None or (is_even and len(stamps) > _LEAST_FRAMES):
+        length = 1e9 / rate if rate else length
+        yield is_repeat, number * length, 1e9 / length
 
 
 def _pattern(
@@ -218,7 +246,7 @@ def _pattern(
     They are those of a converter between two even rates: the last picture that was there. None if
     no such pattern has these repeats.
     """
-    distinct = 1 - is_repeat.sum() / is_known.sum()
+    distinct = 1 - is_repeat[is_known].sum() / max(is_known.sum(), 1)
     ratios = {
         Fraction(p, q) for p in range(2, _MOST_PARTS + 1) for q in range(-(-p // _LONGEST), p)
     }
@@ -251,9 +279,16 @@ def _phase(places: np.ndarray, is_repeat: np.ndarray, step: float) -> float | No
     return float(edges[order[widest]] + widths[widest] / 2) if widths[widest] > 1e-9 else None
 
 
-def _off(points: np.ndarray, times: np.ndarray, repeats: np.ndarray) -> float:
+def _off(
+    points: np.ndarray,
+    times: np.ndarray,
+    repeats: np.ndarray,
+    scales: Sequence[Callable[[np.ndarray], float]],
+) -> float:
     """
-    Return how far stamps (n,) are off near repeats, rms, of a step, where it is no noise.
+    Return how far stamps (n,) are off near repeats, of a step, where it is no noise.
+
+    `scales` return the size of errors, of which the largest counts.
 
     Each point is compared with the cubic through two frames before and after: stamps that are off
     move it along its path.
@@ -279,12 +314,22 @@ def _off(points: np.ndarray, times: np.ndarray, repeats: np.ndarray) -> float:
         along = np.where(is_fast, (error * path).sum(axis=-1) / length, np.nan)
         total = np.where(is_fast, (error**2).sum(axis=-1), np.nan)
         across = np.sqrt(np.maximum(total - along**2, 0) / max(points.shape[-1] - 1, 1))
-    step = _rms(np.where(is_fast, length, np.nan))
-    if not step or _rms(along) < _ALONG * _rms(across):
-        return 0.0
-    return _rms(along) / step
+    step = _usual(np.where(is_fast, length, np.nan))
+    errors = [(scale(along), scale(across)) for scale in scales]
+    return max([own / step for own, other in errors if step and own > _ALONG * other], default=0.0)
+
+
+def _usual(values: np.ndarray) -> float:
+    finite = np.abs(values[np.isfinite(values)])
+    return float(np.median(finite)) if len(finite) else 0.0
 
 
 def _rms(values: np.ndarray) -> float:
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else 0.0
+
+
+def _largest(values: np.ndarray) -> float:
+    """Return the standard deviation of which the largest values, but for 2%, would be."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(np.quantile(finite, 0.98)) / 2.33 if len(finite) else 0.0

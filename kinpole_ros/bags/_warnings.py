@@ -11,6 +11,8 @@ from kinpole_ros.messages import body_faults, faults
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.reasons import REASONS, reason_of
 
+_FEW_REPEATED = 0.02  # of all frames: messages that a network sent twice
+
 
 def warnings_of(result: Replayed, settings: Settings) -> list[str]:
     """
@@ -41,6 +43,9 @@ def findings_of(result: Replayed, settings: Settings) -> Iterator[Finding]:
     if files and (result.resets or result.late):
         about = {'first': files[0], 'last': files[-1], 'count': len(files)}
         yield Finding('concatenated', values=about)
+    if result.repeated > _FEW_REPEATED * result.frames and result.estimates:
+        repeated = {'count': result.repeated, 'frames': result.frames}
+        yield Finding('repeated', values=repeated)
     yield from faults.jitter_findings(result.stamps, settings.stamps)
     for body, names in result.absent.items() if result.frames else ():
         yield body_faults.absence_finding(body, names, result.identities)

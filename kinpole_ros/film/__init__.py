@@ -5,9 +5,9 @@ Nothing outside this package uses OpenCV or FFmpeg (PyAV), which the extra `film
 """
 
 from kinpole_ros.film._calibration import calibrate
+from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._film import film_to_bag, read_film
 from kinpole_ros.film._filmed import SIZE, Filmed, FilmOptions
-from kinpole_ros.film._frames import FilmError
 from kinpole_ros.film._lens import Lens, rectified_lens
 from kinpole_ros.film._live_tags import LiveTags, jpeg, live_pictures
 from kinpole_ros.film._overlay import Shape, straightened, write_overlay, write_picture

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from kinpole_ros.files import whole_file
+from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._filmed import FilmOptions
-from kinpole_ros.film._frames import FilmError
 from kinpole_ros.film._printed import sheet_places
 from kinpole_ros.film._tags import TagFinder
 from kinpole_ros.film._video import Video

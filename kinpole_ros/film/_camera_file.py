@@ -20,7 +20,7 @@ import yaml
 
 from kinpole_ros.files import cut, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML, load_yaml
-from kinpole_ros.film._frames import FilmError
+from kinpole_ros.film._decoder import FilmError
 
 _COUNTS = (0, 4, 5, 8, 12, 14)  # of the coefficients of a lens, in OpenCV
 # Names in small letters, without what is no letter and no digit.

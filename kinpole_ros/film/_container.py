@@ -14,13 +14,14 @@ import av
 import numpy as np
 
 from kinpole_ros.files import open_regular, printable
-from kinpole_ros.film._frames import (
+from kinpole_ros.film._decoder import (
     MOST_PIXELS,
     DamagedError,
     FilmError,
     Source,
     Timed,
     check_size,
+    fields,
 )
 
 # FFmpeg invents 25 Hz for these, which have pictures and no times.
@@ -41,7 +42,6 @@ def video_source(path: str) -> Source:
             'the stamps of the file' if kind is None else f'is {kind}',
             kind is None,
             int(stream.frames),
-            float(stream.average_rate or 0.0),
             capture=_capture_rate({**container.metadata, **stream.metadata}),
             times=lambda: _times(path),
         )
@@ -71,18 +71,16 @@ def _times(path: str) -> np.ndarray:
 
 
 def _frames(path: str) -> Iterator[Timed]:
-    number = 0
     with _opened(path) as (container, stream):
         rate = float(stream.average_rate or 0.0)
         try:
-            for frame in container.decode(stream):
+            for number, frame in fields(container.decode(stream)):
                 check_size(path, frame.width, frame.height)
                 time = frame.time
                 if time is None and rate:
                     time = number / rate
                 is_time = time is not None and abs(time) < _LONGEST
                 yield Timed(round(time * 1e9) if is_time else None, number, frame)
-                number += 1
         except (av.FFmpegError, OSError, ValueError) as error:
             raise _unreadable(path, error) from None
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from kinpole_ros.film._corners import brightness_at
-from kinpole_ros.film._frames import FilmError
+from kinpole_ros.film._decoder import FilmError
 
 # Half and twice as much of each number were measured by four films: round dots, with and without
 # blur, small and strongly compressed, and marks that show their turn.

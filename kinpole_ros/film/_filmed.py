@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.film._frames import FilmError
+from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._ground import PlaneMap
 from kinpole_ros.film._lens import Lens
 from kinpole_ros.film._video import Video
@@ -97,6 +97,9 @@ class Filmed:
         Width and height, pixels.
     assumed : list of str
         What was assumed, and the options that change it, a line each.
+    corner_heights : ndarray or None
+        (n, 4), m, of tags that turn out of the picture, over the plane of `maps`; None if they move
+        in it.
     video : Video or None
         The film, if it has pictures.
     numbers : ndarray
@@ -113,13 +116,16 @@ class Filmed:
     lens: Lens | None
     picture: tuple[int, int]
     assumed: list[str]
+    corner_heights: np.ndarray | None = None
     video: Video | None = None
     numbers: np.ndarray = field(default_factory=lambda: np.empty(0, int))
 
     def frames(self) -> Iterator[tuple[int, Any]]:
         """Yield the row of each picture and its frame; raises FilmError if there are none."""
         if self.video is None:
-            raise FilmError('there are no pictures, only tags that were found in them')
+            raise FilmError(
+                'there are tags, but no pictures that show them; fix: record pictures, too'
+            )
         wanted = iter(enumerate(self.numbers.tolist()))
         row, own = next(wanted)
         for number, (_, frame) in enumerate(self.video.frames()):
@@ -140,6 +146,15 @@ class Filmed:
         corners = self.corners.reshape(len(self.stamps), -1)
         return np.column_stack((corners, *self.dots.values()))
 
+    @property
+    def points(self) -> np.ndarray:
+        """The markers (T, N, 3), m; z is 0 but for corners of tags that turn out of the picture."""
+        flat = self.places
+        z = np.zeros(flat.shape)
+        if self.corner_heights is not None:
+            z[:, : self.corner_heights.size] = self.corner_heights.ravel()
+        return np.stack((flat.real, flat.imag, np.where(np.isnan(flat), np.nan, z)), axis=-1)
+
     def to_pixels(
         self, points: np.ndarray, number: int, height: np.ndarray | float = 0.0
     ) -> np.ndarray:
@@ -159,6 +174,7 @@ class Seen:
     What the pictures show: tags, stamps (T,), and pixels of corners (T, n, 4, 2), dots (T, m, 2).
 
     `picture` is the width and height of one, which was turned to the left by so many quarter turns.
+    `unused` are tags that were found and left out, each with its cause.
     """
 
     tags: list[int]
@@ -168,3 +184,4 @@ class Seen:
     picture: tuple[int, int]
     family: str
     turns: int = 0
+    unused: tuple[str, ...] = ()

@@ -15,7 +15,7 @@ import numpy as np
 _MOST_SEEN = 2000  # squares that are fitted
 _OF_A_PLACE = 5  # of one tag at one place
 _ROUNDS = 30
-_HUBER = 2.0  # robust scales of a residual beyond which it counts less
+HUBER = 2.0  # robust scales of a residual beyond which it counts less
 # A lens without a file may bend straight lines so far (standard deviation): 2% at the corners.
 _BENDING = 0.02
 _LEANING = 0.3  # the same for perspective: a camera that looks at the plane from its side
@@ -24,8 +24,8 @@ _FOCAL = 0.01  # the same for the focal length of a calibration, of itself
 _MOST_HEIGHTS = 100  # tags whose heights are fitted
 _STEP = 1e-6  # of a value, for derivatives
 _LEAST_HEIGHT = 2e-3  # of this distance, 2 mm in 1 m: what noise makes of tags at one height
-_MOST_OFF = 0.05  # of the side: a tag whose corners are farther off their square is partly hidden
-_SQUARE = np.array([-1 + 1j, 1 + 1j, 1 - 1j, -1 - 1j]) / 2
+MOST_OFF = 0.05  # of the side: a tag whose corners are farther off their square is partly hidden
+SQUARE = np.array([-1 + 1j, 1 + 1j, 1 - 1j, -1 - 1j]) / 2
 
 
 class PlaneMap(NamedTuple):
@@ -57,12 +57,14 @@ class PlaneMap(NamedTuple):
 
     def to_pixels(self, points: np.ndarray, height: np.ndarray | float = 0.0) -> np.ndarray:
         """Return the pixels (..., 2) of points (...), complex, m; NaN behind the camera."""
-        nearer = height / self.distance
-        points = (points - nearer * self.foot) / (1 - nearer)
+        rest = 1 - height / self.distance
+        points = self.foot + (points - self.foot) / rest
         flat = np.stack((points.real, points.imag), axis=-1)
         numbers = _homogeneous(flat) @ np.linalg.inv(self.matrix).T
         depth = numbers[..., 2:]
-        straight = numbers[..., :2] / np.where(depth > 0, depth, np.nan)
+        # A point that is higher than the camera is beyond the plane of its own pixel.
+        is_seen = depth * np.sign(np.broadcast_to(rest, points.shape))[..., None] > 0
+        straight = numbers[..., :2] / np.where(is_seen, depth, np.nan)
         bent = straight
         for _ in range(20):
             bent = straight / (1 + self.bending * (bent**2).sum(axis=-1, keepdims=True))
@@ -225,14 +227,14 @@ def _least_squares(
     for _ in range(_ROUNDS):
         jacobian = slopes(values, now)
         spread = 1.4826 * np.median(np.abs(now)) + 1e-9
-        weight = np.minimum(1, _HUBER * spread / np.maximum(np.abs(now), 1e-12)).ravel()
+        weight = np.minimum(1, HUBER * spread / np.maximum(np.abs(now), 1e-12)).ravel()
         prior = (spread / known) ** 2
         normal = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
         right = jacobian.T @ (weight * now.ravel()) + prior * (values - start)
         damped = normal + damping * np.diag(np.diagonal(normal))
         other = values - np.linalg.lstsq(damped, right, rcond=None)[0]
         trial = residuals(other)
-        gain = _cost(now, spread) - _cost(trial, spread)
+        gain = robust_cost(now, spread) - robust_cost(trial, spread)
         gain += float(prior @ ((values - start) ** 2 - (other - start) ** 2)) / 2
         if gain > 0:
             is_done = np.abs(other - values).max() < 1e-9
@@ -245,26 +247,28 @@ def _least_squares(
     return values, float(np.sqrt(np.median(now**2) / 0.455 * 8 / 5))
 
 
-def _cost(residual: np.ndarray, spread: float) -> float:
-    size, limit = np.abs(residual), _HUBER * spread
+def robust_cost(residual: np.ndarray, spread: float) -> float:
+    """Return half the sum of squares, beyond `HUBER` spreads that of sizes."""
+    size, limit = np.abs(residual), HUBER * spread
     return float(np.where(size < limit, size**2 / 2, limit * (size - limit / 2)).sum())
 
 
 def square_poses(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the centers and the turns (...), complex unit numbers, of squares (..., 4)."""
     center = corners.mean(axis=-1)
-    turn = ((corners - center[..., None]) * np.conj(_SQUARE)).sum(axis=-1)
-    return center, turn / np.abs(turn)
+    turn = ((corners - center[..., None]) * np.conj(SQUARE)).sum(axis=-1)
+    with np.errstate(invalid='ignore'):
+        return center, turn / np.abs(turn)
 
 
 def off_square(corners: np.ndarray, size: float) -> np.ndarray:
     """Return how far corners (..., 4), complex, are off the nearest square of `size`, m."""
     center, turn = square_poses(corners)
-    return corners - center[..., None] - size * turn[..., None] * _SQUARE
+    return corners - center[..., None] - size * turn[..., None] * SQUARE
 
 
 def leave_out_hidden(corners: np.ndarray, size: float) -> None:
     """Set the corners (..., 4) of tags that are no squares of `size`, m, to NaN, in place."""
     with np.errstate(invalid='ignore'):
         off = np.abs(off_square(corners, size)).max(axis=-1)
-    corners[~(off < _MOST_OFF * size)] = np.nan
+    corners[~(off < MOST_OFF * size)] = np.nan

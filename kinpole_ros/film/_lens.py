@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from kinpole_ros.film._camera_file import read_camera_file
-from kinpole_ros.film._frames import FilmError
+from kinpole_ros.film._decoder import FilmError
 
 _ASPECT = 0.01  # of a picture: if it differs by more, parts of it were cut off
 
@@ -24,8 +24,10 @@ class Lens(NamedTuple):
         if not len(flat):
             return pixels
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-6)
-        done = cv2.undistortPoints(
-            flat, self.matrix, self.coefficients, P=self.matrix, criteria=criteria
+        # OpenCV 4 has another function for more than 5 rounds.
+        undistort = getattr(cv2, 'undistortPointsIter', cv2.undistortPoints)
+        done = undistort(
+            flat, self.matrix, self.coefficients, R=None, P=self.matrix, criteria=criteria
         )
         return np.asarray(done.reshape(pixels.shape))
 

@@ -7,9 +7,9 @@ from contextlib import closing
 import cv2
 import numpy as np
 
+from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._film import gather
 from kinpole_ros.film._filmed import Filmed, FilmOptions, marker_names
-from kinpole_ros.film._frames import FilmError
 from kinpole_ros.film._ground import leave_out_hidden
 from kinpole_ros.film._lens import Lens
 from kinpole_ros.film._placing import place_seen
@@ -48,12 +48,16 @@ class LiveTags:
         """
         tags, places = self._finder.find(gray)
         height, width = gray.shape
-        return self.place(tags, places, (width, height), self._finder.family)
+        return self.place(tags, places, (width, height))
 
     def place(
-        self, tags: list[int], places: np.ndarray, picture: tuple[int, int], family: str
+        self, tags: list[int], places: np.ndarray, picture: tuple[int, int], family: str = ''
     ) -> tuple[list[str], np.ndarray]:
-        """Return the same of tags that are found already, with corners (n, 4, 2), pixels."""
+        """
+        Return the same of tags that are found already, with corners (n, 4, 2), pixels.
+
+        `family` is that of another program.
+        """
         if self.learned is None:
             self._learn(tags, places, picture, family)
         if self.learned is None:
@@ -77,10 +81,10 @@ class LiveTags:
             self._found.append((tags, places.astype(np.float32)))
         if len(self._found) < _LEARNED:
             return
-        seen = gather(list(range(len(self._found))), self._found, picture, family)
+        seen = gather(list(range(len(self._found))), self._found, picture, self._finder, family)
         self._found.clear()
         if seen.tags:
-            filmed = place_seen(seen, self._options, self._lens)
+            filmed = place_seen(seen, self._options, self._lens, may_turn=False)
             if len(filmed.maps) > 1:
                 ground, _, _ = filmed.assumed[-1].partition('; perspective')
                 raise FilmError(

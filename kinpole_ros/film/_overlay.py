@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 
 from kinpole_ros.files import whole_file
+from kinpole_ros.film._decoder import FilmError, upright
 from kinpole_ros.film._film import SAME_STAMP
 from kinpole_ros.film._filmed import Filmed, FilmOptions
-from kinpole_ros.film._frames import FilmError, upright
 from kinpole_ros.film._video import Progress, Video
 
 _TICKS = 90_000  # of a second, in which stamps are written

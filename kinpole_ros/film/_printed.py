@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.files import whole_file
-from kinpole_ros.film._frames import FilmError
-from kinpole_ros.film._tags import FAMILIES, codes, family_of
+from kinpole_ros.film._decoder import FilmError
+from kinpole_ros.film._families import FAMILIES, codes, family_of, tag_count
 
 _PAGE = (210.0, 297.0)  # mm
 _MARGIN = 12.0  # mm, which printers leave white
@@ -37,7 +37,8 @@ def print_sheet(path: str | Path, size: float, family: str = 'auto') -> int:
     Returns their number. Raises FilmError if not three tags fit, or there is no such family.
     """
     family = family_of(family) or next(iter(FAMILIES))
-    marks, places = _header(size, family), sheet_places(size)
+    most = (tag_count(family) - 1) // 2 * 2 + 1
+    marks, places = _header(size, family), sheet_places(size)[:most]
     drawn = codes(family, range(len(places)))
     module = size * 1e3 / len(drawn[0])
     half_cell = _cell(size) / 2

@@ -10,7 +10,7 @@ import numpy as np
 
 from kinpole_ros.bags import Truncated, read_messages, topics
 from kinpole_ros.files import cut, read_limited
-from kinpole_ros.film._frames import (
+from kinpole_ros.film._decoder import (
     DamagedError,
     FilmError,
     Source,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.film._container import video_source
-from kinpole_ros.film._frames import (
+from kinpole_ros.film._decoder import (
     DamagedError,
     FilmError,
     Source,
@@ -41,15 +41,17 @@ class Video:
     instead, Hz, and `topic` is one of a bag.
 
     `count` is the number of pictures as the container has them, 0 if unknown; `clock` says what
-    the stamps are, `mean_rate` is the mean number per second, and `turns` the quarter turns to the
-    left by which pictures are shown. `late` counts pictures left out because their stamps do not
-    increase, and `cut` says where a damaged film ends, '' for a sound one.
+    the stamps are, and `turns` are the quarter turns to the left by which pictures are shown.
+    `late` counts pictures left out because their stamps do not increase, `is_interlaced` says that
+    the fields of its frames are pictures of their own, and `cut` where a damaged film ends, '' for
+    a sound one.
     """
 
     def __init__(
         self, path: str | Path, rate: float | None = None, topic: str | None = None
     ) -> None:
         self.path, self.late, self.cut, self.turns = str(path), 0, '', 0
+        self.is_interlaced = False
         self._rate = rate
         self._source = _source_of(self.path, topic)
         self.count = self._source.pictures
@@ -64,7 +66,6 @@ class Video:
             )
         elif self._source.capture is not None:
             self._correct_slow_motion(*self._source.capture)
-        self.mean_rate = rate or self._source.rate / self._slowing
 
     def _correct_slow_motion(self, tag: str, rate: float) -> None:
         """Take the rate of a tag, Hz, where the film is played at quite another one."""
@@ -92,6 +93,7 @@ class Video:
                 if time is None:
                     self.late += 1
                     continue
+                self.is_interlaced = self.is_interlaced or bool(number % 1)
                 if first is None:
                     first, begin = (0, time) if self._source.is_absolute else (time, 0)
                     self.turns = quarter_turns(frame)

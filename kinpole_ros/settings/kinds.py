@@ -73,7 +73,7 @@ def names(allowed: str, pattern: str = '(?s).+', fewest: int = 0, most: float = 
 
 def identifiers(fewest: int = 0) -> Kind:
     """Lists of different names as of variables."""
-    allowed = 'a list of different names of letters, digits and _'
+    allowed = 'a list of different names of letters, digits and _, with no digit first'
     return names(allowed, r'(?a:[A-Za-z_]\w*)', fewest)
 
 
@@ -103,7 +103,7 @@ PLANE = Kind(
     _is_plane,
     lambda value: canonical_name(value) if isinstance(value, str) else tuple(map(float, value)),
 )
-# As ROS 2 has it: names of letters, digits and _ between slashes.
+# As ROS 2 has it: names of letters, digits and _ between slashes, with no digit first.
 TOPIC = text(
     r'(?a:(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*)',
     'the name of a topic, such as markers or /rig/markers',

@@ -173,9 +173,13 @@ class FrameCounter:
         if before.min() > most:
             self._losses = np.minimum(self._losses, most)
             before = self._losses[:, -1]
-        # Either no frame was lost now, or the lateness of the frame is possible.
-        least = max(most - min(math.ceil(self.clock.max_lateness_ticks), MAX_PENDING), 0)
-        lost = np.unique(np.concatenate((before, np.arange(least, most + 1))))
+        if self.clock.is_rounded and not self.clock.is_on_grid:
+            # No stamp is later than by its rounding.
+            lost = np.array([most])
+        else:
+            # Either no frame was lost now, or the lateness of the frame is possible.
+            least = max(most - min(math.ceil(self.clock.max_lateness_ticks), MAX_PENDING), 0)
+            lost = np.unique(np.concatenate((before, np.arange(least, most + 1))))
         parent, which = ((lost >= before[:, None]) & (lost <= most)).nonzero()
         lost_now = lost[which] - before[parent]
         self._costs = self._costs[parent] + self._loss_nats * np.minimum(

@@ -766,7 +766,8 @@ def test_a_last_number_without_an_end_of_line_is_not_believed_in_silence(tmp_pat
         assert 'cut off amid a cell in quotes; the row is left out' in cut.notes[0]
     else:
         assert 'ends without the end of a line' in cut.notes[0]
-    assert whole.frames - cut.frames == (0 if case in ('table', 'sleap') else 1)
+    # The head of a file of Motive counts the row.
+    assert whole.frames - cut.frames == (0 if case in ('table', 'sleap', 'motive') else 1)
 
 
 @pytest.mark.parametrize('case', ['table', 'tracker'])

@@ -32,6 +32,7 @@ from kinpole_ros.messages import (
     INPUT_TYPES,
     PoseReader,
     deserialize_message,
+    marker_arrays,
     poses_data,
     to_message,
 )
@@ -131,7 +132,25 @@ def marker_array(m: Maker, k: int, topic: str) -> Any:
                m.pose(place), ones, color, life, False, [], [], 'text', '', False)
         for number, place in enumerate(PLACES[k])
     ]  # fmt: skip
-    return m.make('visualization_msgs/MarkerArray', markers)
+    label = m.make(
+        'visualization_msgs/Marker',
+        m.header(FIRST + k * STEP),
+        'label',
+        0,
+        9,
+        0,
+        m.pose((9, 9, 9)),
+        ones,
+        color,
+        life,
+        False,
+        [],
+        [],
+        'tip',
+        '',
+        False,
+    )
+    return m.make('visualization_msgs/MarkerArray', [label, *markers])
 
 
 def cloud(m: Maker, k: int, topic: str) -> Any:
@@ -489,3 +508,25 @@ def test_a_chain_of_frames_on_tf_is_multiplied_out(tmp_path, apart):
     assert sorted(found) == ['crank', 'rod']
     assert stamps == [FIRST + k * STEP for k in range(6)]
     np.testing.assert_allclose(found['rod'], [(1.0, 2.0 + k, 0.0) for k in range(6)], atol=1e-12)
+
+
+@pytest.mark.parametrize('kind', ['marker_array', 'tf'])
+def test_messages_that_repeat_a_stamp_are_left_out_and_counted(tmp_path, kind):
+    """The first of them is the one that was stamped when it came."""
+    path, logs = tmp_path / 'half.mcap', [FIRST + k * STEP for k in range(40)]
+    stamps = np.array([FIRST + k // 2 * 2 * STEP for k in range(40)])
+    places = np.stack((np.arange(40.0), np.zeros(40), np.zeros(40)), axis=-1)[:, None]
+    if kind == 'tf':
+        rows = np.pad(places, ((0, 0), (0, 0), (0, 4)), constant_values=0.5)
+        pairs = zip(stamps.tolist(), rows, strict=True)
+        data = [poses_data('tf', stamp, 'lab', ['a'], row) for stamp, row in pairs]
+    else:
+        data = marker_arrays(stamps, 'lab', ['a'], places)
+    topic = '/tf' if kind == 'tf' else '/markers'
+    with BagWriter(path) as bag:
+        bag.write_many([(topic, INPUT_TYPES[kind], logs, data)])
+    done = import_points(path, tmp_path / 'out.mcap')
+    (note,) = [one for one in done.notes if 'stamp of one before' in one]
+    assert '20 of 40 messages' in note and '; fix: have the driver' in note
+    _, found = markers_in(tmp_path / 'out.mcap')
+    assert next(iter(found.values()))[:, 0].tolist() == list(range(0, 40, 2))

@@ -500,3 +500,53 @@ def test_what_a_layout_lacks_is_asked_for_in_one_line(tmp_path, content, options
     with pytest.raises(BagError, match=complaint) as error:
         bring(tmp_path, content(), **options)
     assert str(error.value).isprintable()
+
+
+def motive_angles(order: str) -> str:
+    """A body alone, with angles in place of quaternions: 90 degrees about the first two axes."""
+    lines = motive('Meters').split('\n')
+    lines[0] += f',Rotation Type,{order}'
+    for k in range(4):
+        angles = dict(zip(order, (90.0, 90.0, 0.0), strict=True))
+        numbers = np.array([*(angles[axis] for axis in 'XYZ'), *SEEN[k, 0]])
+        lines[7 + k] = f'{k},{k / 120:.6f},{cells(numbers)},0.001'
+    lines[2:7] = [','.join(line.split(',')[:5] + line.split(',')[6:10]) for line in lines[2:7]]
+    return '\n'.join(lines) + '\n'
+
+
+@pytest.mark.parametrize(
+    ('order', 'x_axis'), [('XYZ', (0, 0, -1)), ('ZYX', (0, 0, -1)), ('YXZ', (0, 0, -1))]
+)
+def test_angles_of_motive_are_about_the_axes_of_the_body_in_their_order(tmp_path, order, x_axis):
+    done, *_ = bring(tmp_path, motive_angles(order))
+    assert done.markers == ('rod',)
+    points, axes = poses_in(tmp_path / 'out.mcap', ('rod',))
+    np.testing.assert_allclose(points[:, 0], SEEN[:, 0])
+    c, s = 0.0, 1.0
+    turns = {'X': [[1, 0, 0], [0, c, -s], [0, s, c]], 'Y': [[c, 0, s], [0, 1, 0], [-s, 0, c]],
+             'Z': [[c, -s, 0], [s, c, 0], [0, 0, 1]]}  # fmt: skip
+    whole = np.array(turns[order[0]]) @ turns[order[1]]
+    np.testing.assert_allclose(axes[0, 0], whole.T[:2], atol=1e-9)
+
+
+def test_model_outputs_of_nexus_alone_are_read_where_they_are_places(tmp_path):
+    head = 'Model Outputs\n100\n,,rig:Angle,,,rig:Center,,\nFrame,Sub Frame,X,Y,Z,X,Y,Z\n'
+    rows = ''.join(f'{k + 1},0,1,2,3,{cells(SEEN[k, 0])}\n' for k in range(4))
+    done, stamps, got = bring(tmp_path, f'{head},,deg,deg,deg,mm,mm,mm\n{rows}')
+    assert (done.format, done.markers) == ('vicon', ('rig:Center',))
+    assert 'outputs of the model that are not read: rig:Angle' in ' '.join(done.notes)
+    np.testing.assert_allclose(np.diff(stamps), 0.01, atol=1e-9)
+    np.testing.assert_allclose(got[:, 0], SEEN[:, 0] * 1e-3)
+    with pytest.raises(BagError, match='which are no places: rig:Angle, rig:Center; fix: export'):
+        bring(tmp_path, f'{head},,deg,deg,deg,N,N,N\n{rows}')
+
+
+@pytest.mark.parametrize('kind', ['motive', 'trc', 'qualisys'])
+def test_a_last_row_that_the_head_counts_is_kept_without_its_end(tmp_path, kind):
+    content = {'motive': motive('Meters').encode(), 'trc': trc(),
+               'qualisys': qualisys_3d(True).encode()}[kind]  # fmt: skip
+    done, *_ = bring(tmp_path, content.rstrip()[:-2])
+    assert done.frames == 4
+    notes = ' '.join(done.notes)
+    assert 'the file counts that row, so it is kept: see that its last number is whole' in notes
+    assert 'says that it has' not in notes

@@ -26,14 +26,16 @@ from kinpole_ros.bags import (
 )
 from kinpole_ros.bags import topics as topics_of
 from kinpole_ros.messages import (
+    INPUT_TYPES,
     MARKER_TYPES,
     TF,
+    marker_arrays,
     read_markers,
     result_outputs,
     serialize_message,
     to_message,
 )
-from kinpole_ros.settings import Settings
+from kinpole_ros.settings import Settings, settings_from
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.plane import AXES
@@ -852,3 +854,17 @@ def test_rows_of_a_table_in_which_nothing_was_seen_are_left_out(
         writer.write('/markers', MarkerArray(), 0)
     with pytest.raises(BagError, match='no message on /markers has markers; fix: '):
         replay(tmp_path / 'none.mcap', CARDAN)
+
+
+def test_half_of_the_stamps_repeated_is_a_warning_with_its_fix(tmp_path):
+    path, count = tmp_path / 'half.mcap', 60
+    angles = 0.02 * np.arange(count)[:, None] + [0.0, 1.0]
+    points = np.stack((np.cos(angles), np.sin(angles), 0.0 * angles), axis=-1)
+    stamps = 10**9 + np.arange(count) // 2 * 20_000_000
+    logs = (10**9 + np.arange(count) * 10_000_000).tolist()
+    data = marker_arrays(stamps, 'lab', ['a', 'b'], points)
+    with BagWriter(path) as bag:
+        bag.write_many([('/markers', INPUT_TYPES['marker_array'], logs, data)])
+    settings = settings_from({'window': 0.3, 'lag': 0.1})
+    lines = warnings_of(replay(path, settings), settings)
+    assert '30 of 60 messages have the stamp of the one before, and are left out' in lines[0]

@@ -198,6 +198,10 @@ TABLES: dict[str, Table] = {
         rows('seconds,x1,y1,x2,y2', TIMES, A * 1e3, B * 1e3),
         ('point1', 'point2'), (A, B), options={'scale': 1e-3}, down=True,
     ),
+    'idtracker': Table(
+        rows('X1\tY1\tProbId1', A * 1e3, ZERO, mark='\t'), ('point1',), unread=('ProbId1',),
+        options=PX, down=True,
+    ),
     'ArUco, corners': Table(
         long('time_MS,frame,ID,top_left,top_right', lambda k, p: (
             f'{1e3 * TIMES[k]},{k + 1}.0,{7 - p},"({xy(k, p, 1e3)})","({xy(k, p, 1e3)})"'
@@ -249,6 +253,32 @@ TABLES: dict[str, Table] = {
         '# unit: cm\n# fps = 100\n' + rows('frame,A_x,A_y', np.arange(COUNT), A * 100), ('A',),
     ),
     'units below': Table('t,A_x,A_y\n' + rows('s,mm,mm', TIMES, A * 1e3), ('A',)),
+    'units in the titles': Table(
+        rows('time_ms,marker,x_mm,y_mm', TIMES * 1e3, 'A', A * 1e3), unread=('marker',),
+    ),
+    'a marker A beside x and y': Table(
+        rows('Zeit (s),x (m),y (m),A x (m),A y (m)', TIMES, A, B), ('point', 'A'), (A, B),
+    ),
+    'MTrackJ': Table(
+        long('Nr,TID,PID,x [pixel],y [pixel],t [frame]', lambda k, p: (
+            f'{2 * k + p},{p + 1},{k + 1},{xy(k, p, 1e3)},{k + 1}'
+        ), 'points'),
+        ('1', '2'), (A, B), ('Nr', 'PID'), PX, down=True,
+    ),
+    'ImageJ, tracking by hand': Table(
+        long('Track n°,Slice n°,X,Y,Distance,Velocity', lambda k, p: (
+            f'{p + 1},{k + 1},{xy(k, p, 1e3)},1.0,2.0'
+        ), 'points'),
+        ('1', '2'), (A * DOWN, B * DOWN), ('Distance', 'Velocity'), PX | {'y_down': True},
+    ),
+    'shares by the unit': Table(
+        rows('t,tip x (0-1),tip y (0-1)', TIMES, A), ('tip',), (A * [1.6, 0.9],),
+        options={'scale': (1.6, 0.9)}, down=True,
+    ),
+    'landmarks in pixels': Table(
+        rows('t,x_0,y_0,x_1,y_1,visibility_0,visibility_1', TIMES, A * 1e3, B * 1e3, ZERO, ZERO),
+        ('point0', 'point1'), (A, B), ('visibility_0',), {'scale': 1e-3}, down=True,
+    ),
     'MediaPipe': Table(
         rows('frame,timestamp,nose_x,nose_y,nose_z,nose_visibility', np.arange(COUNT), TIMES,
              A, ZERO - 0.3, ZERO + 0.9),
@@ -277,6 +307,7 @@ def test_a_table_has_its_places_and_times_and_names_the_rest(tmp_path, name) -> 
     assert bool(unread) == bool(table.unread)
     assert all(title in unread for title in table.unread)
     assert ('y points down' in notes) == table.down
+    assert ('y points up' in notes) == ('y_down' in table.options)
     if table.bodies:
         _, axes = poses_in(tmp_path / 'out.mcap', table.bodies)
         turned = np.arctan2(axes[..., 0, 1], axes[..., 0, 0])
@@ -297,6 +328,12 @@ MEDIAPIPE = TABLES['MediaPipe'].text
         (long('t,x,y', lambda k, p: f'{k},{xy(k, p)}'), {'rate': 9.0}, 'no column names the point'),
         (long('t,id,x,y', lambda k, p: f'{k},{k % 2},{xy(k, p)}'), {}, "'id' name some twice"),
         (rows('t,vel_x,vel_y', TIMES, A), {}, 'no column is named NAME_x'),
+        (long('t,id,x,y', lambda k, p: f'{k},{p},{xy(k, p, 1e3)}'), {}, 'give --scale.* --rate'),
+        (rows(f't,{titles("/tf/lab/a/translation", "xyz", "/")},'
+              f'{titles("/tf/lab/a/rotation", AXES, "/")},'
+              f'{titles("/tf/a/b/translation", "xyz", "/")},'
+              f'{titles("/tf/a/b/rotation", AXES, "/")}',
+              TIMES, *(A, ZERO, QUATERNIONS) * 2), {}, 'has b in a frame that moves; fix: give'),
         (rows('Run 1: Time (s),Run 1: X (m),Run 1: Y (m),Run 2: Time (s),Run 2: X (m),Run 2: Y (m)',
               TIMES, A, TIMES, A), {}, 'has several data sets, Run 1, Run 2'),
         ('rate: 100 Hz\n' + rows('frame,a_x,a_y', np.arange(COUNT), A), {}, 'does not say; fix: '),

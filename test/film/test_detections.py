@@ -12,7 +12,16 @@ import pytest
 from rendered import FOUR_BAR, Camera, Film
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from kinpole_ros.messages import DETECTIONS, MessageError, read_detections
+from kinpole_ros.bags import BagWriter
+from kinpole_ros.film import FilmOptions, read_film
+from kinpole_ros.messages import (
+    CAMERA_INFO,
+    DETECTIONS,
+    MessageError,
+    message_class,
+    read_detections,
+    serialize_message,
+)
 
 SIZE = FOUR_BAR[0].size
 CAMERA = Camera((1152, 648), width=0.95, target=0.15 + 0.1j)
@@ -72,6 +81,28 @@ def test_detections_are_read_by_their_definition() -> None:
     for end in range(0, len(data), 7):
         with pytest.raises(MessageError):
             read_detections(data[:end])
+
+
+@pytest.mark.parametrize('has_info', [True, False])
+def test_tags_in_a_bag_are_placed(has_info: bool, tmp_path: Path) -> None:
+    stamps = 1_700_000_000 * SECOND + np.arange(20) * SECOND // 30
+    data = [message(stamp, noisy(k)) for k, stamp in enumerate(stamps.tolist())]
+    info = message_class(CAMERA_INFO)(width=1152, height=648)
+    info.p = np.column_stack((CAMERA.matrix, np.zeros(3))).ravel()
+    with BagWriter(tmp_path / 'tags.mcap') as bag:
+        bag.write_many([('/detections', message_class(DETECTIONS), stamps.tolist(), data)])
+        if has_info:
+            row = [serialize_message(info)]
+            bag.write_many([('/info', message_class(CAMERA_INFO), stamps[:1].tolist(), row)])
+    filmed = read_film(tmp_path / 'tags.mcap', FilmOptions(size=SIZE))
+    np.testing.assert_array_equal(filmed.stamps, stamps)
+    assert filmed.tags == tuple(range(7))
+    assert 'by the headers of /detections' in filmed.assumed[0]
+    assert ('by its CameraInfo' in filmed.assumed[-1]) == has_info
+    exact = {number: pose[0][0, :20] for number, pose in FILM.poses(FILM.times).items()}
+    for number in range(7):
+        off = filmed.corners[:, number].mean(axis=1) - (exact[number] - exact[0])
+        assert np.nanmax(np.abs(off)) < 1.5e-3
 
 
 @pytest.fixture

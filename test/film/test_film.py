@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from rendered import FOUR_BAR, Camera, Film, Tag
@@ -17,9 +16,10 @@ from kinpole_ros import replay
 from kinpole_ros.bags import read_frames
 from kinpole_ros.film import FilmError, FilmOptions, Lens, LiveTags, film_to_bag, read_film
 from kinpole_ros.film._corners import refine_corners
+from kinpole_ros.film._families import codes
 from kinpole_ros.film._filmed import Seen
 from kinpole_ros.film._placing import place_seen
-from kinpole_ros.film._tags import TagFinder, codes
+from kinpole_ros.film._tags import TagFinder
 from kinpole_ros.film._video import Picture, Video, ahead
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.tools.cli import main
@@ -210,19 +210,6 @@ def test_a_tag_behind_a_finger_is_left_out_and_found_again(tmp_path: Path) -> No
     assert is_seen[12:, 4].all()
     assert is_seen[:, [0, 1, 2, 3, 5, 6]].mean() > 0.98
     assert rms(filmed.corners - exact(film)) < 0.3e-3
-
-
-@pytest.mark.parametrize(
-    ('name', 'family'),
-    [('6x6_250', cv2.aruco.DICT_6X6_250), ('4x4_50', cv2.aruco.DICT_4X4_50)],
-)
-def test_the_family_is_recognized(name: str, family: int, tmp_path: Path) -> None:
-    film = Film(times(8), camera=SMALL, family=family)
-    filmed = read_film(film.write(tmp_path / 'aruco.mp4'), OPTIONS)
-    assert f'of family {name},' in filmed.assumed[1]
-    assert filmed.tags == tuple(range(7))
-    assert np.isfinite(filmed.corners).mean() > 0.98
-    assert rms(filmed.corners - exact(film)) < 1e-3
 
 
 def test_a_hand_that_holds_the_camera_is_corrected_by_the_ground(tmp_path: Path) -> None:

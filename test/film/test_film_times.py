@@ -14,14 +14,13 @@ import pytest
 from rendered import FOUR_BAR, Camera, Film
 
 from kinpole_ros.bags import BagWriter, read_frames
-from kinpole_ros.film import FilmError, FilmOptions, read_film
+from kinpole_ros.film import FilmError, read_film
+from kinpole_ros.film._decoder import brightness
 from kinpole_ros.film._filmed import Seen
-from kinpole_ros.film._frames import brightness
 from kinpole_ros.film._placing import _at_one_instant
 from kinpole_ros.film._recorded_pictures import _ENCODINGS, _frame
 from kinpole_ros.film._video import Video, ahead
 from kinpole_ros.messages import (
-    CAMERA_INFO,
     COMPRESSED_IMAGE,
     IMAGE,
     message_class,
@@ -208,38 +207,6 @@ def test_markers_in_a_bag_come_before_its_pictures() -> None:
     types['/markers'] = 'visualization_msgs/msg/MarkerArray'
     assert not is_bag_of_pictures(types, None)
     assert is_bag_of_pictures(types, 'image') and not is_bag_of_pictures(types, '/markers')
-
-
-@pytest.mark.parametrize('has_info', [True, False])
-def test_tags_in_a_bag_are_placed(has_info: bool, tmp_path: Path) -> None:
-    from test_detections import CAMERA as OTHER
-    from test_detections import FILM
-    from test_detections import message as detections
-
-    stamps = BEGIN + np.arange(20) * 50_000_000
-    corners = FILM.corners()
-    data = [
-        detections(stamp, {tag: rows[k] for tag, rows in corners.items()})
-        for k, stamp in enumerate(stamps.tolist())
-    ]
-    info = message_class(CAMERA_INFO)(width=1152, height=648)
-    info.p = np.column_stack((OTHER.matrix, np.zeros(3))).ravel()
-    with BagWriter(tmp_path / 'tags.mcap') as bag:
-        from kinpole_ros.messages import _detections
-
-        kind = _detections._detections_class()
-        bag.write_many([('/detections', kind, stamps.tolist(), data)])
-        if has_info:
-            row = [serialize_message(info)]
-            bag.write_many([('/camera_info', message_class(CAMERA_INFO), [BEGIN], row)])
-    filmed = read_film(tmp_path / 'tags.mcap', FilmOptions(size=SIZE))
-    np.testing.assert_array_equal(filmed.stamps, stamps)
-    assert filmed.tags == tuple(range(7))
-    assert ('by its CameraInfo' in filmed.assumed[-1]) == has_info
-    exact = {tag: pose[0][0, :20] for tag, pose in FILM.poses(FILM.times).items()}
-    for tag in range(7):
-        off = filmed.corners[:, tag].mean(axis=1) - (exact[tag] - exact[0])
-        assert np.abs(off).max() < 0.5e-3
 
 
 def test_a_film_is_closed_by_the_thread_that_opened_it() -> None:

@@ -14,10 +14,10 @@ from rendered import Camera, Film, Tag
 
 from kinpole_ros.film import FilmOptions
 from kinpole_ros.film._corners import refine_corners
+from kinpole_ros.film._families import codes
 from kinpole_ros.film._filmed import Seen
 from kinpole_ros.film._overlay import Shape, draw_shape
 from kinpole_ros.film._placing import place_seen
-from kinpole_ros.film._tags import codes
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.tools.cli import main
 

@@ -11,8 +11,8 @@ import pytest
 
 from kinpole_ros.film import FilmError, FilmOptions, calibrate, print_sheet
 from kinpole_ros.film._corners import refine_corners
+from kinpole_ros.film._families import FAMILIES, codes
 from kinpole_ros.film._lens import read_lens
-from kinpole_ros.film._tags import FAMILIES, codes
 from kinpole_ros.tools.cli import main
 
 DOTS = 6  # a mm

@@ -248,7 +248,7 @@ def stamps_of_any_kind(seed, count=250):
 
 # These gave times that step back, and warnings, where frames waited at a change of the rate.
 @pytest.mark.filterwarnings('error')
-@settings(max_examples=4)
+@settings(max_examples=1)
 @given(st.integers(0, 10_000), st.sampled_from(('auto', 'arrival')), st.sampled_from((1, 5, 300)))
 @example(95, 'arrival', 1)
 @example(110, 'arrival', 1)
@@ -476,6 +476,18 @@ def test_frames_that_are_lost_regularly_make_no_slower_clock(rate, every, mode):
     assert tracker.counts['lost'] == pytest.approx(4 * rate - len(numbers), abs=1)
     _, ideal = errors(*(part[:60] for part in (stamps, points, rates)), skip=0.0, mode='capture')
     assert rms < 1.5 * ideal
+
+
+def test_a_stamp_is_not_later_than_by_its_rounding():
+    """Nor is that of a frame after a loss, in which a body turned too far for a polynomial."""
+    numbers = np.arange(112)
+    numbers = numbers[(numbers - 16) % 33 >= 3]
+    times = numbers / 24
+    places = 24 * (2 * times + 0.08 * np.sin(2 * np.pi * 0.7 * times))
+    points, _ = turned(places, 24)
+    tracker, *_ = track(START + np.rint(times * 1e3).astype(np.int64) * 1_000_000, points)
+    assert tracker.stamp_state().interval == pytest.approx(1 / 24, rel=1e-3)
+    assert tracker.counts['lost'] == 9
 
 
 @pytest.mark.parametrize('kind', ['uniform', '0.001', 'rounded'])

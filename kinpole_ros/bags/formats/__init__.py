@@ -92,6 +92,9 @@ def read_points(
             # Damaged numbers may be any; those that are not finite count as not seen.
             with np.errstate(invalid='ignore', over='ignore'):
                 points = candidate.read(file, given)
+                if file.counts_left_out_row(len(points.frames)):
+                    file.sheet.restore_last_row()
+                    points = candidate.read(file, given)
             if not len(points.frames):
                 raise BagError(f'{path} has no frames; fix: give a line for each frame')
             file.notes += _blank_stand_ins(path, points)

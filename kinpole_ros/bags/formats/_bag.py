@@ -7,7 +7,6 @@ types need not be installed. Frames are assembled from several topics by their s
 
 from array import array
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -97,7 +96,7 @@ def _read(file: File, options: Options) -> Points:
     if not any(part.stamps.any() for part in series):
         file.notes.append(f'{file.path} has no stamps in its messages: log times are taken')
         series = [part._replace(stamps=part.log_times) for part in series]
-    series = _series.first_pass(file, series)
+    series = _series.without_repeats(file, _series.first_pass(file, series))
     _series.check_clocks(file, series)
     stamps, rows = _series.group_into_frames(series)
     markers, bodies = (_series.number_columns(series, width) for width in (3, 7))
@@ -289,12 +288,15 @@ def _observations(
     """Yield the markers or poses in the decoded content of a message."""
     kind = _kind(message.type_name)
     if kind == 'markers':
-        with suppress(messages.MessageError):
-            cls = messages.MARKER_TYPES[_MARKERS[_short_type(message.type_name)]]
-            frames = messages.read_markers(_convert(content, cls))
-            if frames.identities:
-                stamp, values = int(frames.stamps[0]), frames.points.ravel().tolist()
-                yield _Observation('', frames.identities, stamp, values)
+        own = _MARKERS[_short_type(message.type_name)]
+        reader = messages.MarkerReader(own)
+        converted = _convert(content, messages.MARKER_TYPES[own])
+        (frames,) = reader.read([messages.serialize_message(converted)])
+        if not isinstance(frames, messages.MessageError) and frames.identities:
+            stamp, values = int(frames.stamps[0]), frames.points.ravel().tolist()
+            yield _Observation('', frames.identities, stamp, values)
+        note = f'{file.path}: {reader.fault()}'
+        file.notes += [note] if reader.fault() and note not in file.notes else []
         return
     items = [content]
     if kind != 'pose':

@@ -122,6 +122,7 @@ class File:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.notes: list[str] = []  # what the user should know, a line each
+        self.claimed_frames = 0.0  # by its head; 0 where it says nothing
         self.is_folder = path.is_dir()
         self.head = b''
         if not self.is_folder:
@@ -151,6 +152,16 @@ class File:
     def is_sheet(self) -> bool:
         """Return whether it can be rows of cells, which XML and JSON are not."""
         return self.is_text and not _MARKUP.match(self.head)
+
+    def note_count(self, claim: str, count: int) -> None:
+        """Note that the head of the file has another count of frames than the file."""
+        self.claimed_frames = number_in(claim)
+        self.notes += count_notes(self.path, claim, count)
+
+    def counts_left_out_row(self, count: int) -> bool:
+        """Return whether the head counts one frame more, and a last row was left out."""
+        is_left_out = 'sheet' in vars(self) and self.sheet.left_out is not None
+        return is_left_out and self.claimed_frames == count + 1
 
     def xml(self, fix: str) -> ElementTree.Element:
         """Parse it as XML; raises BagError, with this fix, where it is damaged or too large."""

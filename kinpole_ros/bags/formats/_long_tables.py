@@ -18,7 +18,7 @@ from kinpole_ros.bags.formats._sheet import Sheet
 
 # "id", "TRACK_ID", "particle", "marker id", "keypoint", "child_frame_id".
 _IDENTITY = re.compile(
-    r'(?:.*[./])?(?:id|track|trajectory|particle|marker|aruco|tag|point|object|body|bodypart|link'
+    r'(?:.*[./])?(?:id|identity|track|trajectory|particle|marker|aruco|tag|point|object|body|bodypart|link'
     r'|body[ _]?part|keypoint|landmark|node|joint|individual|animal|subject|agent|target|instance'
     r'|label|name|corner|spot|feature|tid|pid|child_frame)s?'
     r'(?:[ _.-]?(?:id|ids|no|nr|number|num|name|label|index|idx|n°|#)\.?)?',

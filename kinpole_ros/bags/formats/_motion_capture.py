@@ -4,7 +4,8 @@ Exports of motion capture systems: Motive, Vicon Nexus, and .trc files.
 Motive (.csv): the first line has pairs of keys and values, rates and unit among them. Then rows
 that name each column by type, name and more, Position or Rotation, and the axis, below which frames
 begin. Only columns of type Marker are measured: those of rigid bodies and their markers are where
-Motive's model has them. Poses of rigid bodies are read where there are no markers.
+Motive's model has them. Poses of rigid bodies are read where there are no markers, with quaternions
+or angles.
 
 Vicon Nexus (.csv): sections, each of which begins with its name and its rate. Trajectories goes on
 with the names of markers, each above its X, then Frame, Sub Frame, X, Y, Z and so on, then units,
@@ -25,6 +26,7 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats import _cells, _file, _sheet
+from kinpole_ros.messages import multiply_out
 
 
 def _read_frames(
@@ -76,12 +78,14 @@ def _read_motive(file: _file.File, options: _file.Options) -> _file.Points:
         for column in range(2, len(sheet.row(axes)))
         if sheet.cell(types, column) == 'Marker' and sheet.cell(axes - 1, column) == 'Position'
     ]
-    bodies = {} if marker_columns else _body_columns(sheet, types, titles, axes)
+    # "XYZ"; quaternions have none.
+    order = about.get('Rotation Type', '').upper()
+    bodies = {} if marker_columns else _body_columns(sheet, types, titles, axes, order)
     if marker_columns:
         columns = sheet.markers(titles, axes, marker_columns)
     elif bodies:
         # The rotation of a body is in front of its position.
-        columns = {name: row[4:] for name, row in bodies.items()}
+        columns = {name: row[-3:] for name, row in bodies.items()}
     else:
         kinds = _cells.shown(', '.join(filter(None, dict.fromkeys(sheet.row(types)[2:]))) or 'none')
         raise BagError(
@@ -90,7 +94,7 @@ def _read_motive(file: _file.File, options: _file.Options) -> _file.Points:
         )
     points = _read_frames(sheet, columns, axes + 1)
     claim = about.get('Total Exported Frames') or about.get('Total Frames in Take', '')
-    file.notes += _file.count_notes(path, claim, len(points.frames))
+    file.note_count(claim, len(points.frames))
     rate = _cells.number_in(about.get('Export Frame Rate') or about.get('Capture Frame Rate', ''))
     times = None
     time_title = sheet.cell(axes, 1)
@@ -102,31 +106,65 @@ def _read_motive(file: _file.File, options: _file.Options) -> _file.Points:
         unit=about.get('Length Units', ''),
         time_column='Time (Seconds)',
         bodies=list(bodies),
-        poses=_read_motive_poses(sheet, bodies, axes + 1) if bodies else None,
+        poses=_read_motive_poses(sheet, bodies, axes + 1, order) if bodies else None,
     )
 
 
-def _body_columns(sheet: _sheet.Sheet, types: int, titles: int, axes: int) -> dict[str, list[int]]:
-    """Find columns X, Y, Z, W of the rotation and X, Y, Z of the position of each rigid body."""
-    columns: dict[str, dict[str, list[int]]] = {}
+def _body_columns(
+    sheet: _sheet.Sheet, types: int, titles: int, axes: int, order: str
+) -> dict[str, list[int]]:
+    """
+    Find the columns of the rotation and of the position X, Y, Z of each rigid body.
+
+    The rotation is a quaternion X, Y, Z, W, or angles about the axes in this `order`, as XYZ.
+    """
+    columns: dict[str, dict[str, int]] = {}
     for column in range(2, len(sheet.row(axes))):
         if sheet.cell(types, column) == 'Rigid Body':
             of_body = columns.setdefault(sheet.cell(titles, column), {})
-            of_body.setdefault(sheet.cell(axes - 1, column), []).append(column)
-    rows = {
-        name: [*of_body.get('Rotation', []), *of_body.get('Position', [])]
+            of_body[f'{sheet.cell(axes - 1, column)} {sheet.cell(axes, column)}'] = column
+    turns = order if sorted(order) == ['X', 'Y', 'Z'] else 'XYZW'
+    needed = [*(f'Rotation {axis}' for axis in turns), *(f'Position {axis}' for axis in 'XYZ')]
+    return {
+        name: [of_body[title] for title in needed]
         for name, of_body in columns.items()
+        if of_body.keys() >= set(needed)
     }
-    return {name: row for name, row in rows.items() if len(row) == 7}
 
 
-def _read_motive_poses(sheet: _sheet.Sheet, bodies: dict[str, list[int]], first: int) -> np.ndarray:
+def _read_motive_poses(
+    sheet: _sheet.Sheet, bodies: dict[str, list[int]], first: int, order: str
+) -> np.ndarray:
     """Read poses (T, B, 7); a body that was not seen has no numbers, or only zeros."""
-    columns = [column for row in bodies.values() for column in (*row[4:], *row[:4])]
-    titles = [f'{name} {number}' for name in bodies for number in range(1, 8)]
-    poses = sheet.numbers(columns, titles, first).reshape(-1, len(bodies), 7)
+    columns = [column for row in bodies.values() for column in (*row[-3:], *row[:-3])]
+    size = len(columns) // len(bodies)
+    titles = [f'{name} {number}' for name in bodies for number in range(1, size + 1)]
+    numbers = sheet.numbers(columns, titles, first).reshape(-1, len(bodies), size)
+    if size == 6:
+        numbers[~numbers.any(axis=-1)] = np.nan
+        return np.concatenate((numbers[..., :3], _quaternions(numbers[..., 3:], order)), axis=-1)
+    poses = numbers
     poses[~poses[..., 3:].any(axis=-1) | np.isnan(poses).any(axis=-1)] = np.nan
     return poses
+
+
+def _quaternions(degrees: np.ndarray, order: str) -> np.ndarray:
+    """
+    Return quaternions x, y, z, w of turns about axes in an `order`, as XYZ.
+
+    Motive's angles are about the axes of the body as the turns before have left them. `degrees`
+    (..., 3) are in this order, too.
+    """
+    result = np.zeros((*degrees.shape[:-1], 4))
+    result[..., 3] = 1.0
+    for k, axis in enumerate(order):
+        half = np.radians(degrees[..., k]) / 2
+        turn = np.zeros(result.shape)
+        turn[..., 'XYZ'.index(axis)], turn[..., 3] = np.sin(half), np.cos(half)
+        place = np.zeros((*degrees.shape[:-1], 3))
+        frames = [np.concatenate((place, one), axis=-1) for one in (result, turn)]
+        result = multiply_out(frames)[..., 3:]
+    return result
 
 
 MOTIVE = _file.Format(
@@ -143,21 +181,24 @@ MOTIVE = _file.Format(
 
 # Vicon Nexus
 
-_SECTION = 'Trajectories'
+_SECTION, _MODELED = 'Trajectories', 'Model Outputs'
+_LENGTHS = ('mm', 'cm', 'm')  # units of places; angles, moments and powers have others
 _VICON_FIX = 'export trajectories as ASCII from Nexus again'
 
 
 def _is_vicon(file: _file.File) -> bool:
-    has_title = file.is_sheet and _SECTION.encode() in file.data
-    return has_title and _section_row(file.sheet) is not None
+    titles = [
+        title for title in (_SECTION, _MODELED) if file.is_sheet and title.encode() in file.data
+    ]
+    return any(_section_row(file.sheet, title) is not None for title in titles)
 
 
-def _section_row(sheet: _sheet.Sheet) -> int | None:
-    """Return the row in which trajectories begin."""
+def _section_row(sheet: _sheet.Sheet, title: str) -> int | None:
+    """Return the row in which trajectories, or what a model computed of them, begin."""
     titles: deque[str] = deque(maxlen=3)  # the first cells of the rows before
     for index, row in enumerate(sheet.rows()):
         is_axes = [cell.strip() for cell in row[:2]] == ['Frame', 'Sub Frame']
-        if is_axes and len(titles) == 3 and titles[0] == _SECTION:
+        if is_axes and len(titles) == 3 and titles[0] == title:
             return index - 3
         titles.append(row[0].strip())
     return None
@@ -165,12 +206,16 @@ def _section_row(sheet: _sheet.Sheet) -> int | None:
 
 def _read_vicon(file: _file.File, options: _file.Options) -> _file.Points:
     sheet, path = file.sheet, file.path
-    row = _section_row(sheet)
+    row = _section_row(sheet, _SECTION)
+    is_modeled = row is None
+    row = _section_row(sheet, _MODELED) if row is None else row
     if row is None:
         raise BagError(f'{path} has no section {_SECTION}; fix: {_VICON_FIX}')
     names, axes, units, first = row + 2, row + 3, row + 4, row + 5
     # With velocities there are X', too.
     columns = [c for c, axis in enumerate(sheet.row(axes)) if c > 1 and axis in ('X', 'Y', 'Z')]
+    if is_modeled:
+        columns = _places_of_model(sheet, names, units, columns)
     markers = sheet.markers(names, axes, columns)
     found_units = {sheet.cell(units, column) for triple in markers.values() for column in triple}
     if len(found_units) > 1:
@@ -184,6 +229,21 @@ def _read_vicon(file: _file.File, options: _file.Options) -> _file.Points:
     points = _read_frames(sheet, markers, first, end=end)
     times = _file.frame_times(file, points.frames, _cells.number_in(sheet.cell(row + 1, 0)))
     return replace(points, times=times, unit=found_units.pop())
+
+
+def _places_of_model(sheet: _sheet.Sheet, names: int, units: int, columns: list[int]) -> list[int]:
+    """Return the columns of lengths, as centers of joints; notes the others, as angles."""
+    places = [column for column in columns if sheet.cell(units, column).lower() in _LENGTHS]
+    others = [sheet.cell(names, column) for column in columns if column not in places]
+    listed = _cells.listed([_cells.shown(name) for name in dict.fromkeys(others) if name])
+    if not places:
+        raise BagError(
+            f'{sheet.path} has outputs of a model alone, which are no places: {listed}; fix: '
+            f'export {_SECTION}, too'
+        )
+    if listed:
+        sheet.notes.append(f'{sheet.path}: outputs of the model that are not read: {listed}')
+    return places
 
 
 VICON = _file.Format(
@@ -218,7 +278,7 @@ def _read_trc(file: _file.File, options: _file.Options) -> _file.Points:
             raise BagError(f'{path}, line {sheet.lines[first - 1]}: no frames; fix: {_TRC_FIX}')
     points = _read_frames(sheet, _trc_columns(sheet, titles, first), first, 'Frame#')
     times = sheet.column(1, first, 'Time') if options.rate is None else None
-    file.notes += _file.count_notes(path, about.get('NumFrames', ''), len(points.frames))
+    file.note_count(about.get('NumFrames', ''), len(points.frames))
     file.notes += _file.count_notes(path, about.get('NumMarkers', ''), len(points.names), 'markers')
     return replace(
         points,

@@ -59,16 +59,16 @@ def read_preamble(sheet: Sheet) -> Preamble:
             break
     else:
         return Preamble(0, is_found=False)
-    if is_visual3d:
-        return Preamble(row, 'm')
-    text = '\n'.join(sheet.delimiter.join(cells) for cells in rows[:row])
+    # Those of Visual3D: file, name, type and folder; its lengths are in m.
+    own = 4 if is_visual3d else 0
+    text = '\n'.join(sheet.delimiter.join(cells) for cells in rows[: row - own])
     unit, rate = _UNIT.search(text), _RATE.search(text)
     is_vernier = row > 0 and rows[0][0].startswith(_VERNIER)
     return Preamble(
         row,
-        next(filter(None, unit.groups()), None) if unit else None,
+        next(filter(None, unit.groups()), None) if unit else 'm' if is_visual3d else None,
         number_in(next(filter(None, rate.groups()), '')) if rate else 0.0,
-        row == 0 or bool(unit or rate) or is_vernier,
+        row == 0 or bool(unit or rate) or is_vernier or is_visual3d,
     )
 
 

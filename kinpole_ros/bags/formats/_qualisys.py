@@ -54,7 +54,7 @@ def _read_qualisys(file: _file.File, options: _file.Options) -> _file.Points:
     points = values[..., :3]
     # A marker that was not seen is three zeros.
     points[~points.any(axis=-1) if poses is None else np.isnan(poses[..., 0])] = np.nan
-    file.notes += _file.count_notes(path, ''.join(about.get('NO_OF_FRAMES', [])), len(lines))
+    file.note_count(''.join(about.get('NO_OF_FRAMES', [])), len(lines))
     count = about.get('NO_OF_MARKERS' if width == 3 else 'NO_OF_BODIES', [])
     file.notes += _file.count_notes(path, ''.join(count), len(names), 'names')
     rate = _cells.number_in(''.join(about.get('FREQUENCY', [])))

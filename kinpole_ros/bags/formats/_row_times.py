@@ -12,7 +12,8 @@ from kinpole_ros.bags.formats._sheet import Sheet
 
 # "time", "Time (s)", "t [s]", "timestamp_ns", "time_ms", "POSITION_T (sec)", "__time", "%time".
 _TIME = re.compile(
-    r'(?:(?:__|%)?time|t|timestamp|time[ _]?stamp|rosbagtimestamp|position_t|seconds)\s*'
+    r'(?:(?:__|%)?time|t|timestamp|time[ _]?stamp|rosbagtimestamp|position_t|seconds'
+    r'|zeit|temps|tiempo|tempo|tijd|czas|время|时间|時間)\s*'
     r'(?:[(\[](?P<bracketed>[^)\]]*)[)\]]|[_ ](?P<unit>[a-zµ]+))?',
     re.IGNORECASE,
 )

@@ -54,6 +54,45 @@ def first_pass(file: File, series: list[MessageSeries]) -> list[MessageSeries]:
     ]
 
 
+def without_repeats(file: File, series: list[MessageSeries]) -> list[MessageSeries]:
+    """Leave out messages with a stamp that their source had before, and note how many say more."""
+    kept = []
+    for source in dict.fromkeys(part.source for part in series):
+        parts = [part for part in series if part.source == source]
+        stamps = np.concatenate([part.stamps for part in parts])
+        order = np.argsort(np.concatenate([part.log_times for part in parts]), kind='stable')
+        is_first = np.zeros(len(stamps), bool)
+        is_first[order[np.unique(stamps[order], return_index=True)[1]]] = True
+        repeated = len(stamps) - int(is_first.sum())
+        first = 0
+        for part in parts:
+            rows = is_first[first : first + len(part.stamps)]
+            first += len(part.stamps)
+            kept.append(
+                part._replace(
+                    stamps=part.stamps[rows],
+                    log_times=part.log_times[rows],
+                    values=part.values[rows],
+                )
+            )
+        if repeated and not _are_same(parts):
+            file.notes.append(
+                f'{file.path}: {repeated} of {len(stamps)} messages'
+                f'{f" of {shown(source)}" if source else ""} have the stamp of one before them, '
+                'and are left out; fix: have the driver stamp each with its time of capture'
+            )
+    return [part for part in kept if len(part.stamps)]
+
+
+def _are_same(parts: list[MessageSeries]) -> bool:
+    """Return whether messages of one stamp say the same, as those sent again on /tf."""
+    if len(parts) > 1:
+        return False
+    (part,) = parts
+    _, first, rows = np.unique(part.stamps, return_index=True, return_inverse=True)
+    return np.array_equal(part.values, part.values[first][rows.reshape(-1)], equal_nan=True)
+
+
 def check_clocks(file: File, series: list[MessageSeries]) -> None:
     """
     Raise BagError where sources that came together are stamped at other times: by two clocks.

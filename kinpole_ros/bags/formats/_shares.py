@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 SHARES = 'shares of the picture'  # in place of a unit
+_UNITS = ('norm', 'normalized', 'normalised', '0-1', '0..1', 'relative')
 _FEWEST_NAMES = 3  # by which a pose, a hand or a face is known
 # Of a pose and a hand of MediaPipe, and columns that no other program has.
 _LANDMARK = re.compile(
@@ -15,17 +16,23 @@ _LANDMARK = re.compile(
     r'|(?:pose[ _]?|hand[ _]?|face[ _]?)?landmark[ _]?[0-9]+)[ _.:]?[xyz]',
     re.IGNORECASE,
 )
-_SEEN = re.compile(r'(?:.*[ _.])?(?:visibility|presence)|v[0-9]+', re.IGNORECASE)
-_NORMALIZED = re.compile(r'norm(?:alized|alised|ed)?', re.IGNORECASE)
+_SEEN = re.compile(r'(?:.*[ _.])?(?:visibility|presence)(?:[ _]?[0-9]+)?|v[0-9]+', re.IGNORECASE)
 _USUAL, _MOST = 0.95, (-0.5, 1.5)  # the share of coordinates that lie in, or next to, the picture
 
 
-def shares_of_picture(header: Sequence[str], points: np.ndarray) -> bool:
-    """Return whether points (T, n, 3) are shares of a picture, by their names and values."""
+def unit_of_picture(header: Sequence[str], points: np.ndarray, unit: str) -> str:
+    """
+    Return the unit of points (T, n, 3), by their names and values.
+
+    That of landmarks of a person, where `unit` is '', is SHARES or px.
+    """
+    if unit.lower() in _UNITS:
+        return SHARES
     named = sum(bool(_LANDMARK.fullmatch(title)) for title in header) >= 2 * _FEWEST_NAMES
     seen = any(map(_SEEN.fullmatch, header))
-    normalized = any(map(_NORMALIZED.search, header))
-    return (named or seen or normalized) and in_unit_square(points)
+    if unit or not (named or seen):
+        return unit
+    return SHARES if in_unit_square(points) else 'px' if seen else unit
 
 
 def in_unit_square(points: np.ndarray) -> bool:

@@ -54,6 +54,7 @@ class Sheet:
         # Of the row that is being read.
         self._row_separators = self._row_characters = self._row_lines = 0
         self._may_be_cut = self._is_short = False  # the last number
+        self.left_out: tuple[int, str] | None = None  # line of a last row, and the note on it
         self._count_rows()
 
     def __len__(self) -> int:
@@ -164,7 +165,18 @@ class Sheet:
             f'last number may be cut off; {fix}'
         )
         if is_left_out:
+            self.left_out = self.lines[-1], self.notes[-1]
             self._drop_rows(len(self) - 1)
+
+    def restore_last_row(self) -> None:
+        """Have the row again that was left out, since the head of the file counts it."""
+        assert self.left_out is not None
+        line, note = self.left_out
+        self.lines.append(line)
+        if len(self) <= _HEAD_ROWS:
+            self._head = list(islice(self.rows(), len(self)))
+        kept = 'the file counts that row, so it is kept: see that its last number is whole'
+        self.notes[:] = [note.replace('the row is left out', kept)]
 
     def rows(self) -> Iterator[list[str]]:
         """Split the file into rows of cells, from its beginning."""

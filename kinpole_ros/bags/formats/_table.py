@@ -39,17 +39,19 @@ from kinpole_ros.bags.formats._preamble import (
     titles_of,
 )
 from kinpole_ros.bags.formats._row_times import TimeColumns, find_times, read_times
-from kinpole_ros.bags.formats._shares import SHARES, shares_of_picture
+from kinpole_ros.bags.formats._shares import SHARES, unit_of_picture
 from kinpole_ros.bags.formats._sheet import Sheet
 from kinpole_ros.bags.formats._titles import BODY, Layout, find_columns
 
 # "frame", "Frame#", "fnum", "frame_number", "Slice".
 _FRAME = re.compile(
-    r'(?:video[ _]?)?f(?:rame|num)s?(?:[ _]?(?:number|num|no|nr|index|idx|id|#)\.?)?|slice',
+    r'(?:video[ _]?)?f(?:rame|num)s?(?:[ _]?(?:number|num|no|nr|index|idx|id|#)\.?)?|slice(?: n°)?',
     re.IGNORECASE,
 )
+_IN_FRAMES = re.compile(r't(?:ime)? ?[(\[]frames?[)\]]', re.IGNORECASE)  # of MTrackJ
 # Points that only pictures have: the corners of tags.
 _CORNER = re.compile(r'(?:top|bottom)[ _]?(?:left|right)|corner[ _]?[0-9]', re.IGNORECASE)
+_FAR = 50.0  # m: beyond, points of a tracker of particles or tags are in another unit
 _LIKELIHOODS = ('likelihood', 'score', 'confidence', 'visibility', 'presence')
 
 
@@ -101,16 +103,21 @@ def _read(file: File, options: Options) -> Points:
     unread = [shown(name) for k, name in enumerate(header) if name and k not in used]
     if unread and not _is_anipose(file):
         sheet.notes.append(f'{file.path}: columns that are not read: {listed(unread)}')
-    unit, is_down = _unit(header, layout, about, is_anipose=_is_anipose(file))
-    are_shares = unit in ('m', *PIXELS) and shares_of_picture(header, rows.points)
-    if are_shares:
+    unit = layout.unit or about.unit or ''
+    if not _is_anipose(file):
+        unit = unit_of_picture(header, rows.points, unit)
+        unit = unit or _usual_unit(header, layout, about, rows.points, long)
+    is_down = unit == SHARES or unit.lower() in PIXELS or _is_trackmate(header)
+    if unit == SHARES:
         # A network guesses depth, from the width of the body.
         rows.points[..., 2] *= 0.0
-    if is_down or are_shares:
-        place = SHARES if are_shares else 'pixels' if unit.lower() in PIXELS else 'a picture'
+    if is_down:
+        place = 'pixels' if unit.lower() in PIXELS else unit if unit == SHARES else 'a picture'
         sheet.notes.append(
             f'{file.path} is in {place}, so y points down unless you give --no-y-down'
         )
+    elif not unit and long is not None:
+        sheet.notes.append(f'{file.path} may be of a picture; y points up unless you give --y-down')
     if about.rate and options.rate is None:
         rows = rows._replace(seconds=frame_times(file, rows.frames, about.rate, rows.seconds))
     title = times.title if times else 't' if number is None else header[number]
@@ -119,8 +126,8 @@ def _read(file: File, options: Options) -> Points:
         rows.points,
         rows.frames,
         rows.seconds,
-        SHARES if are_shares else unit,
-        y_down=is_down or are_shares,
+        unit,
+        y_down=is_down,
         lines=rows.lines,
         time_column=shown(title),
         stamps=rows.stamps,
@@ -161,6 +168,12 @@ def _check_layout(sheet: Sheet, layout: Layout) -> None:
         raise BagError(
             f'{where}: no column is named NAME_x; fix: name the columns of each '
             'marker NAME_x and NAME_y, with commas between them'
+        )
+    links = [name.split('/')[-2:] for name in layout.turns if name.startswith('tf/')]
+    if chained := [child for parent, child in links if parent in [own for _, own in links]]:
+        raise BagError(
+            f'{sheet.path} has {shown(chained[0])} in a frame that moves; fix: give the bag '
+            'itself, in which such chains are multiplied out'
         )
     for name, axis in product(layout.points, 'xy'):
         if axis not in layout.points[name]:
@@ -214,6 +227,10 @@ def _frame_columns(
     Where rows are points, times 0, 1, 2, ... of no unit are numbers of frames, as of napari.
     """
     number = next((k for k, name in enumerate(header) if _FRAME.fullmatch(name)), None)
+    if number is None and identity_columns(header):
+        number = next((k for k, name in enumerate(header) if _IN_FRAMES.fullmatch(name)), None)
+        if number is not None:
+            return number, None
     times = None
     with suppress(BagError) if is_rate_given else nullcontext():
         times = find_times(sheet, header)
@@ -286,27 +303,34 @@ def _joined_names(points: Sequence[str], columns: Sequence[str]) -> list[str]:
     return [f'{point}.{column}' for point in points for column in columns]
 
 
-def _unit(
-    header: Sequence[str], layout: Layout, about: Preamble, is_anipose: bool
-) -> tuple[str, bool]:
-    """Return the unit, '' where the file does not say it, and whether y points down."""
-    if is_anipose:
-        return '', False
-    unit = layout.unit or about.unit or ''
+def _is_trackmate(header: Sequence[str]) -> bool:
+    return any(title.lower().startswith('position_t') for title in header)
+
+
+def _usual_unit(
+    header: Sequence[str],
+    layout: Layout,
+    about: Preamble,
+    points: np.ndarray,
+    long: LongRows | None,
+) -> str:
+    """Return the unit of a table that says none: px of pictures, m, or '' where it may be any."""
     titles = {title.lower() for title in header}
-    is_trackmate = any(title.startswith('position_t') for title in titles)
-    if not unit and not is_trackmate:
-        axes = layout.points.values()
-        is_in_picture = (
-            {'particle', 'frame'} <= titles  # trackpy
-            or all(of['y'] < of['x'] for of in axes)  # rows and columns of a picture
-            or all(map(_CORNER.fullmatch, layout.points))
-            or {'cx', 'cy'} <= titles  # the center of a contour or a tag
-            or (titles >= {'seconds', 'x1', 'y1'} and len(titles) % 2 == 1)  # idtracker.ai
-        )
-        # Lines above the names that say the rate alone may say the unit in other words.
-        unit = 'px' if is_in_picture else '' if about.rate else 'm'
-    return unit, unit.lower() in PIXELS or is_trackmate
+    if _is_trackmate(header):
+        return ''
+    is_in_picture = (
+        {'particle', 'frame'} <= titles  # trackpy
+        or all(of['y'] < of['x'] for of in layout.points.values())  # rows and columns of a picture
+        or all(map(_CORNER.fullmatch, layout.points))
+        or {'cx', 'cy'} <= titles  # the center of a contour or a tag
+        or (titles >= {'seconds', 'x1', 'y1'} and len(titles) % 2 == 1)  # idtracker.ai
+        or any(title.startswith('probid') for title in titles)  # idtracker
+    )
+    if is_in_picture:
+        return 'px'
+    # Lines above the names that say the rate alone may say the unit in other words.
+    is_far = long is not None and np.nanmax(np.abs(points[..., :2]), initial=0.0) > _FAR
+    return '' if about.rate or is_far else 'm'
 
 
 def _leave_out_unlikely(

@@ -10,10 +10,10 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
-# "x", "X (mm)", "x1", "cx", "X 2 (m)", "tip_x", "tip x", "tip.x [cm]", "/rod/pose/position/x".
+# "x", "X (mm)", "x1", "cx", "x_mm", "X 2 (m)", "tip_x", "tip.x [cm]", "/rod/pose/position/x".
 _COORDINATE = re.compile(
     r'(?:(?P<name>.+)[ _.:/-])?c?(?P<axis>[xyzw])(?P<number>(?:[ _]?[0-9]+)?)'
-    r'\s*(?:[(\[](?P<unit>.*)[)\]])?',
+    r'(?:\s*[(\[](?P<unit>.*)[)\]]|[ _](?P<suffix>mm|cm|m|px|pixels?|norm|normalized))?',
     re.IGNORECASE,
 )
 _AXIS_FIRST = re.compile(  # "X Position (m)", "x-position"
@@ -139,7 +139,8 @@ def _groups_of(header: Sequence[str]) -> list[_Group]:
         name = title[:-2] if is_plain else match['name'] or (f'point{number}' if number else '')
         group = groups.setdefault(name, _Group(name, {}, set(), is_plain))
         group.columns.setdefault(match['axis'].lower(), column)
-        group.units.add((match['unit'] or '').strip())
+        suffix = match.groupdict().get('suffix')
+        group.units.add((match['unit'] or suffix or '').strip())
         groups[name] = group._replace(is_plain=group.is_plain or is_plain)
     return list(groups.values())
 
@@ -172,6 +173,8 @@ def _is_no_place(group: _Group, groups: Sequence[_Group]) -> bool:
     kind = words[-1].rstrip('0123456789')
     if kind in _NO_PLACES or (is_of_ros and kind in _NO_PLACES_OF_ROS):
         return True
+    if group.name == 'A':
+        return False  # a marker, as of A, B and C; an acceleration is a
     stems = {other.stem for other in groups if other is not group}
     names = {other.words for other in groups}
     # p_x beside v_x is the place of which that is the velocity.

@@ -121,9 +121,12 @@ def import_points(options: argparse.Namespace) -> int:
     coordinates count y down. The formats:
 
       table       columns NAME_x, NAME_y, maybe NAME_z, and t in s (or time_ms ...), in m;
-                  or t, x, y of one point
+                  or t, x, y of one point; or a row for each point, with its id; or poses,
+                  as rostopic, PlotJuggler and bagpy write them
       deeplabcut  .csv or .h5, one animal or several
       sleap       analysis .csv or .h5
+      movement    .nc (netCDF)
+      nwb         series of poses or places
       anipose     .csv of points in space
       keypoints   OpenPose, a folder of .json; COCO .json
       kinovea     trajectories as .csv, .txt or .xml, and angles as .csv
@@ -136,9 +139,9 @@ def import_points(options: argparse.Namespace) -> int:
       bag         .bag of ROS 1; .db3, .mcap or a folder of ROS 2: markers, poses, or what
                   mocap4r2, motion_capture_tracking and VRPN publish
 
-    Files that end in .h5 need h5py (pip install h5py). Cells are separated by commas, semicolons
-    or tabs; with the latter two, decimals may be commas. Empty cells are markers that were not
-    seen. Poses of bodies are written to /tf.
+    Files that end in .h5, .nc or .nwb need h5py (pip install h5py). Cells are separated by commas,
+    semicolons or tabs; with the latter two, decimals may be commas. Empty cells are markers that
+    were not seen. Poses of bodies are written to /tf.
 
     Examples:
       kinpole import walk.trc --output walk.mcap

@@ -88,7 +88,8 @@ def report(
         'deviations': [[row.joint, f'{row.rms:.2g} m', f'{row.deviations:.1f}'] for row in joints],
         'made': f'kinpole {__version__}',
     }
-    if film is not None and film.video is not None:
+    # Where tags turn out of the picture, the plane of motion is seen from its side.
+    if film is not None and film.video is not None and film.corner_heights is None:
         from kinpole_ros.film import straightened
 
         data['film'] = straightened(film, shown.stamp)

@@ -4,7 +4,8 @@ Frames of a decoder: their limits, their brightness, and where they come from.
 A film may come from anybody: pictures have a limit, so memory has one too.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import av
@@ -31,10 +32,14 @@ class DamagedError(FilmError):
 
 
 class Timed(NamedTuple):
-    """A frame of the decoder, its time, ns, None if it has none, and its number from 0 on."""
+    """
+    A frame of the decoder, its time, ns, None if it has none, and its number from 0 on.
+
+    The number of the second field of an interlaced frame is larger by a half.
+    """
 
     time: int | None
-    number: int
+    number: float
     frame: Any
 
 
@@ -51,8 +56,6 @@ class Source(NamedTuple):
     has_times : bool
     pictures : int
         Number of frames, 0 if it is not known.
-    rate : float
-        Their mean number per second, 0 if it is not known.
     is_absolute : bool
         Whether times count from 1970, and not from the first frame.
     capture : tuple, optional
@@ -66,7 +69,6 @@ class Source(NamedTuple):
     clock: str
     has_times: bool = True
     pictures: int = 0
-    rate: float = 0.0
     is_absolute: bool = False
     capture: tuple[str, float] | None = None
     times: Callable[[], np.ndarray] | None = None
@@ -98,6 +100,47 @@ def decoded_picture(name: str, data: bytes) -> Any:
     if not frames:
         raise DamagedError(f'{name} is a damaged picture; fix: leave it out')
     return frames[0]
+
+
+def fields(frames: Iterable[Any]) -> Iterator[tuple[float, Any]]:
+    """
+    Yield numbers and frames, and the two fields of interlaced ones, which are of two instants.
+
+    From the first interlaced frame on all go through the filter bwdif of FFmpeg.
+    """
+    graph: Any = None
+    count = 0
+    for number, frame in enumerate(frames):
+        if graph is None and not frame.interlaced_frame:
+            yield number, frame
+            continue
+        if graph is None:
+            graph, count = _field_filter(frame), 2 * number
+        graph.push(frame)
+        for field in _filtered(graph):
+            yield count / 2, field
+            count += 1
+    if graph is not None:
+        graph.push(None)
+        for field in _filtered(graph):
+            yield count / 2, field
+            count += 1
+
+
+def _field_filter(frame: Any) -> Any:
+    graph = av.filter.Graph()
+    source = graph.add_buffer(
+        width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base
+    )
+    graph.link_nodes(source, graph.add('bwdif', 'send_field'), graph.add('buffersink')).configure()
+    return graph
+
+
+def _filtered(graph: Any) -> Iterator[Any]:
+    """Yield the frames that are ready."""
+    with suppress(av.BlockingIOError, av.EOFError):
+        while True:
+            yield graph.pull()
 
 
 def quarter_turns(frame: Any) -> int:
