@@ -19,6 +19,7 @@ from kinpole_ros.messages import (
     read_state_blocks,
 )
 from kinpole_ros.tracking.plane import plane_axes
+from kinpole_ros.tracking.quantities import withheld_quantities
 from kinpole_ros.tracking.reasons import texts_of
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors
 
@@ -137,7 +138,8 @@ def frame_of_state(data: bytes, rig: Mapping[str, Any] | None) -> Frame:
         frames.append(
             pose | {name: lists.get(name, nothing)[b] for name in _SIZES} if determined else None
         )
-    texts = {name: texts_of(code[0]) for name, code in codes.items()}
+    shown = 'pose', *withheld_quantities(4).values()
+    texts = {name: texts_of(codes[name][0]) for name in shown if name in codes}
     along, seen = plane_axes(plane_of_rig(rig)), [body for body in known if body['size']]
     return Frame(
         stamp,
