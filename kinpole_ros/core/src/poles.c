@@ -247,10 +247,12 @@ velocity_at(const Motion *m, long long t)
 static int
 why_no_curvature(const Motion *m, long long t, const Quantity *velocity)
 {
-    int without_icr = pole_at(m, t, 1).reason, on_pin = isfinite(creal(m->pin[t]));
     if (velocity->flags & MOVES)
         return IN_NOISE;
-    return without_icr ? without_icr : on_pin ? ON_PIN : ICR_IN_NOISE;
+    /* Without an ICR its velocity has the reason of that. */
+    if (velocity->reason)
+        return velocity->reason;
+    return isfinite(creal(m->pin[t])) ? ON_PIN : ICR_IN_NOISE;
 }
 
 /* The curvature of the fixed centrode, 1/m, determined where the ICR is seen to move. */
