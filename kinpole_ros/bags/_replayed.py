@@ -5,12 +5,14 @@ from itertools import compress
 from typing import TYPE_CHECKING
 
 from kinpole_ros.bags._files import Truncated
+from kinpole_ros.findings import Finding
 from kinpole_ros.messages import faults
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.marker_rows import find_rows
 from kinpole_ros.tracking.outages import Outage
+from kinpole_ros.tracking.reasons import KNOWN
 from kinpole_ros.tracking.rejection import HELD
 from kinpole_ros.tracking.space import SpaceReport, updated
 from kinpole_ros.tracking.timeline import StampState
@@ -63,15 +65,16 @@ class Replayed:
     identities : tuple of str
         The markers in the last message.
     unknown : dict
-        The bodies that were never estimated, and why not at the last instant, '' without instants.
+        The bodies that were never estimated, and the code of why not at the last instant, KNOWN
+        without instants.
     concatenated : list of str
         The files that were read as one recording only because they are in one folder.
     scene_positions : PositionReport or None
         How far the joints are from the scene, if there is one.
     stamps : StampState or None
         How the stamps deviate from their clock; None where there are too few.
-    misnamed : list of str
-        Markers that are not those that their names say, and further remarks, a line each.
+    misnamed : list of Finding
+        Markers that are not those that their names say, and further remarks.
     pose_problem : str
         Poses that no message has, or that are stamped too late; '' if all is well.
     erring : dict
@@ -104,11 +107,11 @@ class Replayed:
     last: int = 0
     absent: dict[str, list[str]] = field(default_factory=dict)
     identities: tuple[str, ...] = ()
-    unknown: dict[str, str] = field(default_factory=dict)
+    unknown: dict[str, int] = field(default_factory=dict)
     concatenated: list[str] = field(default_factory=list)
     scene_positions: 'PositionReport | None' = None
     stamps: StampState | None = None
-    misnamed: list[str] = field(default_factory=list)
+    misnamed: list[Finding] = field(default_factory=list)
     pose_problem: str = ''
     erring: dict[str, dict[str, float]] = field(default_factory=dict)
     wrong: dict[str, int] = field(default_factory=dict)
@@ -126,7 +129,7 @@ def begin(settings: Settings, tracker: Tracker) -> Replayed:
         determined={body: dict.fromkeys(poles, 0) for body in tracker.bodies},
         first=_LATEST,
         absent=absent,
-        unknown=dict.fromkeys(tracker.bodies, ''),
+        unknown=dict.fromkeys(tracker.bodies, KNOWN),
     )
 
 
@@ -153,11 +156,11 @@ def add_estimate(outcome: Replayed, estimate: Estimate) -> None:
     for b, poles in enumerate(outcome.determined.values()):
         for order, pole in enumerate(poles, 1):
             poles[pole] += int(estimate.pole(order).determined[:, b].sum())
-    for body, reasons in zip(estimate.bodies, estimate.missing.T, strict=True):
-        if (reasons == '').any():
+    for body, reasons in zip(estimate.bodies, estimate.reason.T, strict=True):
+        if (reasons == KNOWN).any():
             outcome.unknown.pop(body, None)
         elif body in outcome.unknown:
-            outcome.unknown[body] = str(reasons[-1])
+            outcome.unknown[body] = int(reasons[-1])
 
 
 def finish(outcome: Replayed, tracker: Tracker, converted: str = '') -> None:
@@ -184,14 +187,13 @@ def finish(outcome: Replayed, tracker: Tracker, converted: str = '') -> None:
     outcome.space = updated(outcome.space, tracker.space())
     outcome.stamps = tracker.stamp_state()
     told = {**counts, HELD: 0} if converted else counts
-    lines = [*faults.identity_lines(tracker, told), *([converted] if converted else [])]
-    outcome.misnamed = [*lines, *outcome.misnamed]
+    found = [*faults.identity_findings(tracker, told)]
+    if converted:
+        found.append(Finding('source', values={'text': converted}))
+    outcome.misnamed = [*found, *outcome.misnamed]
     if len(bodies) > MOST_PAIRED_BODIES:
-        outcome.misnamed.append(
-            f'relative rates and centers of pairs are left out: there are {len(bodies)} bodies, '
-            f'and pairs are measured of up to {MOST_PAIRED_BODIES}; fix: for these, name fewer '
-            'bodies'
-        )
+        about = {'count': len(bodies), 'most': MOST_PAIRED_BODIES}
+        outcome.misnamed.append(Finding('unpaired', values=about))
     outcome.erring = tracker.erring()
     outcome.wrong = dict(zip(bodies, tracker.wrong().tolist(), strict=True))
     outcome.outages = tracker.outages()

@@ -28,14 +28,13 @@ from kinpole_ros.tracking.quantities import (
     compute_quantity,
     motion_of,
     relative_centers,
+    withheld_quantities,
 )
 from kinpole_ros.tracking.reasons import (
-    FARTHEST,
+    KNOWN,
     SIGNIFICANT,
-    STRAIGHT,
     stands_out,
-    why_no_motion_of_icr,
-    why_no_poles,
+    texts_of,
 )
 from kinpole_ros.tracking.result_layout import INSTANT_AXIS
 from kinpole_ros.tracking.values import (
@@ -85,8 +84,9 @@ class Estimate:
     span, degree : (T, B) float
         How long the samples of the angular velocity take, s, and by how many parameters less one
         they are described.
-    missing : (T, B) str
-        Why nothing is known of a body, '' if it is known. Its arrays are NaN.
+    reason : (T, B) uint8
+        The code of why nothing is known of a body, KNOWN if it is known: see reasons.py. Its
+        arrays are NaN.
     pin, pin_variance : (T, B)
         The fixed point a body was found to turn about, complex, m, and the variance of one of its
         coordinates, m^2. NaN for a body on no pin.
@@ -113,7 +113,7 @@ class Estimate:
     height: np.ndarray = _column('height')
     span: np.ndarray = _column('span')
     degree: np.ndarray = _column('degree')
-    missing: np.ndarray = _column('missing')
+    reason: np.ndarray = _column('reason')
     pin: np.ndarray = _column('pin')
     pin_variance: np.ndarray = _column('pin_variance')
     shape: np.ndarray = _column('shape')
@@ -151,7 +151,8 @@ class Estimate:
         """
         Return an estimate of arrays by their names.
 
-        Pins, shapes and references may be left out: then no body has any.
+        Pins, shapes and references may be left out: then no body has any. So may reasons: then all
+        bodies are known.
         """
         shape, stamp = np.shape(arrays['position'])[1:], np.asarray(arrays['stamp'])
         defaults = {
@@ -160,6 +161,7 @@ class Estimate:
             'shape': np.empty((*shape, 0), complex),
             'due': np.arange(stamp.size).reshape(stamp.shape),
             'reference': np.zeros(shape, complex),
+            'reason': np.full(shape, KNOWN, np.uint8),
         }
         return cls((defaults | dict(arrays)).__getitem__, frame_id, bodies, run, plane)
 
@@ -187,6 +189,11 @@ class Estimate:
             if isinstance(quantity, Vectors | Numbers):
                 vars(one)[name] = _at(instant, quantity)
         return one
+
+    @property
+    def missing(self) -> np.ndarray:
+        """Why nothing is known of a body (T, B), in words; '' if it is known."""
+        return texts_of(self.reason)
 
     @cached_property
     def pinned(self) -> np.ndarray:
@@ -241,7 +248,7 @@ class Estimate:
 
         Empty if nothing is known of the body.
         """
-        if self.missing[body]:
+        if self.reason[body]:
             return ''
         if stands_out(np.abs(self.angle), self.angle_covariance)[body]:
             return 'pinned' if self.pinned[body] else 'general'
@@ -252,25 +259,25 @@ class Estimate:
     @cached_property
     def icr_velocity(self) -> Vectors:
         """Velocity of the ICR along both centrodes (m/s)."""
-        value, spread, flags = compute_quantity(VELOCITY, self.compiled_motion)
+        value, spread, flags, _ = compute_quantity(VELOCITY, self.compiled_motion)
         return Vectors(value, spread, (flags & DETERMINED) > 0)
 
     @cached_property
     def centrode_curvature(self) -> Numbers:
         """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
-        value, spread, flags = compute_quantity(CURVATURE, self.compiled_motion)
+        value, spread, flags, _ = compute_quantity(CURVATURE, self.compiled_motion)
         return Numbers(value.real, spread[..., 0, 0], (flags & DETERMINED) > 0)
 
     @cached_property
     def inflection_circle(self) -> Vectors:
         """Center of the inflection circle (m); undetermined where the ICR stands still."""
-        value, spread, flags = compute_quantity(CIRCLE_CENTER, self.compiled_motion)
+        value, spread, flags, _ = compute_quantity(CIRCLE_CENTER, self.compiled_motion)
         return Vectors(value, spread, (flags & DETERMINED) > 0)
 
     @cached_property
     def inflection_diameter(self) -> Numbers:
         """Diameter of the inflection circle (m); undetermined where the ICR stands still."""
-        value, spread, flags = compute_quantity(CIRCLE_DIAMETER, self.compiled_motion)
+        value, spread, flags, _ = compute_quantity(CIRCLE_DIAMETER, self.compiled_motion)
         return Numbers(value.real, spread[..., 0, 0], (flags & DETERMINED) > 0)
 
     @cached_property
@@ -333,35 +340,21 @@ class Estimate:
         return Vectors(value, spread, flags > 0)
 
     def reasons(self, body: int) -> dict[str, str]:
-        """Return why quantities of a body at one instant are undetermined, by name."""
-        if self.missing[body]:
+        """Return why quantities of a body at one instant are undetermined, by name, in words."""
+        if self.reason[body]:
             return {'all': str(self.missing[body])}
-        reasons = {name: str(why[body]) for name, why in self.withheld().items()}
-        return {name: why for name, why in reasons.items() if why}
+        codes = {name: code[body] for name, code in self.withheld().items()}
+        return {name: str(texts_of(code)) for name, code in codes.items() if code}
 
     def withheld(self) -> dict[str, np.ndarray]:
         """
-        Return why each quantity (T, B) is undetermined, '' where it is determined.
+        Return the code (T, B) of why each quantity is undetermined, KNOWN where it is determined.
 
         The quantities are the poles, the curvature of the centrode and the inflection circle, up to
-        the order. A reason in `missing` holds for all of them.
+        the order. A `reason` of the body holds for all of them.
         """
-        poles = [self.pole(order) for order in range(1, self.order + 1)]
-        reasons = dict(
-            zip(POLE_NAMES, why_no_poles(poles, self.position[0], self.size), strict=False)
-        )
-        quantities = self.quantities(self.order)
-        for name in ('centrode_curvature', 'inflection_circle'):
-            if name in quantities:
-                about = self.pole(1).determined, self.pinned, self.icr_moves
-                reasons[name] = why_no_motion_of_icr(*about, quantities[name].determined)
-        if 'inflection_circle' in reasons:
-            with np.errstate(invalid='ignore'):
-                far = np.abs(self.inflection_circle.value - self.position[0]) > FARTHEST * self.size
-            reasons['inflection_circle'][far & self.icr_moves] = STRAIGHT
-        return {
-            name: np.where(self.missing == '', why, self.missing) for name, why in reasons.items()
-        }
+        motion, names = self.compiled_motion, withheld_quantities(self.order)
+        return {name: compute_quantity(what, motion)[3] for what, name in names.items()}
 
 
 def _origin(order: int, estimate: Estimate) -> np.ndarray:
@@ -381,7 +374,7 @@ def _rate(order: int, estimate: Estimate) -> Numbers:
 
 def _pole(order: int, estimate: Estimate) -> Vectors:
     """Return a pole, with pins, or without for FREE + its order."""
-    value, spread, flags = compute_quantity(order, estimate.compiled_motion)
+    value, spread, flags, _ = compute_quantity(order, estimate.compiled_motion)
     return Vectors(value, spread, flags > 0)
 
 

@@ -11,7 +11,7 @@ from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.plane import Plane
-from kinpole_ros.tracking.rejection import REASONS_OF_MARKERS, REASONS_OF_POSES
+from kinpole_ros.tracking.reasons import REASONS, reasons_of_poses
 from kinpole_ros.tracking.result_layout import FILLED, INSTANT_AXIS, ArrayPart, layout_of
 from kinpole_ros.tracking.values import FramePoses
 
@@ -103,8 +103,12 @@ def estimate_of(
     """
     results = [part for part, _ in parts]
     for part, numbers in parts:
-        due = part.column('due')
+        due, reason = part.column('due'), part.column('reason')
         due[:] = numbers[due]
+        if plane is None:
+            reason[:] = REASONS['PLANE_UNKNOWN']
+        elif are_measured:
+            reason[:] = reasons_of_poses(reason)
 
     def stored(name: str) -> np.ndarray:
         axis = INSTANT_AXIS.get(name, 0)
@@ -114,14 +118,7 @@ def estimate_of(
         stored = results[0].column
 
     def column(name: str) -> np.ndarray:
-        if name == 'degree':
-            return stored('freedom') - 1
-        if name != 'missing':
-            return stored(name)
-        reasons = (REASONS_OF_POSES if are_measured else REASONS_OF_MARKERS)[stored('reason')]
-        if plane is None:
-            reasons[...] = 'plane not known yet'
-        return reasons
+        return stored('freedom') - 1 if name == 'degree' else stored(name)
 
     def frame_poses() -> FramePoses:
         turned, placed = stored('information').swapaxes(0, 1)

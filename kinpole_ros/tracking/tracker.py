@@ -33,7 +33,7 @@ class Tracker(TrackerSummary):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self._frame_id = ''
+        self.frame_id = ''
         self._results: list[tuple[Results, np.ndarray]] = []
         self._events: list[BodyEvent] = []
         self._events_needed = False
@@ -103,7 +103,7 @@ class Tracker(TrackerSummary):
             if not len(frames.stamps):
                 continue
             is_other = frames.has_poses != self.state.bodies.are_measured
-            if frames.frame_id != self._frame_id or is_other:
+            if frames.frame_id != self.frame_id or is_other:
                 estimates += self._change_frame(frames)
             estimates += self._accept(frames, number, order)
             number += len(frames.stamps)
@@ -115,7 +115,7 @@ class Tracker(TrackerSummary):
         estimates = self._flush_results()
         used = len(state.history) > 0
         state.totals.counts['frame_changes'] += used
-        self._frame_id = frames.frame_id
+        self.frame_id = frames.frame_id
         if used or frames.has_poses != state.bodies.are_measured:
             self._start(frames.has_poses)
         return estimates
@@ -252,7 +252,7 @@ class Tracker(TrackerSummary):
         events, self._events = self._events, []
         estimate = estimate_of(
             results,
-            self._frame_id,
+            self.frame_id,
             self.bodies,
             run=self.state.run,
             plane=self.state.assignment.plane,

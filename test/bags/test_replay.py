@@ -527,7 +527,7 @@ def test_the_order_limits_the_topics_and_not_the_figures(
     rows = result_outputs(tuple(FOUR_BAR.bodies), 'xy', highest=order)
     wanted = {row.under('/kinpole') for row in rows}
     full = noisy_figures
-    assert set(messages) - {'/diagnostics'} == wanted & {*full, TF}
+    assert set(messages) - {'/diagnostics', '/kinpole/rig'} == wanted & {*full, TF}
     # These have more poles, the more there are.
     for topic in ('/kinpole/visualization', '/kinpole/state'):
         wanted.remove(topic)
@@ -609,7 +609,7 @@ def test_topics_without_a_message_are_there_to_be_asked_for(simulated: Bag, tmp_
     bag = still(tmp_path / 'in.mcap', lambda t: 0j)
     replay(bag, ONE_BODY, tmp_path / 'out.mcap')
     results = {row.under('/kinpole') for row in result_outputs(('body',), 'xy')}
-    assert set(topics_of(tmp_path / 'out.mcap')) == results | {'/diagnostics'}
+    assert set(topics_of(tmp_path / 'out.mcap')) == results | {'/diagnostics', '/kinpole/rig'}
 
 
 def test_a_body_out_of_sight_is_left_out_beside_one_that_is_not(
