@@ -23,6 +23,7 @@ from kinpole_ros.bags.formats import (
 )
 from kinpole_ros.messages import INPUT_TYPES, TF, marker_arrays, poses_data
 
+_OFF_GRID = 0.15  # intervals in the mean: more are on no grid, as rows of two topics in turn
 _FRAME = 'world'
 _BLOCK_BYTES = 1 << 20  # of messages in memory at a time
 _LONGEST = 2.0**31  # s; the seconds of a ROS stamp are an int32
@@ -228,7 +229,10 @@ def _mean_rate(stamps: np.ndarray) -> float:
     steps = np.diff(stamps)
     if not len(steps):
         return math.nan
-    intervals = np.maximum(np.rint(steps / np.median(steps)), 1)
+    ratios = steps / np.median(steps)
+    intervals = np.maximum(np.rint(ratios), 1)
+    if np.abs(ratios - intervals).mean() > _OFF_GRID:
+        intervals = np.ones(len(steps))
     return float(intervals.sum() / steps.sum() * 1e9)
 
 
