@@ -51,6 +51,8 @@ class Imported:
         m per unit; in x and y where these are shares of a picture.
     notes : tuple of str
         What the user should know, a line each.
+    bodies : tuple of str
+        Those whose poses are on /tf. Markers of their names are their origins.
 
     """
 
@@ -62,6 +64,7 @@ class Imported:
     unit: str
     scale: float | tuple[float, float]
     notes: tuple[str, ...]
+    bodies: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """Say what was read: frames, markers, format, unit, span and rate."""
@@ -221,6 +224,7 @@ def _describe(
         shown(read.unit),
         scale,
         tuple(notes),
+        tuple(read.bodies),
     )
 
 
