@@ -405,13 +405,14 @@ def _markers(bodies: Mapping[str, Sequence[int]] | None, count: int) -> dict[str
 
 def _losses(tracker: Tracker, estimates: list[Estimate]) -> Iterator[str]:
     """Yield a line on frames without results, and on bodies without any."""
+    counts = tracker.update_counts()
     for key, text in (
         ('repeated', 'frames have the stamp of the one before, and are left out'),
         ('late', 'frames are older than the one before, and are left out'),
         ('resets', 'jumps of the stamps, at which all starts anew'),
     ):
-        if tracker.counts[key]:
-            yield f'{tracker.counts[key]} {text}'
+        if counts[key]:
+            yield f'{counts[key]} {text}'
     for b, body in enumerate(tracker.bodies):
         if all((estimate.missing[:, b] != '').all() for estimate in estimates):
             reason = 'too few frames for window and lag'

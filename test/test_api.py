@@ -13,8 +13,9 @@ from conftest import bodies_of, write_config
 
 import kinpole_ros
 from kinpole_ros import UnknownNameError, mechanism, planar, replay, track
-from kinpole_ros.bags import read_frames
+from kinpole_ros.bags import BagWriter, read_frames
 from kinpole_ros.bags import replay as replay_bag
+from kinpole_ros.messages import to_message
 from kinpole_ros.settings import ParameterError, Settings
 
 
@@ -81,6 +82,18 @@ def test_a_frame_without_pandas_is_refused_with_the_fix(rig: Path, monkeypatch) 
     settings = {'bodies': ['coupler'], 'coupler.markers': bodies_of('four_bar')['coupler']}
     with pytest.raises(ImportError, match='needs pandas; fix: pip install pandas'):
         replay(rig, **settings).to_frame()
+
+
+def test_the_first_part_of_a_bag_ends_before_its_first_late_frame(tmp_path: Path) -> None:
+    seconds = [0, 1, 2, 5, 1, 2]
+    with BagWriter(tmp_path / 'a.mcap') as bag:
+        for k, second in enumerate(seconds):
+            # Layouts change, so that each frame is a part of its own.
+            names = [str(marker) for marker in range(2 + k % 2)]
+            points, stamp = np.ones((len(names), 3)), 10**9 * (1 + second)
+            bag.write('/a', to_message('marker_array', stamp, 'world', names, points), 10**9 + k)
+    parts, _ = read_frames(tmp_path / 'a.mcap', seconds=3.0)
+    assert [int(stamp) // 10**9 - 1 for part in parts for stamp in part.stamps] == [0, 1, 2]
 
 
 def test_track_is_replay_of_an_array(rig: Path) -> None:

@@ -1,6 +1,7 @@
 """The benchmarks themselves: exact motions, rivals that are what they are called, honest counts."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,7 @@ from bench._rows import read_rows, write_rows
 from kinpole_ros import planar
 from kinpole_ros.tools import cli
 from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.state import put_bodies
 from kinpole_ros.tracking.tracker import Tracker
 
 STEP = 1e-5
@@ -258,10 +260,9 @@ class Turning(Tracker):
         found = super().add(frames, order)
         # What is not learned yet would turn it back.
         self.learn_if_due()
-        self.state.bodies.shape *= np.exp(1e-7j * len(frames.stamps))
-        self.state.bodies.shape += 1e-9 * len(frames.stamps)
-        self.state.bodies.update()
-        self.state.step.bind(self.state.bodies, self.state.pins, self.state.history)
+        count, bodies = len(frames.stamps), self.state.bodies
+        shape = bodies.shape * np.exp(1e-7j * count) + 1e-9 * count
+        put_bodies(self.state, replace(bodies, shape=shape))
         return found
 
 

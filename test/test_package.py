@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tarfile
 import xml.etree.ElementTree as ET
+from graphlib import TopologicalSorter
 from importlib.util import find_spec
 from pathlib import Path, PurePath
 from types import ModuleType
@@ -133,6 +134,22 @@ def test_every_import_is_declared_in_package_xml():
     # The pictures are drawn by an extra.
     drawn = {'python3-matplotlib'}
     assert tests - declared('exec_depend') == declared('test_depend') - drawn
+
+
+def test_no_module_imports_itself_through_others():
+    package = ROOT / 'kinpole_ros'
+    paths = {
+        '.'.join(path.relative_to(ROOT).with_suffix('').parts).removesuffix('.__init__'): path
+        for path in package.rglob('*.py')
+    }
+    imported = {}
+    for module, path in paths.items():
+        nodes = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.ImportFrom)]
+        names = {(n.module, f'{n.module}.{alias.name}') for n in nodes for alias in n.names}
+        imported[module] = {full if full in paths else name for name, full in names}
+        # All know the version of the package.
+        imported[module] -= {'kinpole_ros', module}
+    list(TopologicalSorter(imported).static_order())
 
 
 # What the modules of each room may import of the others.

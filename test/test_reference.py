@@ -1,5 +1,7 @@
 """Reference points: which point of a body is differentiated, and what that is good for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from stretches import instants
@@ -9,7 +11,7 @@ from kinpole_ros.derivatives import Poses, Windows, derive_poses
 from kinpole_ros.messages import result_outputs
 from kinpole_ros.planar._poles import rotation_coefficient
 from kinpole_ros.settings import settings_from
-from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.bodies import new_bodies
 from kinpole_ros.tracking.center import find_hubs
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
@@ -247,8 +249,9 @@ def test_reference_points_are_the_same_however_frames_are_handed_over() -> None:
 
 def hubs_of(angle: np.ndarray, position: np.ndarray, of_angle: float = 1e-6) -> np.ndarray:
     """The hubs (B,) found from poses (N, B), with that standard deviation of the angles."""
-    bodies, history = Bodies(np.zeros((angle.shape[1], 2), complex)), History(angle.shape[1], 2)
-    bodies.misfit[:] = of_angle**2
+    count = angle.shape[1]
+    bodies = replace(new_bodies(count, 2), misfit=np.full(count, of_angle**2))
+    history = History(count, 2)
     for _ in range(len(angle)):
         history.reserve(1)
         history.end += 1

@@ -31,8 +31,9 @@ from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.plane import plane_along
+from kinpole_ros.tracking.registered import RegisteredQuantity
 from kinpole_ros.tracking.tracker import Tracker
-from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, RegisteredQuantity, Vectors
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Vectors
 
 # Along the two axes of each plane, and its normal.
 PLANES = {plane: np.roll(np.eye(3), shift, axis=0) for plane, shift in (('xy', 0), ('yz', -1))}
@@ -803,7 +804,7 @@ def test_a_body_of_all_markers_lacks_some_only_where_less_than_two_are_left() ->
     maker = DiagnosticsMaker('kinpole')
 
     def told(*names: str) -> str:
-        stamps = np.array([10**18 + STEP * (tracker.counts['frames'] + 1)])
+        stamps = np.array([10**18 + STEP * (tracker.update_counts()['frames'] + 1)])
         points = np.random.default_rng(0).normal(size=(1, len(names), 3))
         tracker.add(MarkerFrames(stamps, FRAME, names, points), None)
         return str(maker.make(10**18, tracker, None, 1.0, {}).status[1].message)
@@ -825,7 +826,7 @@ def test_markers_that_no_message_has_are_named_until_they_come() -> None:
 
     def told(*names: str) -> tuple[bytes, str]:
         for _ in range(3):
-            stamps = np.array([10**18 + STEP * (tracker.counts['frames'] + 1)])
+            stamps = np.array([10**18 + STEP * (tracker.update_counts()['frames'] + 1)])
             points = np.random.default_rng(0).normal(size=(1, len(names), 3))
             tracker.add(MarkerFrames(stamps, FRAME, names, points), None)
         status = maker.make(10**18, tracker, None, 1.0, {}).status[1]

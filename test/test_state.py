@@ -16,13 +16,8 @@ from kinpole_ros.messages import STATE, Output, read_state, result_outputs, stat
 from kinpole_ros.messages._state import state
 from kinpole_ros.settings import load_settings
 from kinpole_ros.tracking.plane import XY
-from kinpole_ros.tracking.values import (
-    POLE_NAMES,
-    RATE_NAMES,
-    Numbers,
-    RegisteredQuantity,
-    Vectors,
-)
+from kinpole_ros.tracking.registered import RegisteredQuantity
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors
 
 ROOT = Path(__file__).parents[1]
 BODIES = ('crank', 'coupler', 'rocker')

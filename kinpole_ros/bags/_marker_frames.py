@@ -86,9 +86,12 @@ def _first_part(frames: list[MarkerFrames], seconds: float) -> list[MarkerFrames
     start = frames[0].stamps[0]
     shortened = []
     for group in frames:
-        late = group.stamps - start > seconds * _SECOND
-        if count := int(np.argmax(late)) if late.any() else len(late):
+        late = np.flatnonzero(group.stamps - start > seconds * _SECOND)
+        count = int(late[0]) if len(late) else len(group.stamps)
+        if count:
             shortened.append(part_of(group, slice(count)))
+        if len(late):
+            break
     return shortened
 
 
@@ -153,8 +156,7 @@ def _marker_topic(bag: str | Path, topic: str | None) -> tuple[str, str]:
     candidates = {name: kinds[kind] for name, kind in types.items() if kind in kinds}
     name = topic if topic is None or topic.startswith('/') else f'/{topic}'
     if name is None:
-        is_unclear = '/markers' in candidates or len(candidates) != 1
-        name = '/markers' if is_unclear else next(iter(candidates))
+        name = next(iter(candidates)) if len(candidates) == 1 else '/markers'
     if name in candidates:
         return name, candidates[name]
     fault = f'is {types[name]}, which holds no markers' if name in types else 'is not there'

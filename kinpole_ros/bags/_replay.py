@@ -220,7 +220,7 @@ class _Replaying:
 
     def _converted(self) -> str:
         """Say how frames repeat others, as of a film whose rate was changed; '' if they do not."""
-        if self._tracker.counts[HELD] < FEWEST_REPEATS:
+        if self._tracker.update_counts()[HELD] < FEWEST_REPEATS:
             return ''
         reader = messages.reader_of(self._kind, self._settings)
         blocks = frame_blocks(self._bag, self._topic, self._kind, reader, None)
@@ -240,7 +240,7 @@ class _Replaying:
         if isinstance(error, messages.NoMarkersError):
             self._outcome.empty += 1
             return
-        self._tracker.counts['unreadable'] += 1
+        self._tracker.count('unreadable')
         self._outcome.problem = self._outcome.problem or str(error)
         self._diagnostics.trouble['message'] = str(error)
 
@@ -276,7 +276,7 @@ class _Replaying:
 
     def _check_frames(self) -> None:
         """Raise BagError if no message could be read, or none has poses of the bodies."""
-        counts, outcome = self._tracker.counts, self._outcome
+        counts, outcome = self._tracker.update_counts(), self._outcome
         if counts['frames']:
             return
         if counts['unreadable']:

@@ -166,7 +166,7 @@ def finish(outcome: Replayed, tracker: Tracker, converted: str = '') -> None:
 
     `converted` says why frames repeat others, if it is known.
     """
-    bodies, counts = tracker.bodies, tracker.counts
+    bodies, counts = tracker.bodies, tracker.update_counts()
     for name in _COUNTED:
         setattr(outcome, name, counts[name])
     # These came, but have no stamps.

@@ -14,13 +14,8 @@ from kinpole_ros.files import as_cell
 from kinpole_ros.packages import install_command
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.values import (
-    Numbers,
-    RegisteredQuantity,
-    Vectors,
-    measured_pairs,
-    quantity_names,
-)
+from kinpole_ros.tracking.registered import RegisteredQuantity
+from kinpole_ros.tracking.values import Numbers, Vectors, measured_pairs, quantity_names
 
 AddRows: TypeAlias = Callable[[Estimate], None]
 

@@ -22,7 +22,8 @@ from kinpole_ros.planar._poles import point_motion
 from kinpole_ros.settings import POSE_TYPES, ParameterError, Settings, of_poses
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.reasons import FARTHEST, SIGNIFICANT
-from kinpole_ros.tracking.values import Numbers, RegisteredQuantity, Vectors
+from kinpole_ros.tracking.registered import RegisteredQuantity
+from kinpole_ros.tracking.values import Numbers, Vectors
 
 # Of the topics of a point: end, kind, order and unit. Those of its motion are by their derivative.
 _MOTION_TOPICS = (

@@ -11,6 +11,7 @@ from kinpole_ros.messages import body_faults
 from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyValue, ns_to_stamp
 from kinpole_ros.messages.faults import Fault, input_faults, stamp_faults
 from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.kennedy import distances_from_pins_line
 from kinpole_ros.tracking.outages import Outage
 from kinpole_ros.tracking.plane import as_parameter
 from kinpole_ros.tracking.tracker import Tracker
@@ -94,8 +95,9 @@ class DiagnosticsMaker:
         stamps: Sequence[int] = (),
     ) -> Callable[[Estimate | None], DiagnosticArray]:
         """Return a function that completes `make` with an estimate, by the tracker as it is now."""
-        since = {key: count - self._counts[key] for key, count in tracker.counts.items()}
-        self._counts = tracker.counts.copy()
+        counts = tracker.update_counts()
+        since = {key: count - self._counts[key] for key, count in counts.items()}
+        self._counts = counts.copy()
         outages = self._new_outages(tracker)
         faults = input_faults(tracker, since, trouble, self._nothing)
         faults += stamp_faults(tracker, since, stamps, seconds)
@@ -132,8 +134,8 @@ class DiagnosticsMaker:
         """Compare the bodies with Kennedy's theorem, and with the scene."""
         name = f'{self._name}: linkage'
         values: dict[str, object] = {}
-        for k, (j, i) in enumerate(zip(*now.pairs, strict=True)):
-            distance, deviations = (part[k] for part in now.kennedy)
+        found = zip(*now.pairs, *distances_from_pins_line(now), strict=True)
+        for j, i, distance, deviations in found:
             if np.isfinite(distance):
                 pair = f'{now.bodies[j]} wrt {now.bodies[i]}'
                 values[f'{pair}: center off the line of the pins (m)'] = float(distance)
@@ -285,7 +287,8 @@ def _input_status(
                 'ticks of that clock' if state.regularized else 'their stamps'
             ),
         }
-    values |= {key: tracker.counts[name] for name, key in COUNT_KEYS.items()}
+    counts = tracker.update_counts()
+    values |= {key: counts[name] for name, key in COUNT_KEYS.items()}
     return _status(name, level, message, values)
 
 

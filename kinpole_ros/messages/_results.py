@@ -46,12 +46,8 @@ from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import XY, Plane, PlaneSetting, plane_of
 from kinpole_ros.tracking.quantities import CIRCLE_CENTER, CURVATURE, VELOCITY
-from kinpole_ros.tracking.values import (
-    POLE_NAMES,
-    RATE_NAMES,
-    RegisteredQuantity,
-    measured_pairs,
-)
+from kinpole_ros.tracking.registered import RegisteredQuantity
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, measured_pairs
 
 DRAWING = 'visualization'
 """The topic of the drawing for RViz and Foxglove."""

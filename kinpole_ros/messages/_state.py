@@ -25,7 +25,8 @@ from kinpole_ros.messages._types import (
 )
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
-from kinpole_ros.tracking.values import Numbers, RegisteredQuantity, Vectors, quantity_names
+from kinpole_ros.tracking.registered import RegisteredQuantity
+from kinpole_ros.tracking.values import Numbers, Vectors, quantity_names
 
 STATE = 'state'
 """The topic."""

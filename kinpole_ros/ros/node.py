@@ -220,7 +220,7 @@ class KinpoleNode(ParameterNode):
         self.results.look_up_subscribers()
         if self.source.update():
             self._tracker.reset()
-            self._tracker.counts['restarts'] += 1
+            self._tracker.count('restarts')
 
     def _on_markers(self, message: bytes, info: Mapping[str, Any]) -> None:
         """Process this message and those that wait, and publish all results in order."""
@@ -230,11 +230,11 @@ class KinpoleNode(ParameterNode):
         order = self.results.highest_order(displays)
         needs_events = self.results.need_events
         results, lost = self.source.take(message, info)
-        self._tracker.counts['dropped'] += lost
+        self._tracker.count('dropped', lost)
         last: Estimate | None = None
         for frames in results:
             if isinstance(frames, MessageError):
-                self._tracker.counts['unreadable'] += 1
+                self._tracker.count('unreadable')
                 self._note('message', str(frames))
                 continue
             self._stamps.extend(frames.stamps.tolist())
@@ -301,7 +301,7 @@ class KinpoleNode(ParameterNode):
             self._is_processing = False
             outcome = self._tracker.recover(self._failures)
             self._failures += 1
-        self._tracker.counts['failures'] += 1
+        self._tracker.count('failures')
         *_, place = traceback.extract_tb(error.__traceback__)
         cause = f'{type(error).__name__}: {" ".join(str(error).split())}'
         where = f'{Path(place.filename).name}:{place.lineno}'

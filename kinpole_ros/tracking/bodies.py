@@ -1,6 +1,7 @@
 """What is known of the bodies: shapes, weights and noise of their markers, pins, hubs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -12,59 +13,83 @@ from kinpole_ros.planar._procrustes import (
     fit_pose_with_factors,
     procrustes_factors,
 )
-from kinpole_ros.tracking.rejection import marker_limits
+from kinpole_ros.tracking.rejection import marker_limits, reasons_of
 from kinpole_ros.tracking.thresholds import MIN_SAMPLES, N_SIGMA, NEGLIGIBLE, ROUNDED
 
 # The place of a marker is kept after so many frames.
 SETTLED_FRAMES = 1000
+# What is known of each marker, and what is forgotten of a body that starts again.
+_OF_MARKERS = 'shape', 'frames', 'relative', 'deviation'
+_FORGOTTEN = (
+    *('fits', 'misfit', 'noise', 'white', 'jump_scale', 'freedom', 'given', 'begun'),
+    *('repetition', 'pin', 'pin_variance'),
+)
+# Arrays from which the others follow.
+_CAUSES = {
+    'placement': {'shape', 'frames', 'relative'},
+    'fitting': {
+        *('shape', 'frames', 'relative', 'fits', 'misfit', 'noise', 'least_noise'),
+        *('angle_noise', 'pose_middle', 'hub'),
+    },
+    'are_measured': {'angle_noise'},
+}
 
 
-class Fitting(NamedTuple):
+class Placement(NamedTuple):
     """
-    What every fit needs, as it follows from shapes, weights and misfit.
+    What follows from places of markers and their weights.
 
     Attributes
     ----------
-    places : (B, n) complex
-        Places of the markers in the frame of the body, m, NaN for those not seen yet.
+    places, spread, weights
+        See `BodyArrays` of frames.h.
     learned_count : (B,) int
         Number of markers with a place; `unseen` are the bodies that have none.
     unknown_slots : (B, n) bool
         Slots of markers without a place; `incomplete` says whether there are any.
-    spread, size : (B,) float
-        Sum of squared distances from the mean of the markers, m^2, and diameter, m.
-    weights, factors : (B, n) float, ProcrustesFactors
-        Weights of the markers, and what the fit to all of them needs.
-    middle : (B,) complex
-        Where the errors of angle and position are independent, m.
-    mature : (B,) bool
-        Whether the misfit is known.
-    limit, largest, doubtful, loosest
-        See `MarkerLimits`.
+    factors : ProcrustesFactors
+        What the fit to all markers needs.
 
     """
 
     places: Complex
+    spread: Real
+    weights: Real
     learned_count: np.ndarray
     unseen: np.ndarray
     unknown_slots: np.ndarray
     incomplete: bool
-    spread: Real
-    size: Real
-    weights: Real
     factors: ProcrustesFactors
+
+
+class Fitting(NamedTuple):
+    """
+    What follows from places and noise.
+
+    `mature` (B,) says whether the misfit is known. For `limit` (B,) see `MarkerLimits`, for the
+    others `BodyArrays` of frames.h.
+    """
+
+    size: Real
     middle: Complex
+    reference: Complex
     mature: np.ndarray
+    error: Real
+    fit_noise: Real
+    information_factor: Real
+    reason: np.ndarray
     limit: Real
     largest: Real
     doubtful: Real
     loosest: Real
 
 
-@dataclass
+@dataclass(frozen=True)
 class Bodies:
     """
-    What is known of B bodies of up to n markers.
+    What is known of B bodies of up to n markers; an update makes new arrays.
+
+    C sees those arrays, and those that follow from them, that `BodyArrays` of frames.h names.
 
     Attributes
     ----------
@@ -92,51 +117,54 @@ class Bodies:
         Whether the noise is correlated for longer than can be measured.
     least_noise : (B,) float
         Noise that is given, or due to rounding, m.
-    angle_noise : (B,) float
-        Noise of the angles of input poses, rad.
-    information_factor : (2, B) float
-        Factors of the information of angle and position, for input poses.
+    angle_noise, pose_middle : (B,) float, (B,) complex
+        Of bodies whose poses are measured: noise of the angle, rad, inf if unknown, and where its
+        error and that of the position are independent, m. NaN for bodies fitted to markers.
     jump_scale : (2, B) float
         Residuals of angle, rad, and position, m, about the paths of the bodies.
     repetition : (B,) uint8
         Whether noise is so far above rounding that markers of two frames are never the same: see
-        `noise.repetition`.
+        `find_repetition`.
     freedom : (B,) float
         Degrees of freedom of the residuals of deformed bodies, 0 for rigid ones.
     hidden_factor : (B,) float
         By how much the noise of these residuals is larger, where markers are hidden.
     hub : (B,) complex
         Hub in the frame of the body, m, 0 for none.
-    learned_tilt_turn, last_angle : (B,) float
+    learned_tilt_turn : (B,) float
         See `BodyArrays` of frames.h.
+    pin, pin_arm : (B,) complex
+        Where the pins are in the plane, m, NaN for none, and in the frames of the bodies, m.
+    pin_variance, pin_since : (B,) float, (B,) int64
+        Variance of a coordinate, m^2; when each body was first seen to turn about its pin, ns.
 
     """
 
     shape: Complex
-
-    def __post_init__(self) -> None:
-        self.frames = np.zeros(self.shape.shape, int)
-        self.relative = np.ones(self.shape.shape)
-        self.deviation = np.zeros(self.shape.shape)
-        self.fits = np.zeros(self.count, int)
-        self.misfit = np.zeros(self.count)
-        self.noise = np.full(self.count, np.nan)
-        self.lasting = np.zeros(self.count, bool)
-        self.repetition = np.zeros(self.count, np.uint8)
-        self.jump_scale = np.full((2, self.count), np.inf)
-        self.begun = np.zeros(self.count, bool)
-        self.least_noise = np.zeros(self.count)
-        self.angle_noise = np.full(self.count, np.nan)
-        self.information_factor = np.ones((2, self.count))
-        self.learned_tilt_turn = np.zeros(self.count)
-        self.last_angle = np.full(self.count, np.nan)
-        self.given = np.zeros(self.count, bool)
-        self.white = np.full(self.count, np.nan)
-        self.degrees = np.zeros(self.count)
-        self.freedom = np.zeros(self.count)
-        self.hidden_factor = np.ones(self.count)
-        self.hub = np.zeros(self.count, complex)
-        self.update()
+    frames: np.ndarray
+    relative: Real
+    deviation: Real
+    begun: np.ndarray
+    given: np.ndarray
+    fits: np.ndarray
+    misfit: Real
+    noise: Real
+    white: Real
+    degrees: Real
+    lasting: np.ndarray
+    least_noise: Real
+    angle_noise: Real
+    pose_middle: Complex
+    jump_scale: Real
+    repetition: np.ndarray
+    freedom: Real
+    hidden_factor: Real
+    hub: Complex
+    learned_tilt_turn: Real
+    pin: Complex
+    pin_arm: Complex
+    pin_variance: Real
+    pin_since: np.ndarray
 
     @property
     def count(self) -> int:
@@ -148,32 +176,64 @@ class Bodies:
         """Number of slots of each body."""
         return self.shape.shape[1]
 
-    def update(self) -> None:
-        """Compute what every fit needs from shapes, weights and misfit."""
+    @cached_property
+    def are_measured(self) -> bool:
+        """Whether poses of the bodies are measured, not fitted to markers."""
+        return not np.isnan(self.angle_noise).any()
+
+    def change(self, **arrays: np.ndarray) -> 'Bodies':
+        """Return bodies with other arrays; what follows from the others is not computed again."""
+        bodies, followed = replace(self, **arrays), vars(self)
+        for name, causes in _CAUSES.items():
+            if name in followed and causes.isdisjoint(arrays):
+                vars(bodies)[name] = followed[name]
+        return bodies
+
+    @cached_property
+    def placement(self) -> Placement:
+        """What follows from places of markers and their weights."""
         is_learned = self.frames > 0
         learned_count = is_learned.sum(axis=1)
-        count = np.maximum(learned_count, 1)
-        mean = np.where(is_learned, self.shape, 0).sum(axis=1) / count
+        mean = np.where(is_learned, self.shape, 0).sum(axis=1) / np.maximum(learned_count, 1)
         arms = np.where(is_learned, self.shape - mean[:, None], 0)
-        spread = (arms.real**2 + arms.imag**2).sum(axis=1)
-        size = 2 * np.sqrt(spread / count)
         # A place learned from N frames adds 1 / N to the variance of its marker.
         weights = self.frames / (self.frames + 1.0) / self.relative
-        factors = procrustes_factors(self.shape, weights)
-        mature = self.fits >= MIN_SAMPLES
-        limits = marker_limits(mature, self.misfit, self.error, spread, size, self.relative)
-        self.fitting = Fitting(
+        return Placement(
             places=np.where(is_learned, self.shape, complex(np.nan, np.nan)),
+            spread=(arms.real**2 + arms.imag**2).sum(axis=1),
+            weights=weights,
             learned_count=learned_count,
             unseen=np.flatnonzero(learned_count == 0),
             unknown_slots=~is_learned,
-            incomplete=bool((~is_learned).any()),
-            spread=spread,
+            incomplete=not is_learned.all(),
+            factors=procrustes_factors(self.shape, weights),
+        )
+
+    @cached_property
+    def fitting(self) -> Fitting:
+        """What follows from places and noise."""
+        placement, mature = self.placement, self.fits >= MIN_SAMPLES
+        spread = placement.spread
+        size = 2 * np.sqrt(spread / np.maximum(placement.learned_count, 1))
+        limits = marker_limits(mature, self.misfit, self.error, spread, size, self.relative)
+        middle, reference, factor = placement.factors.mean, self.hub, np.ones((2, self.count))
+        if self.are_measured:
+            # Distance from their mean of markers with such noise.
+            arm = self.noise / self.angle_noise
+            middle, size = self.pose_middle, 2 * arm
+            factor = np.stack((arm**2, arm**2 / (arm**2 + np.abs(middle) ** 2)))
+            factor = np.where(np.isnan(factor), 1.0, factor)
+            # The derivatives assume independent errors of position and angle: so at the middle.
+            reference = np.where(self.hub == 0, middle, self.hub)
+        return Fitting(
             size=size,
-            weights=weights,
-            factors=factors,
-            middle=factors.mean,
+            middle=middle,
+            reference=reference,
             mature=mature,
+            error=self.error,
+            fit_noise=np.where(self.noise > 0, self.noise, 1.0),
+            information_factor=factor,
+            reason=reasons_of(self.noise, spread, self.angle_noise),
             **limits._asdict(),
         )
 
@@ -193,48 +253,82 @@ class Bodies:
     def fit(self, markers: Complex) -> Fit:
         """Fit the poses of all bodies to their markers (..., B, n), m, NaN for those not seen."""
         unseen = np.isnan(markers)
-        factors = self.fitting.factors
+        factors = self.placement.factors
         if np.count_nonzero(unseen):
-            factors = procrustes_factors(self.shape, np.where(unseen, 0.0, self.fitting.weights))
-        return fit_pose_with_factors(markers, factors)
+            factors = procrustes_factors(self.shape, np.where(unseen, 0.0, self.placement.weights))
+        fit = fit_pose_with_factors(markers, factors)
+        if self.are_measured:
+            fit = fit._replace(spread=np.ones_like(fit.spread), weight=np.ones_like(fit.weight))
+        return fit
 
-    def begin(self, markers: Complex) -> None:
+    def begin(self, markers: Complex) -> 'Bodies':
         """Take the shapes of new bodies from a frame (B, n); their origins are the means."""
         seen = ~np.isnan(markers)
         number = seen.sum(axis=1)
         mean = np.where(seen, markers, 0).sum(axis=1) / np.maximum(number, 1)
         arms = np.where(seen, markers - mean[:, None], 0)
         distinct = np.abs(arms).max(axis=1) > ROUNDING * np.abs(mean)
-        new = ((self.fitting.learned_count == 0) & (number >= 2) & distinct)[:, None] & seen
-        if new.any():
-            self.shape = np.where(new, arms, self.shape)
-            self.frames[new] = 1
-            self.update()
+        new = ((self.placement.learned_count == 0) & (number >= 2) & distinct)[:, None] & seen
+        return self._with_places(new, arms) if new.any() else self
 
-    def give(self, shapes: Complex) -> None:
+    def give(self, shapes: Complex) -> 'Bodies':
         """Start from given shapes (B, n), NaN for none, which are refined like learned ones."""
         given = ~np.isnan(shapes)
-        self.shape = np.where(given, shapes, self.shape)
-        self.frames[given] = 1
-        self.given |= given.any(axis=1)
-        self.update()
+        bodies = self._with_places(given, shapes)
+        return bodies.change(given=self.given | given.any(axis=1))
 
-    def restart(self, which: np.ndarray) -> None:
+    def _with_places(self, which: np.ndarray, places: Complex) -> 'Bodies':
+        """Return bodies with these places of some markers (B, n), as seen in one frame."""
+        shape, frames = np.where(which, places, self.shape), np.where(which, 1, self.frames)
+        return self.change(shape=shape, frames=frames)
+
+    def restart(self, which: np.ndarray) -> 'Bodies':
         """Forget some bodies (B,), which start again when they are seen next."""
-        for part in (self.shape, self.frames, self.fits, self.misfit, self.deviation, self.freedom):
-            part[which] = 0
-        self.relative[which] = 1.0
-        self.noise[which] = self.white[which] = self.last_angle[which] = np.nan
-        self.jump_scale[:, which] = np.inf
-        self.given[which] = self.begun[which] = False
-        self.repetition[which] = 0
-        self.update()
+        fresh = new_bodies(self.count, self.width)
+        parts = dict.fromkeys(_FORGOTTEN, which) | dict.fromkeys(_OF_MARKERS, which[:, None])
+        arrays = {
+            name: np.where(part, getattr(fresh, name), getattr(self, name))
+            for name, part in parts.items()
+        }
+        return self.change(**arrays)
 
-    def widen(self, width: int) -> None:
+    def widen(self, width: int) -> 'Bodies':
         """Make room for up to `width` markers per body."""
-        added_slots = (0, 0), (0, width - self.width)
-        self.shape, self.frames, self.deviation = (
-            np.pad(part, added_slots) for part in (self.shape, self.frames, self.deviation)
-        )
-        self.relative = np.pad(self.relative, added_slots, constant_values=1.0)
-        self.update()
+        added = new_bodies(self.count, width - self.width)
+        arrays = {
+            name: np.hstack((getattr(self, name), getattr(added, name))) for name in _OF_MARKERS
+        }
+        return self.change(**arrays)
+
+
+def new_bodies(count: int, width: int, are_measured: bool = False) -> Bodies:
+    """Return B bodies of up to n markers, or with measured poses, of which nothing is known."""
+    of_markers = count, width
+    unknown, nowhere = np.full(count, np.nan), np.full(count, complex(np.nan, np.nan))
+    return Bodies(
+        shape=np.zeros(of_markers, complex),
+        frames=np.zeros(of_markers, int),
+        relative=np.ones(of_markers),
+        deviation=np.zeros(of_markers),
+        begun=np.zeros(count, bool),
+        given=np.zeros(count, bool),
+        fits=np.zeros(count, int),
+        misfit=np.zeros(count),
+        noise=unknown,
+        white=unknown,
+        degrees=np.zeros(count),
+        lasting=np.zeros(count, bool),
+        least_noise=np.zeros(count),
+        angle_noise=np.full(count, np.inf if are_measured else np.nan),
+        pose_middle=np.zeros(count, complex) if are_measured else nowhere,
+        jump_scale=np.full((2, count), np.inf),
+        repetition=np.zeros(count, np.uint8),
+        freedom=np.zeros(count),
+        hidden_factor=np.ones(count),
+        hub=np.zeros(count, complex),
+        learned_tilt_turn=np.zeros(count),
+        pin=nowhere,
+        pin_arm=np.zeros(count, complex),
+        pin_variance=unknown,
+        pin_since=np.zeros(count, np.int64),
+    )

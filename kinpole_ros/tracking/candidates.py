@@ -36,7 +36,7 @@ class Candidates(NamedTuple):
 
     def at(self, which: np.ndarray) -> 'Candidates':
         """Return some of the candidates."""
-        return Candidates(*(array[which] for array in self))
+        return Candidates._make(array[which] for array in self)
 
 
 def fit_points(

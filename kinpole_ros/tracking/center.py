@@ -46,123 +46,134 @@ _MIN_WINDOWS = 2.9
 _MAX_RESIDUAL_RATIO = 100.0
 
 
-class Pins:
+class PinSearch(NamedTuple):
     """
-    Pins of B bodies.
+    Poses kept for the pins of B bodies, by the angle turned, so that a body at rest keeps its pin.
 
-    Poses are kept by the angle turned, not by time, so that a body at rest keeps its pin.
-
-    Attributes
-    ----------
-    center : (B,) complex
-        Where the pins are in the plane, m, NaN for none.
-    arm : (B,) complex
-        Where they are in the frames of the bodies, m.
-    variance : (B,) float
-        Variance of a coordinate, m^2.
-    since : (B,) int64
-        When each body was first seen to turn about its pin, ns.
-
+    `markers` (64, B, n), complex, m, are those of the poses, NaN for none. `count` (B,) is the
+    number of poses so far, `required` (B,) that of a new pin, and `last_angle` (B,), rad, is that
+    of the last pose.
     """
 
-    def __init__(self, bodies: Bodies) -> None:
-        count = bodies.count
-        self.center = np.full(count, complex(np.nan, np.nan))
-        self.arm = np.zeros(count, complex)
-        self.variance = np.full(count, np.nan)
-        self.since = np.zeros(count, np.int64)
-        self._markers = np.full((_MAX_POSES, count, bodies.width), complex(np.nan, np.nan))
-        self._pose_count = np.zeros(count, int)
-        self._required_poses = np.full(count, _MAX_POSES // 2)
-        self._last_angle = np.full(count, np.nan)
+    markers: Complex
+    count: np.ndarray
+    required: np.ndarray
+    last_angle: Real
 
-    def widen(self, width: int) -> None:
+    def widen(self, width: int) -> 'PinSearch':
         """Make room for up to `width` markers per body."""
-        added = (0, 0), (0, 0), (0, width - self._markers.shape[2])
-        self._markers = np.pad(self._markers, added, constant_values=np.nan)
+        added = (0, 0), (0, 0), (0, width - self.markers.shape[2])
+        return self._replace(markers=np.pad(self.markers, added, constant_values=np.nan))
 
-    def forget(self, which: np.ndarray) -> None:
-        """Forget the poses and pins of some bodies (B,)."""
-        self.center[which] = complex(np.nan, np.nan)
-        self.variance[which] = np.nan
-        self._pose_count[which] = 0
+    def forget(self, which: np.ndarray) -> 'PinSearch':
+        """Forget the poses of some bodies (B,)."""
+        return self._replace(count=np.where(which, 0, self.count))
 
-    def off(self, position: Complex, angle: Real, variance: Real) -> np.ndarray:
-        """Return where (N, B) bodies are off their pins; `variance` (N, 2, B) is of the poses."""
-        with np.errstate(invalid='ignore'):
-            off = np.abs(position + np.exp(1j * angle) * self.arm - self.center) ** 2
-            spread = variance[:, 1] + np.abs(self.arm) ** 2 * variance[:, 0]
-            return np.asarray(off > N_SIGMA**2 * spread)
 
-    def update(self, bodies: Bodies, history: History, new: int, posed: bool = False) -> None:
-        """Take the `new` newest frames, and fit pins to the poses kept so far."""
-        rows = slice(len(history) - new, None)
-        angle, position = history['angle'][rows], history['position'][rows]
-        information = history['information'][rows] * bodies.information_factor
-        has_pose = (information > 0).all(axis=1)
-        with np.errstate(divide='ignore', invalid='ignore'):
-            variance = bodies.error / information
-        off = has_pose & self.off(position, angle, variance)
-        self._drop(_any_run(off, CONFIRMING_FRAMES))
-        usable = has_pose & ~off
-        with np.errstate(invalid='ignore'):
-            far = np.abs((angle - self._last_angle + np.pi) % (2 * np.pi) - np.pi) > _MIN_STEP
-        fresh = usable & (far | (self._pose_count == 0))
-        for b in np.flatnonzero(fresh.any(axis=0)).tolist():
-            at = np.flatnonzero(usable[:, b] & (np.arange(new) >= fresh[:, b].argmax()))
-            at = at[_spaced(angle[at, b].tolist())]
-            if not self._pose_count[b]:
-                self.since[b] = history['time'][rows][at[0]]
-            slots = (self._pose_count[b] + np.arange(len(at))) % _MAX_POSES
-            used = history['used'][rows][at, b]
-            self._markers[slots, b] = np.where(used, history['markers'][rows][at, b], np.nan)
-            self._last_angle[b] = angle[at[-1], b]
-            self._pose_count[b] += len(at)
-        # Poses are weighed by their noise, which is 0 until it is known.
-        self._fit(bodies, (self._pose_count >= MIN_SAMPLES) & (bodies.error > 0), posed)
+def new_pin_search(bodies: int, width: int) -> PinSearch:
+    """Return the search for pins without poses."""
+    return PinSearch(
+        markers=np.full((_MAX_POSES, bodies, width), complex(np.nan, np.nan)),
+        count=np.zeros(bodies, int),
+        required=np.full(bodies, _MAX_POSES // 2),
+        last_angle=np.full(bodies, np.nan),
+    )
 
-    def _fit(self, bodies: Bodies, which: np.ndarray, posed: bool) -> None:
-        """Fit pins to the poses kept of some bodies (B,)."""
-        if not which.any():
-            return
-        which = np.flatnonzero(which)
-        count = np.minimum(self._pose_count, _MAX_POSES)
-        is_pose = np.arange(_MAX_POSES)[:, None] < count
-        fit = bodies.fit(np.where(is_pose[..., None], self._markers, np.nan))
-        is_pose = (is_pose & np.isfinite(fit.angle))[:, which]
-        z = np.where(is_pose, fit.position[:, which], 0)
-        e = np.where(is_pose, np.exp(1j * fit.angle[:, which]), 0)
-        misfit = bodies.error[which]
-        information = fit.weight[:, which], fit.spread[:, which]
-        if posed:
-            information = bodies.information_factor[1, which], bodies.information_factor[0, which]
-        with np.errstate(divide='ignore', invalid='ignore'):
-            even, of_angle = (np.where(is_pose, misfit / part, 0.0) for part in information)
-            scale = np.sqrt(misfit[:, None] * bodies.relative[which])
-            marker_residual = fit.residual[:, which] / scale
-        usable = is_pose[..., None] & ~np.isnan(marker_residual)
-        marker_residual = np.where(usable, marker_residual, 0)
-        pin = _fit_pins(z, e, is_pose, (even, of_angle), marker_residual)
-        contradicted = pin.square > _MAX_MISFIT_RATIO
-        size = bodies.fitting.size[which]
-        is_seen = np.sqrt(pin.noise) < _MIN_ICR_SPEED * 0.45 * size * pin.spread
-        is_seen &= pin.variance < (_MIN_ICR_SPEED * size) ** 2
-        is_pinned = (self._pose_count[which] >= self._required_poses[which]) & is_seen
-        is_pinned |= np.isfinite(self.center[which])
-        is_pinned &= ~contradicted
-        pinned = which[is_pinned]
-        self.center[pinned] = pin.center[is_pinned]
-        self.arm[pinned] = pin.arm[is_pinned]
-        self.variance[pinned] = pin.variance[is_pinned]
-        dropped = np.zeros(bodies.count, bool)
-        dropped[which[contradicted]] = True
-        self._drop(dropped)
 
-    def _drop(self, which: np.ndarray) -> None:
-        """Drop the pins of some bodies (B,), which need eight times as many poses for another."""
-        pinned = which & np.isfinite(self.center)
-        self._required_poses[pinned] = np.minimum(8 * self._required_poses[pinned], MEMORY_FRAMES)
-        self.forget(which)
+def update_pins(
+    bodies: Bodies, search: PinSearch, history: History, new: int
+) -> tuple[Bodies, PinSearch]:
+    """Take the `new` newest frames, and fit pins to the poses kept so far."""
+    rows = slice(len(history) - new, None)
+    angle, position = history['angle'][rows], history['position'][rows]
+    information = history['information'][rows] * bodies.fitting.information_factor
+    has_pose = (information > 0).all(axis=1)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        variance = bodies.error / information
+    off = has_pose & _off_pins(bodies, position, angle, variance)
+    bodies, search = _drop(bodies, search, _any_run(off, CONFIRMING_FRAMES))
+    usable = has_pose & ~off
+    with np.errstate(invalid='ignore'):
+        far = np.abs((angle - search.last_angle + np.pi) % (2 * np.pi) - np.pi) > _MIN_STEP
+    fresh = usable & (far | (search.count == 0))
+    since = bodies.pin_since.copy()
+    search = search._replace(
+        markers=search.markers.copy(),
+        count=search.count.copy(),
+        last_angle=search.last_angle.copy(),
+    )
+    for b in np.flatnonzero(fresh.any(axis=0)).tolist():
+        at = np.flatnonzero(usable[:, b] & (np.arange(new) >= fresh[:, b].argmax()))
+        at = at[_spaced(angle[at, b].tolist())]
+        if not search.count[b]:
+            since[b] = history['time'][rows][at[0]]
+        slots = (search.count[b] + np.arange(len(at))) % _MAX_POSES
+        used = history['used'][rows][at, b]
+        search.markers[slots, b] = np.where(used, history['markers'][rows][at, b], np.nan)
+        search.last_angle[b] = angle[at[-1], b]
+        search.count[b] += len(at)
+    # Poses are weighed by their noise, which is 0 until it is known.
+    which = np.flatnonzero((search.count >= MIN_SAMPLES) & (bodies.error > 0))
+    bodies = bodies.change(pin_since=since)
+    return _fit_pins(bodies, search, which) if len(which) else (bodies, search)
+
+
+def _off_pins(bodies: Bodies, position: Complex, angle: Real, variance: Real) -> np.ndarray:
+    """Return where (N, B) bodies are off their pins; `variance` (N, 2, B) is of the poses."""
+    with np.errstate(invalid='ignore'):
+        off = np.abs(position + np.exp(1j * angle) * bodies.pin_arm - bodies.pin) ** 2
+        spread = variance[:, 1] + np.abs(bodies.pin_arm) ** 2 * variance[:, 0]
+        return np.asarray(off > N_SIGMA**2 * spread)
+
+
+def _fit_pins(bodies: Bodies, search: PinSearch, which: np.ndarray) -> tuple[Bodies, PinSearch]:
+    """Fit pins to the poses kept of some bodies (b,)."""
+    count = np.minimum(search.count, _MAX_POSES)
+    is_pose = np.arange(_MAX_POSES)[:, None] < count
+    fit = bodies.fit(np.where(is_pose[..., None], search.markers, np.nan))
+    is_pose = (is_pose & np.isfinite(fit.angle))[:, which]
+    z = np.where(is_pose, fit.position[:, which], 0)
+    e = np.where(is_pose, np.exp(1j * fit.angle[:, which]), 0)
+    misfit, factor = bodies.error[which], bodies.fitting.information_factor[:, which]
+    information = fit.weight[:, which] * factor[1], fit.spread[:, which] * factor[0]
+    with np.errstate(divide='ignore', invalid='ignore'):
+        even, of_angle = (np.where(is_pose, misfit / part, 0.0) for part in information)
+        scale = np.sqrt(misfit[:, None] * bodies.relative[which])
+        marker_residual = fit.residual[:, which] / scale
+    usable = is_pose[..., None] & ~np.isnan(marker_residual)
+    marker_residual = np.where(usable, marker_residual, 0)
+    pin = _fit_centers(z, e, is_pose, (even, of_angle), marker_residual)
+    contradicted = pin.square > _MAX_MISFIT_RATIO
+    size = bodies.fitting.size[which]
+    is_seen = np.sqrt(pin.noise) < _MIN_ICR_SPEED * 0.45 * size * pin.spread
+    is_seen &= pin.variance < (_MIN_ICR_SPEED * size) ** 2
+    is_pinned = (search.count[which] >= search.required[which]) & is_seen
+    is_pinned |= np.isfinite(bodies.pin[which])
+    is_pinned &= ~contradicted
+    pinned, changes = which[is_pinned], {}
+    for name, values in (
+        ('pin', pin.center),
+        ('pin_arm', pin.arm),
+        ('pin_variance', pin.variance),
+    ):
+        changes[name] = getattr(bodies, name).copy()
+        changes[name][pinned] = values[is_pinned]
+    dropped = np.zeros(bodies.count, bool)
+    dropped[which[contradicted]] = True
+    return _drop(bodies.change(**changes), search, dropped)
+
+
+def _drop(bodies: Bodies, search: PinSearch, which: np.ndarray) -> tuple[Bodies, PinSearch]:
+    """Drop the pins of some bodies (B,), which need eight times as many poses for another."""
+    if not which.any():
+        return bodies, search
+    more = np.minimum(8 * search.required, MEMORY_FRAMES)
+    required = np.where(which & np.isfinite(bodies.pin), more, search.required)
+    bodies = bodies.change(
+        pin=np.where(which, complex(np.nan, np.nan), bodies.pin),
+        pin_variance=np.where(which, np.nan, bodies.pin_variance),
+    )
+    return bodies, search._replace(required=required).forget(which)
 
 
 def _correlated_part(residual: Complex, count: np.ndarray) -> Real:
@@ -210,7 +221,7 @@ def find_hubs(bodies: Bodies, history: History, window: int, before: Complex) ->
     rows = end[:, None] - np.arange((end - first).max(), 0, -1)
     is_inside = rows >= first[:, None]
     rows = np.maximum(rows, 0)
-    information = history['information'][rows] * bodies.information_factor
+    information = history['information'][rows] * bodies.fitting.information_factor
     visible = (information > 0).all(axis=2) & is_inside[..., None]
     count = visible.sum(axis=1)
     usable = count > np.maximum(_DEGREES[-1] + 1, _MIN_VISIBLE * (end - first)[:, None])
@@ -271,8 +282,9 @@ class _PinFit(NamedTuple):
     """
     Pins fitted to poses of b bodies.
 
-    `center`, `arm` and `variance` are as in `Pins`. `square` is the mean square residual over that
-    of the noise, `noise` the variance of a position, m^2, and `spread` that of the turns.
+    `center`, `arm` and `variance` are `pin`, `pin_arm` and `pin_variance` of `Bodies`. `square` is
+    the mean square residual over that of the noise, `noise` the variance of a position, m^2, and
+    `spread` that of the turns.
     """
 
     center: Complex
@@ -283,7 +295,7 @@ class _PinFit(NamedTuple):
     spread: Real
 
 
-def _fit_pins(
+def _fit_centers(
     z: Complex, e: Complex, is_pose: np.ndarray, noise: tuple[Real, Real], marker_residual: Complex
 ) -> _PinFit:
     """

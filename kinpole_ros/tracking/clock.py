@@ -7,41 +7,35 @@ of the stamps, and a frame was lost where all later frames come at least one tic
 the loss.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.planar._plane import Real
-from kinpole_ros.tracking.stamp_grid import count_on_grid, rounding_nats
+from kinpole_ros.tracking.frame_intervals import (
+    CHANGE_NATS,
+    COARSE,
+    TOLERANCE,
+    UNSETTLED,
+    after_losses,
+    costs_of_counts,
+    fit_interval,
+    is_grid_coarse,
+    likeliest_intervals,
+)
+from kinpole_ros.tracking.stamp_grid import count_on_grid
 
 # Frames that the clock is estimated from: 10 s at 200 Hz.
 MEMORY = 2000
 # The interval is searched in so many of the newest frames; fewer do not show losses of 2%.
 SEARCHED = 128
-# Number of intervals of the search that are refined.
-MAX_REFINED = 16
-# The fit leaves out so many of the newest frames and after each loss: their counts may change.
-UNSETTLED = 4
 # Most frames that wait until their count is certain: the usual lag at 200 Hz.
 MAX_PENDING = 20
-# Cost of a lost frame before any was lost, nats: one in fifty.
-LOSS_NATS = math.log(50)
-# The rate has changed if another one is likelier by so many nats.
-CHANGE_NATS = 20.0
-# An exactly even clock with losses is a clock of its own, on a grid, if that is likelier by so many
-# nats. With 12, one of 300 recordings of even stamps with random losses of 1 to 20% is taken for
-# another clock for a while, with 10 nine; 60 Hz on steps of 15.6 ms is recognized in 64 frames.
-GRID_NATS = 12.0
 # The motion decides between stamps and ticks by so many nats.
 DECISIVE_NATS = 6.0
 # Half-life of the evidence of the motion, windows: 1 s for windows of 0.3 s.
 HALF_LIFE = 3.3
-# Share of an interval, or of a step of rounding, by which an estimated edge may be off.
-TOLERANCE = 0.1
-# ns. Stamps with a coarser resolution were rounded by the driver.
-COARSE = 10_000
 
 
 class Clock(NamedTuple):
@@ -128,21 +122,21 @@ def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.
     # Any share of the frames up to one half may have been lost, and the first may have come late.
     lost = np.arange(-1, number, 0.5) / (number - 1)
     mean = (newest[-1] - newest[0]) / (number - 1)
-    intervals = _likeliest(newest, np.maximum(mean / (1 + lost), 1.0), resolution, 0)[1]
+    intervals = likeliest_intervals(newest, np.maximum(mean / (1 + lost), 1.0), resolution, 0)[1]
     earlier = [] if before is None else [before.interval]
-    counts, intervals = _likeliest(newest, np.append(intervals, earlier), resolution, 2)
+    counts, intervals = likeliest_intervals(newest, np.append(intervals, earlier), resolution, 2)
     while number < len(since):
         longer = min(2 * number, len(since))
-        longer_counts, refined = _likeliest(
+        longer_counts, refined = likeliest_intervals(
             since[-longer:], np.append(intervals, earlier), resolution, 2
         )
-        cost = _costs(newest, counts[:1], intervals[:1], resolution)[0]
+        cost = costs_of_counts(newest, counts[:1], intervals[:1], resolution)[0]
         newer = number, float(intervals[0]), float(cost)
         if _rate_has_changed(since[-longer:], longer_counts, refined, newer, resolution):
             break
         number, counts, intervals = longer, longer_counts, refined
         newest = since[-number:]
-    if _is_grid_coarse(newest, resolution):
+    if is_grid_coarse(newest, resolution):
         likeliest = _counts_on_grid(newest, counts[0], resolution)
         return _fit_clock(origin, newest, likeliest, resolution), likeliest
     clock = _fit_clock(origin, newest, counts[0], resolution)
@@ -177,7 +171,7 @@ def _rate_has_changed(
     """
     number, interval, cost = newer
     # The newer frames are likelier without the older ones, ...
-    costs = _costs(since[-number:], counts[:, -number:], intervals, resolution)
+    costs = costs_of_counts(since[-number:], counts[:, -number:], intervals, resolution)
     best = int(costs.argmin())
     off = abs(intervals[best] - interval) * number
     if costs[best] > cost + CHANGE_NATS and off > 2 * resolution:
@@ -194,14 +188,8 @@ def _counts_on_grid(since: Real, counts: np.ndarray, resolution: float) -> np.nd
     if on_grid is None:
         return counts
     both = np.array([counts, on_grid])
-    intervals = np.array([_interval(since, each, resolution) for each in both])
-    return np.asarray(both[_costs(since, both, intervals, resolution).argmin()])
-
-
-def _loss_nats(lost: np.ndarray, frames: int) -> Real:
-    """Negative log likelihoods (I,) of `lost` frames (I,) among those that came."""
-    share = (lost.clip(0) + 1) / (frames + lost.clip(0) + math.exp(LOSS_NATS))
-    return np.asarray(-lost * np.log(share) - frames * np.log1p(-share))
+    intervals = np.array([fit_interval(since, each, resolution) for each in both])
+    return np.asarray(both[costs_of_counts(since, both, intervals, resolution).argmin()])
 
 
 def clock_of(
@@ -236,7 +224,7 @@ def clock_of(
     by_stamps = by_stamps - by_stamps[0]
     fitted = _fit_clock(int(stamps[first]), since, own, clock.resolution)
     intervals = np.array([clock.interval, fitted.interval])
-    costs = _costs(since, np.array([by_stamps, own]), intervals, clock.resolution)
+    costs = costs_of_counts(since, np.array([by_stamps, own]), intervals, clock.resolution)
     if costs[1] > costs[0] + CHANGE_NATS and by_stamps[-1] < own[-1]:
         return clock, counts
     counts = count_frames(stamps[first:], fitted)
@@ -302,122 +290,13 @@ def count_frames(stamps: np.ndarray, clock: Clock) -> np.ndarray:
     return np.asarray(number + np.minimum.accumulate(ahead[::-1])[::-1])
 
 
-def _likeliest(
-    since: Real, intervals: Real, resolution: float, rounds: int
-) -> tuple[np.ndarray, Real]:
-    """
-    The likeliest intervals, best first, and the counts of frames `since` the first, ns, by them.
-
-    Each interval is refined by some rounds of counting frames and fitting the edge to them. One is
-    returned of the intervals with equally many losses.
-    """
-    settled = max(FEWEST_SAMPLES, len(since) - UNSETTLED)
-    counts = _counts_by(since, intervals, resolution)
-    candidates = [(counts, intervals, _costs(since, counts, intervals, resolution))]
-    for _ in range(rounds):
-        intervals = _edge_intervals(since[:settled], counts[:, :settled])
-        counts = _counts_by(since, intervals, resolution)
-        candidates.append((counts, intervals, _costs(since, counts, intervals, resolution)))
-    counts, intervals, costs = (np.concatenate(part) for part in zip(*candidates, strict=True))
-    order = costs.argsort(kind='stable')
-    _, first = np.unique(counts[order, settled - 1] - counts[order, 0], return_index=True)
-    order = order[np.sort(first)[:MAX_REFINED]]
-    if rounds:
-        order = order[costs[order] <= costs[order[0]] + 2 * CHANGE_NATS]
-    return counts[order], intervals[order]
-
-
-def _costs(since: Real, counts: np.ndarray, intervals: Real, resolution: float) -> Real:
-    """Negative log likelihoods (I,) of counts (I, N) and intervals (I,), up to a constant."""
-    settled = max(FEWEST_SAMPLES, len(since) - UNSETTLED)
-    late = (since - counts * intervals[:, None])[:, :settled]
-    late = late - late.min(axis=1, keepdims=True)
-    lost = counts[:, settled - 1] - counts[:, 0] - (settled - 1)
-    if _is_grid_coarse(since, resolution):
-        # A clock that is exactly even on the grid has no phase and no interval of its own.
-        cost = rounding_nats(late / resolution) + np.where(late.max(axis=1) > 1.0, GRID_NATS, 0.0)
-    else:
-        cost = settled * np.log(late.mean(axis=1) + resolution / 4 + 1.0)
-    cost = cost + _loss_nats(lost, settled)
-    # The rate within bunches, as above.
-    return np.asarray(np.where(lost > settled, np.inf, cost))
-
-
-def _is_grid_coarse(since: Real, resolution: float) -> bool:
-    """Whether steps of the grid are longer than half of the mean time between frames."""
-    return resolution >= COARSE and 2 * resolution > (since[-1] - since[0]) / (len(since) - 1)
-
-
-def _counts_by(since: Real, intervals: Real, resolution: float) -> np.ndarray:
-    """Largest counts (I, N) of frames `since` the first, ns, by intervals (I,), from 0 on."""
-    number, steps = np.arange(len(since)), intervals[:, None]
-    offset = since - steps * number
-    # The phase with the least mean lateness.
-    late = np.sort(offset % steps, axis=1)
-    edge = (steps * number / len(since) - late).argmin(axis=1)
-    phase = late[np.arange(len(late)), edge][:, None]
-    least = np.minimum.accumulate(offset[:, ::-1], axis=1)[:, ::-1]
-    early = np.minimum(TOLERANCE * steps + resolution, steps / 2)
-    lost = np.floor((least - phase + early) / steps)
-    lost = np.maximum.accumulate(lost, axis=1).astype(np.int64)
-    return np.asarray(number + lost - lost[:, :1])
-
-
-def _edge_intervals(since: Real, counts: np.ndarray) -> Real:
-    """
-    Slopes (I,) of the lower edge of stamps `since` the first (N,), ns, over their counts (I, N).
-
-    The edge of the lower hull at the middle frame is the likeliest line for stamps that are late by
-    an exponential time (Smith 1985).
-    """
-    middle, rows = len(since) // 2, np.arange(len(counts))
-    spoiled = _after_losses(counts)
-    spoiled &= np.count_nonzero(~spoiled, axis=1)[:, None] > len(since) // 4
-    slopes = (since[-1] - since[0]) / (counts[:, -1] - counts[:, 0])
-    for _ in range(10):
-        late = np.where(spoiled, np.inf, since - slopes[:, None] * counts)
-        i = late[:, :middle].argmin(axis=1)
-        j = middle + late[:, middle:].argmin(axis=1)
-        before = slopes
-        slopes = (since[j] - since[i]) / (counts[rows, j] - counts[rows, i])
-        if (slopes == before).all():
-            break
-    # The slope may be negative if frames are very late.
-    mean = max(float(np.ptp(since)) / (len(since) - 1), 1.0)
-    return np.where(slopes >= 1.0, slopes, mean)
-
-
-def _interval(since: Real, counts: np.ndarray, resolution: float) -> float:
-    """The interval, ns, by the lower and the upper edge of the stamps, weighted by sharpness."""
-    lower = float(_edge_intervals(since, counts[None])[0])
-    upper = float(_edge_intervals(-since[::-1], -counts[None, ::-1])[0])
-    late = np.sort(since - lower * counts)
-    few = min(UNSETTLED, len(late) - 1)
-    # An edge is sharp if several frames are close to it.
-    below, above = late[few] - late[0] + resolution, late[-1] - late[-1 - few] + resolution
-    both = float((lower / below**2 + upper / above**2) / (below**-2 + above**-2))
-    if not _is_grid_coarse(since, resolution):
-        return both
-    intervals = np.array([lower, upper, both])
-    return float(intervals[_costs(since, counts[None], intervals, resolution).argmin()])
-
-
-def _after_losses(counts: np.ndarray) -> np.ndarray:
-    """Which frames (I, N) come soon after a loss, by their counts (I, N)."""
-    after = np.zeros(counts.shape, bool)
-    gaps = np.diff(counts) > 1
-    for k in range(min(UNSETTLED, gaps.shape[1])):
-        after[:, 1 + k :] |= gaps[:, : gaps.shape[1] - k]
-    return after
-
-
 def _fit_clock(origin: int, since: Real, counts: np.ndarray, resolution: float) -> Clock:
     """The clock of frames `since` the `origin`, ns, with `counts` (N,)."""
     settled = max(FEWEST_SAMPLES, len(since) - UNSETTLED)
     since, counts = since[:settled], counts[:settled]
-    interval = _interval(since, counts, resolution)
+    interval = fit_interval(since, counts, resolution)
     late = since - interval * counts
-    spoiled = _after_losses(counts[None])[0]
+    spoiled = after_losses(counts[None])[0]
     if np.count_nonzero(~spoiled) > settled // 4:
         late = late[~spoiled]
     phase = float(late.min())
@@ -429,14 +308,14 @@ def _fit_clock(origin: int, since: Real, counts: np.ndarray, resolution: float) 
     margin = min(max(free / 2, TOLERANCE * interval), interval / 2)
     largest = float(late.max())
     clock = Clock(
-        origin,
-        phase,
-        interval,
-        float(late.mean()),
-        float(late.std()),
-        largest,
-        margin,
-        resolution,
+        origin=origin,
+        phase=phase,
+        interval=interval,
+        lateness=float(late.mean()),
+        jitter=float(late.std()),
+        largest=largest,
+        margin=margin,
+        resolution=resolution,
     )
     # Frames come at all times but for those just before a tick.
     return clock._replace(margin=(interval - largest) / 2) if clock.is_on_grid else clock

@@ -31,7 +31,7 @@ from kinpole_ros.tracking.rejection import (
     REVERSED,
     SLOW_STEP,
 )
-from kinpole_ros.tracking.state import State, restart_bodies
+from kinpole_ros.tracking.state import NameSearch, State, put_bodies, restart_bodies
 from kinpole_ros.tracking.statistics import mean_square
 from kinpole_ros.tracking.thresholds import MIN_SAMPLES, RECENT_FRAMES
 
@@ -54,22 +54,24 @@ class Correction(NamedTuple):
 def correct_next(state: State, placed: PlacedFrames, k: int) -> Complex:
     """Return the markers (B, n) that frame `k` is fitted to, NaN for those left out."""
     bodies, counts = state.bodies, state.totals.counts
-    if state.matcher.arrange(placed, k, counts):
-        restart_bodies(state, np.ones(bodies.count, bool))
+    restarts, is_arranged = state.matcher.arrange(placed, k, counts)
+    if restarts:
+        bodies = restart_bodies(state, bodies, np.ones(bodies.count, bool))
+        put_bodies(state, bodies)
     markers, heights = placed.points[k], placed.heights[k]
-    if len(bodies.fitting.unseen):
+    if len(bodies.placement.unseen):
         # Not from a marker that repeats: see `forget_held_markers`.
         last = state.history['markers'][-2:]
         may_be_held = (bodies.repetition == NO_MARKER_REPEATS)[:, None]
         is_held = may_be_held & (last == markers).all(axis=0)
-        bodies.begin(np.where(is_held, complex(np.nan, np.nan), markers))
-        state.step.bind(bodies, state.pins, state.history)
-    if bodies.fitting.incomplete and (bodies.fitting.unknown_slots & ~np.isnan(markers)).any():
+        bodies = bodies.begin(np.where(is_held, complex(np.nan, np.nan), markers))
+        put_bodies(state, bodies)
+    if bodies.placement.incomplete and (bodies.placement.unknown_slots & ~np.isnan(markers)).any():
         # New markers are learned as soon as they are seen.
         state.next_update = min(state.next_update, state.frame_count + 1)
     unusual = state.step.try_next(markers)
-    is_name_doubtful = unusual & NAME_DOUBTFUL or len(placed.layout.unassigned)
-    if is_name_doubtful and _correct_names(state, placed, k, unusual):
+    is_name_doubtful = unusual & NAME_DOUBTFUL or len(state.assignment.layout_of(placed).unassigned)
+    if is_name_doubtful and _correct_names(state, placed, k, unusual, is_arranged):
         unusual = state.step.try_next(markers)
     if not unusual & ODD:
         return markers
@@ -86,23 +88,25 @@ def correct_next(state: State, placed: PlacedFrames, k: int) -> Complex:
     return fitted
 
 
-def _correct_names(state: State, placed: PlacedFrames, k: int, unusual: int) -> bool:
+def _correct_names(
+    state: State, placed: PlacedFrames, k: int, unusual: int, is_arranged: bool
+) -> bool:
     """Correct wrong names of markers in the frame; return whether there were any."""
     if not unusual & NAME_DOUBTFUL:
         markers = placed.points[k]
         unseen = np.isnan(markers)
-        if not unseen.any():
+        if is_arranged or not unseen.any():
             return False
         if not state.matcher.is_doubtful(placed, k, state.bodies.fit(markers), unseen):
             return False
     # Bodies that are not rigid are doubtful in every frame, and a search takes long.
-    if state.frame_count < state.next_search:
+    if state.frame_count < state.name_search.due:
         return False
-    corrected = state.matcher.correct_names(placed, k, state.totals.counts)
-    state.futile_searches = 0 if corrected else state.futile_searches + 1
-    state.next_search = state.frame_count + min(
-        2 ** max(state.futile_searches - 1, 0), MAX_SEARCH_INTERVAL
-    )
+    # A frame that was matched by shape has no names.
+    corrected = not is_arranged and state.matcher.correct_names(placed, k, state.totals.counts)
+    futile = 0 if corrected else state.name_search.futile + 1
+    pause = min(2 ** max(futile - 1, 0), MAX_SEARCH_INTERVAL)
+    state.name_search = NameSearch(futile, state.frame_count + pause)
     return corrected
 
 
@@ -146,14 +150,14 @@ def correct_frame(
 
 def _correct_body(bodies: Bodies, angles: Real, markers: Complex, b: int) -> Correction:
     """Correct the markers (n,) of one body."""
-    fitting, shape = bodies.fitting, bodies.shape[b]
+    fitting, placement, shape = bodies.fitting, bodies.placement, bodies.shape[b]
     limit = float(fitting.limit[b])
-    weights = np.where(np.isnan(markers), 0.0, fitting.weights[b])
+    weights = np.where(np.isnan(markers), 0.0, placement.weights[b])
     predicted, is_slow = predict_angle(angles)
     fit = fit_pose(markers, shape, weights)
     order, counts = np.arange(len(markers)), Counter[str]()
     is_reversed = is_slow and np.cos(fit.angle - predicted) < np.cos(REVERSED)
-    if is_reversed and limit**2 < fitting.spread[b]:
+    if is_reversed and limit**2 < placement.spread[b]:
         turned = half_turn_order(shape, weights, limit)
         if turned is not None:
             order, markers = turned, markers[turned]
@@ -161,7 +165,7 @@ def _correct_body(bodies: Bodies, angles: Real, markers: Complex, b: int) -> Cor
     if not (fitting.mature[b] and (np.abs(fit.residual) > np.sqrt(fitting.largest[b])).any()):
         return Correction(markers, order, counts)
     noise_ratio = np.sqrt(bodies.relative[b])
-    found = correct_markers(markers, shape, fitting.weights[b], limit, predicted, noise_ratio)
+    found = correct_markers(markers, shape, placement.weights[b], limit, predicted, noise_ratio)
     points, counts = found.points, found.counts
     fit = fit_pose(points, shape, np.where(np.isnan(points), 0, weights))
     square = mean_square(fit.residual / noise_ratio, fit.freedom)[0]

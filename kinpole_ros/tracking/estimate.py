@@ -6,16 +6,14 @@ computed from them when they are first asked for. A quantity that does not excee
 undetermined, for a reason that is named.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from ctypes import addressof
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property, partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from kinpole_ros import planar
-from kinpole_ros.core.bindings import Motion, pass_new_array
-from kinpole_ros.derivatives import FEWEST_SAMPLES
+from kinpole_ros.core.bindings import Motion
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.quantities import (
@@ -26,6 +24,7 @@ from kinpole_ros.tracking.quantities import (
     FREE,
     MOVES,
     VELOCITY,
+    ball_of_motion,
     compute_quantity,
     motion_of,
     relative_centers,
@@ -38,8 +37,7 @@ from kinpole_ros.tracking.reasons import (
     why_no_motion_of_icr,
     why_no_poles,
 )
-from kinpole_ros.tracking.rejection import REASONS_OF_MARKERS, REASONS_OF_POSES
-from kinpole_ros.tracking.result_layout import FILLED, INSTANT_AXIS, ArrayPart, layout_of
+from kinpole_ros.tracking.result_layout import INSTANT_AXIS
 from kinpole_ros.tracking.values import (
     POLE_NAMES,
     RATE_NAMES,
@@ -52,77 +50,6 @@ from kinpole_ros.tracking.values import (
 
 _Arrays = TypeVar('_Arrays', bound=Vectors | Numbers | FramePoses)
 _Computed = TypeVar('_Computed')
-
-
-class Results(NamedTuple):
-    """
-    The results of up to so many instants, of bodies with some markers, as follow.c fills them.
-
-    Attributes
-    ----------
-    fields : (n,) int64
-        Those of `Results` of frames.h: the number of instants that there is memory for, how many
-        have results, the fewest samples of a window, how many results are of deformed bodies, and
-        where the arrays begin.
-    layout : dict of str to Part
-        Where each array is in the buffer.
-    buffer : ndarray
-        All arrays, from `address` on.
-    of_motion : (m,) int64
-        Where the arrays of `Motion` are in the buffer.
-    instants, orders, bodies : int
-        Sizes of the arrays.
-
-    """
-
-    fields: np.ndarray
-    layout: dict[str, ArrayPart]
-    buffer: np.ndarray
-    address: int
-    of_motion: np.ndarray
-    instants: int
-    orders: int
-    bodies: int
-
-    @property
-    def filled(self) -> int:
-        """How many instants have results."""
-        return int(self.fields[FILLED])
-
-    def array(self, name: str) -> np.ndarray:
-        """Return an array, of all instants that there is memory for."""
-        shape, dtype, offset = self.layout[name]
-        return np.ndarray(shape, dtype, self.buffer, offset)
-
-    def column(self, name: str) -> np.ndarray:
-        """Return an array, of the instants that have results."""
-        array, count = self.array(name), self.filled
-        if count == self.instants:
-            return array
-        return array[(slice(None),) * INSTANT_AXIS.get(name, 0) + (slice(count),)]
-
-    def motion(self) -> Motion:
-        """Return the motion of the instants that have results."""
-        count = self.filled
-        numbers = count * self.bodies, self.instants * self.bodies, self.orders
-        fields = np.empty(len(numbers) + len(self.of_motion), np.int64)
-        fields[: len(numbers)] = numbers
-        np.add(self.of_motion, self.address, out=fields[len(numbers) :])
-        motion = Motion.from_buffer(fields)
-        motion.shape, motion.owners = (count, self.bodies), [self.buffer]
-        return motion
-
-
-def new_results(instants: int, orders: int, bodies: int, markers: int) -> Results:
-    """Return memory for the results of so many instants, with derivatives of so many `orders`."""
-    layout, offsets, of_motion, size = layout_of(instants, orders, bodies, markers)
-    numbers = instants, 0, FEWEST_SAMPLES, 0
-    fields = np.empty(len(numbers) + len(offsets), np.int64)
-    fields[: len(numbers)] = numbers
-    buffer = np.empty(size, np.uint8)
-    address = addressof(pass_new_array(buffer))
-    np.add(offsets, address, out=fields[len(numbers) :])
-    return Results(fields, layout, buffer, address, of_motion, instants, orders, bodies)
 
 
 def _column(name: str) -> Any:
@@ -209,10 +136,8 @@ class Estimate:
         self.run = run
         self.plane = plane
         self._make_frame_poses = frame_poses
-        self._poles: dict[int, Vectors] = {}
-        self._origins: dict[int, np.ndarray] = {}
-        self._rates: dict[int, Numbers] = {}
-        self._registered: dict[tuple[Any, ...], Any] = {}
+        # By the function and its arguments.
+        self._computed: dict[tuple[Any, ...], Any] = {}
 
     @classmethod
     def of_arrays(
@@ -256,7 +181,8 @@ class Estimate:
         events = tuple(event for event, number in found_with if number == instant)
         one = Estimate(column, *shared, events)
         # Quantities of all instants are not computed again for one.
-        one._poles = {order: _at(instant, pole) for order, pole in self._poles.items()}
+        poles = [key for key in self._computed if key[0] is _pole]
+        one._computed = {key: _at(instant, self._computed[key]) for key in poles}
         for name, quantity in vars(self).items():
             if isinstance(quantity, Vectors | Numbers):
                 vars(one)[name] = _at(instant, quantity)
@@ -290,19 +216,11 @@ class Estimate:
 
     def origin(self, order: int) -> np.ndarray:
         """Return the origins of the bodies' frames (T, B), or a derivative, complex, m/s^order."""
-        if order not in self._origins:
-            origin = self.position[0] - self.reference * np.exp(1j * self.angle[0])
-            if order > 0:
-                origin = planar.body_point_derivative(order, origin, self.position, self.angle)
-            self._origins[order] = np.asarray(origin)
-        return self._origins[order]
+        return self.once(_origin, order)
 
     def rate(self, order: int) -> Numbers:
         """Return the derivative of the angle of order 1 to 4, rad/s^order."""
-        if order not in self._rates:
-            value, variance = self.angle[order], self.angle_covariance[order, order]
-            self._rates[order] = Numbers(value, variance, np.isfinite(value))
-        return self._rates[order]
+        return self.once(_rate, order)
 
     @cached_property
     def compiled_motion(self) -> Motion:
@@ -311,15 +229,11 @@ class Estimate:
 
     def general_pole(self, order: int) -> Vectors:
         """Return the pole of order 1 to 4, m, from the motion alone, without pins."""
-        value, spread, flags = compute_quantity(FREE + order, self.compiled_motion)
-        return Vectors(value, spread, flags > 0)
+        return _pole(FREE + order, self)
 
     def pole(self, order: int) -> Vectors:
         """Return ICR, IAP, IJP or ISP, m, for order 1 to 4; the pin of a pinned body."""
-        if order not in self._poles:
-            value, spread, flags = compute_quantity(order, self.compiled_motion)
-            self._poles[order] = Vectors(value, spread, flags > 0)
-        return self._poles[order]
+        return self.once(_pole, order)
 
     def motion(self, body: int) -> str:
         """
@@ -362,21 +276,9 @@ class Estimate:
     @cached_property
     def ball_point(self) -> Vectors:
         """Ball's point (m); undetermined where it does not stand out of its noise on the circle."""
-
-        def ball(position: np.ndarray, angle: np.ndarray) -> np.ndarray:
-            icr, u, du = (
-                planar.to_plane(one.value)
-                for one in (
-                    planar.pole(1, position, angle),
-                    planar.icr_velocity(position, angle),
-                    planar.icr_acceleration(position, angle),
-                )
-            )
-            return planar.to_complex(planar.ball_point(angle[1], angle[2], icr, u, du))
-
         motion = self.position[:4], self.angle[:4]
         spreads = self.position_covariance[:4, :4], self.angle_covariance[:4, :4]
-        value, spread = planar.propagate(ball, *motion, *spreads)
+        value, spread = planar.propagate(ball_of_motion, *motion, *spreads)
         with np.errstate(invalid='ignore'):
             deviation = np.sqrt(np.trace(spread, axis1=-2, axis2=-1))
             known = SIGNIFICANT * deviation < self.inflection_diameter.value
@@ -397,9 +299,9 @@ class Estimate:
     def once(self, compute: Callable[..., _Computed], *arguments: Any) -> _Computed:
         """Return `compute` of these arguments and this estimate, computed when first asked for."""
         key = compute, *arguments
-        if key not in self._registered:
-            self._registered[key] = compute(*arguments, self)
-        found: _Computed = self._registered[key]
+        if key not in self._computed:
+            self._computed[key] = compute(*arguments, self)
+        found: _Computed = self._computed[key]
         return found
 
     @property
@@ -429,24 +331,6 @@ class Estimate:
         """
         value, spread, flags = relative_centers(self.compiled_motion, np.array(self.pairs))
         return Vectors(value, spread, flags > 0)
-
-    @cached_property
-    def kennedy(self) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Distances of relative centers from the line through the pins, for every pair of bodies.
-
-        In m, and in standard deviations. NaN unless both bodies are pinned: only pins are found
-        without the velocities (`planar.kennedy_residual`).
-        """
-        j, i = self.pairs
-        center = self.relative_icr
-        even = self.pin_variance[..., None, None] * np.eye(2)
-        distance, deviations = planar.kennedy_residual(
-            np.stack((self.pin[..., i], self.pin[..., j], center.value)),
-            np.stack((even[..., i, :, :], even[..., j, :, :], center.covariance)),
-        )
-        usable = self.pinned[..., i] & self.pinned[..., j] & center.determined
-        return np.where(usable, distance, np.nan), np.where(usable, deviations, np.nan)
 
     def reasons(self, body: int) -> dict[str, str]:
         """Return why quantities of a body at one instant are undetermined, by name."""
@@ -480,54 +364,27 @@ class Estimate:
         }
 
 
+def _origin(order: int, estimate: Estimate) -> np.ndarray:
+    """Return the origins of the bodies' frames, or a derivative."""
+    origin = estimate.position[0] - estimate.reference * np.exp(1j * estimate.angle[0])
+    if order > 0:
+        motion = estimate.position, estimate.angle
+        origin = planar.body_point_derivative(order, origin, *motion)
+    return np.asarray(origin)
+
+
+def _rate(order: int, estimate: Estimate) -> Numbers:
+    """Return a derivative of the angle."""
+    value, variance = estimate.angle[order], estimate.angle_covariance[order, order]
+    return Numbers(value, variance, np.isfinite(value))
+
+
+def _pole(order: int, estimate: Estimate) -> Vectors:
+    """Return a pole, with pins, or without for FREE + its order."""
+    value, spread, flags = compute_quantity(order, estimate.compiled_motion)
+    return Vectors(value, spread, flags > 0)
+
+
 def _at(instant: int, arrays: _Arrays) -> _Arrays:
     """One instant of arrays (T, ...)."""
     return type(arrays)(*(array[instant] for array in arrays))
-
-
-def estimate_of(
-    parts: Sequence[tuple[Results, np.ndarray]],
-    frame_id: str,
-    bodies: tuple[str, ...],
-    run: int,
-    plane: Plane | None,
-    posed: bool,
-    events: tuple[BodyEvent, ...] = (),
-) -> Estimate:
-    """
-    Return results, of one instant after the other, as one estimate.
-
-    Each of the `parts` is with the numbers of the frames of which `due` counts.
-    """
-    results = [part for part, _ in parts]
-    for part, numbers in parts:
-        due = part.column('due')
-        due[:] = numbers[due]
-
-    def stored(name: str) -> np.ndarray:
-        axis = INSTANT_AXIS.get(name, 0)
-        return np.concatenate([part.column(name) for part in results], axis)
-
-    if len(results) == 1:
-        stored = results[0].column
-
-    def column(name: str) -> np.ndarray:
-        if name == 'degree':
-            return stored('freedom') - 1
-        if name != 'missing':
-            return stored(name)
-        reasons = (REASONS_OF_POSES if posed else REASONS_OF_MARKERS)[stored('reason')]
-        if plane is None:
-            reasons[...] = 'plane not known yet'
-        return reasons
-
-    def frame_poses() -> FramePoses:
-        turned, placed = stored('information').swapaxes(0, 1)
-        names = ('frame_angle', 'frame_position', 'middle', 'noise')
-        angle, position, middle, noise = map(stored, names)
-        return FramePoses(angle, position, turned, placed, middle, noise)
-
-    estimate = Estimate(column, frame_id, bodies, run, plane, frame_poses, events)
-    if len(results) == 1:
-        estimate.compiled_motion = results[0].motion()
-    return estimate

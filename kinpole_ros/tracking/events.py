@@ -64,27 +64,30 @@ class EventSearch:
     """
 
     def __init__(self, window: int, bodies: int) -> None:
-        self._window, self._share = window, window // _SHARE
+        self._window = window
         self.due = _ALWAYS
         # Where the search goes on, ns; the last event of each body, ns.
         self._next: int | None = None
         self._is_paused = False
         self._last = [-window] * bodies
 
+    @property
+    def _share(self) -> int:
+        """Length of the parts of time that are searched at once, ns."""
+        return self._window // _SHARE
+
     def pause(self) -> None:
         """Go on only with frames that come after the next call of `search`."""
         self._next, self._is_paused, self.due = None, True, _ALWAYS
 
-    def search(
-        self, history: History, bodies: Bodies, pin: np.ndarray, numbers: np.ndarray
-    ) -> list[BodyEvent]:
+    def search(self, history: History, bodies: Bodies, numbers: np.ndarray) -> list[BodyEvent]:
         """
         Search where the frames that have come allow it.
 
-        `pin` (B,) are the pins of the bodies, NaN for none. `numbers` (T,) are those of the newest
-        frames of the history, as `due` of the events counts them.
+        `numbers` (T,) are those of the newest frames of the history, as `due` of the events counts
+        them.
         """
-        hub = np.where(np.isfinite(pin), 0.0, bodies.hub)
+        hub = np.where(np.isfinite(bodies.pin), 0.0, bodies.hub)
         time = history.columns['time'][history.first : history.end]
         if len(time) <= FRAMES_BEHIND:
             return []
@@ -131,7 +134,7 @@ def _poses(history: History, bodies: Bodies, hub: np.ndarray) -> tuple[np.ndarra
     angle, turns = history['angle'], history['turns']
     position = history['position'] + hub * np.exp(1j * angle)
     values = np.stack((angle + 2 * np.pi * turns, position.real, position.imag), axis=-1)
-    information = np.moveaxis(history['information'] * bodies.information_factor, 1, -1)
+    information = np.moveaxis(history['information'] * bodies.fitting.information_factor, 1, -1)
     turned, placed = information[..., 0], information[..., 1]
     with np.errstate(divide='ignore', invalid='ignore'):
         # Farther from the middle of the markers the error of the angle tells more.
@@ -159,15 +162,15 @@ def _body_event(
     covariance += event.step_sigma[0] ** 2 * np.outer(along, along)
     late = int(median(history['stamp'][rows] - time))
     return BodyEvent(
-        body,
-        at + late,
-        event.time_sigma,
-        event.order,
-        turned,
-        float(event.step_sigma[0]),
-        complex(x, y) - 1j * turned * arm,
-        covariance,
-        complex(position[near]),
-        float(height[near]),
-        due,
+        body=body,
+        stamp=at + late,
+        time_sigma=event.time_sigma,
+        order=event.order,
+        angle_step=turned,
+        angle_step_sigma=float(event.step_sigma[0]),
+        step=complex(x, y) - 1j * turned * arm,
+        step_covariance=covariance,
+        position=complex(position[near]),
+        height=float(height[near]),
+        due=due,
     )

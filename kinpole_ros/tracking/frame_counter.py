@@ -11,7 +11,8 @@ from collections import deque
 import numpy as np
 
 from kinpole_ros.planar._plane import ROUNDING, Real
-from kinpole_ros.tracking.clock import LOSS_NATS, MAX_PENDING, TOLERANCE, UNSETTLED, Clock
+from kinpole_ros.tracking.clock import MAX_PENDING, Clock
+from kinpole_ros.tracking.frame_intervals import LOSS_NATS, TOLERANCE, UNSETTLED
 from kinpole_ros.tracking.rejection import FARTHEST_MARKER
 
 # Most hypotheses that are followed, and the most that their costs differ, nats.

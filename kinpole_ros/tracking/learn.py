@@ -8,6 +8,7 @@ from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.planar._procrustes import procrustes_factors
 from kinpole_ros.tracking.bodies import SETTLED_FRAMES, Bodies
 from kinpole_ros.tracking.consensus import consensus_shape
+from kinpole_ros.tracking.deformation import deformed_freedom
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.noise import (
     MAX_MARKERS,
@@ -43,7 +44,7 @@ def refit(bodies: Bodies, history: History) -> None:
     before = history['angle'].copy()
     left_out = (history['information'] == 0).all(axis=1) & np.isfinite(before)
     fit = bodies.fit(np.where(history['used'], history['markers'], np.nan))
-    unsteady = is_unsteady(bodies.fitting.spread, fit.spread, bodies.fitting.loosest)
+    unsteady = is_unsteady(bodies.placement.spread, fit.spread, bodies.fitting.loosest)
     has_pose = np.isfinite(fit.angle) & ~unsteady
     with np.errstate(invalid='ignore'):
         turns = np.nan_to_num(np.rint((before - fit.angle) / (2 * np.pi)))
@@ -55,26 +56,25 @@ def refit(bodies: Bodies, history: History) -> None:
     history['information'][...] = np.where(is_used, (fit.spread, fit.weight), 0.0).swapaxes(0, 1)
 
 
-def _count_turns(bodies: Bodies, history: History, restarted: np.ndarray) -> None:
+def _count_turns(history: History, restarted: np.ndarray) -> None:
     """Count the whole turns of restarted bodies (B,) again, back from their newest poses."""
     for b in np.flatnonzero(restarted):
         rows = np.flatnonzero(np.isfinite(history['angle'][:, b]))
         angle, turns = history['angle'][rows, b], history['turns'][:, b]
         more = np.rint((np.unwrap(angle) - angle) / (2 * np.pi))
         turns[rows] = turns[rows[-1]] + more - more[-1]
-        bodies.last_angle[b] = angle[-1]
 
 
 def learn(
     bodies: Bodies, history: History, window: int, given: float
-) -> tuple[np.ndarray, Counter[str]]:
+) -> tuple[Bodies, np.ndarray, Counter[str]]:
     """
-    Update shapes, misfit, noise and weights.
+    Learn shapes, misfit, noise and weights, and fit the history again where these change.
 
     Parameters
     ----------
     bodies, history : Bodies, History
-        What is updated, and the frames to learn from.
+        What is known so far, and the frames to learn from.
     window : int
         Length of the window of the derivatives, ns.
     given : float
@@ -82,33 +82,33 @@ def learn(
 
     Returns
     -------
+    bodies : Bodies
+        What is known now.
     restarted : (B,) bool
         Which bodies started again.
     counts : Counter
         Numbers of corrected markers by kind.
 
     """
-    restarted, counts = _restart_with_outliers(bodies, history)
-    has_moved = _relearn_moved_markers(bodies, history)
+    bodies, restarted, counts = _restart_with_outliers(bodies, history)
+    bodies, has_moved = _relearn_moved_markers(bodies, history)
     if restarted.any() or has_moved:
-        bodies.update()
         refit(bodies, history)
-        _count_turns(bodies, history, restarted)
-    if _update_shapes(bodies, history):
-        bodies.update()
+        _count_turns(history, restarted)
+    bodies, has_changed = _update_shapes(bodies, history)
+    if has_changed:
         refit(bodies, history)
-    _update_misfit(bodies, history)
-    _update_noise(bodies, history, window, given)
-    if _update_weights(bodies, history):
-        bodies.update()
+    bodies = _update_noise(bodies, history, window, given)
+    bodies, has_changed = _update_weights(bodies, history)
+    if has_changed:
         refit(bodies, history)
-        _update_misfit(bodies, history)
-        _update_noise(bodies, history, window, given)
-    bodies.update()
-    return restarted, counts
+        bodies = _update_noise(bodies, history, window, given)
+    return bodies, restarted, counts
 
 
-def forget_held_markers(bodies: Bodies, history: History, which: np.ndarray) -> np.ndarray:
+def forget_held_markers(
+    bodies: Bodies, history: History, which: np.ndarray
+) -> tuple[Bodies, np.ndarray]:
     """
     Learn the shapes of bodies again, without markers that are at one place in three frames or more.
 
@@ -117,13 +117,15 @@ def forget_held_markers(bodies: Bodies, history: History, which: np.ndarray) -> 
     Parameters
     ----------
     bodies, history : Bodies, History
-        What is updated.
+        What is known so far, and the frames, where such markers are taken out.
     which : (B,) bool
         Bodies whose noise lets no marker repeat.
 
     Returns
     -------
-    (B,) bool
+    bodies : Bodies
+        What is known now.
+    lacking : (B,) bool
         Which bodies have less than two markers left.
 
     """
@@ -135,23 +137,24 @@ def forget_held_markers(bodies: Bodies, history: History, which: np.ndarray) -> 
     is_learned_so = 2 * held.sum(axis=0) > np.count_nonzero(~np.isnan(markers), axis=0)
     wrong = is_learned_so.any(axis=1)
     if not wrong.any():
-        return wrong
+        return bodies, wrong
     markers[held] = np.nan
     history['used'][held] = False
     # The places of the others were learned with a wrong one: they move again.
-    bodies.frames[wrong] = np.minimum(bodies.frames[wrong], 1)
-    bodies.frames[is_learned_so] = 0
-    bodies.update()
+    frames = np.where(wrong[:, None], np.minimum(bodies.frames, 1), bodies.frames)
+    bodies = bodies.change(frames=np.where(is_learned_so, 0, frames))
     refit(bodies, history)
-    return wrong & (bodies.fitting.learned_count < 2)
+    return bodies, wrong & (bodies.placement.learned_count < 2)
 
 
-def _restart_with_outliers(bodies: Bodies, history: History) -> tuple[np.ndarray, Counter[str]]:
+def _restart_with_outliers(
+    bodies: Bodies, history: History
+) -> tuple[Bodies, np.ndarray, Counter[str]]:
     """Start bodies again from the first frames that agree, if some of these have outliers."""
     restarted, counts = np.zeros(bodies.count, bool), Counter[str]()
     fits = np.isfinite(history['angle']).sum(axis=0)
     due = ~bodies.begun & (fits >= MIN_SAMPLES)
-    bodies.begun |= due
+    shape, frames = bodies.shape.copy(), bodies.frames.copy()
     for b in np.flatnonzero(due).tolist():
         if bodies.given[b]:
             continue
@@ -160,25 +163,30 @@ def _restart_with_outliers(bodies: Bodies, history: History) -> tuple[np.ndarray
         consensus = consensus_shape(markers, OUTLIER_SIGMAS / np.sqrt(MISFIT_RATIO), ROUNDED)
         if consensus is None:
             continue
-        bodies.shape[b], markers, corrected = consensus
+        shape[b], markers, corrected = consensus
         counts.update(corrected)
         used, rows = ~np.isnan(markers), np.flatnonzero(seen)
         original = history['markers'][rows, b]
         history['markers'][rows, b] = np.where(used, markers, original)
         history['used'][rows, b] = used
-        bodies.frames[b] = used.sum(axis=0)
+        frames[b] = used.sum(axis=0)
         restarted[b] = True
-    return restarted, counts
+    if due.any():
+        bodies = bodies.change(begun=bodies.begun | due, shape=shape, frames=frames)
+    return bodies, restarted, counts
 
 
-def _relearn_moved_markers(bodies: Bodies, history: History) -> bool:
+def _relearn_moved_markers(bodies: Bodies, history: History) -> tuple[Bodies, bool]:
     """Learn the places of markers again that did not fit for long; whether there were any."""
     rows = slice(-MOVED_FRAMES, None)
     if len(history) < MOVED_FRAMES:
-        return False
+        return bodies, False
     used = history['used'][rows]
     seen = ~np.isnan(history['markers'][rows]) & np.isfinite(history['angle'][rows])[..., None]
     moved = (seen.sum(axis=0) >= 0.5 * MOVED_FRAMES) & ~used.any(axis=0) & (bodies.frames > 0)
+    if not moved.any():
+        return bodies, False
+    shape, frames = bodies.shape.copy(), bodies.frames.copy()
     for b, k in zip(*moved.nonzero(), strict=True):
         at = np.flatnonzero(seen[:, b, k])
         turn = np.exp(-1j * history['angle'][rows][at, b])
@@ -187,13 +195,13 @@ def _relearn_moved_markers(bodies: Bodies, history: History) -> bool:
         near = np.abs(local - middle) < bodies.fitting.limit[b]
         if near.sum() < MIN_SAMPLES:
             continue
-        bodies.shape[b, k] = local[near].mean()
-        bodies.frames[b, k] = near.sum()
+        shape[b, k] = local[near].mean()
+        frames[b, k] = near.sum()
         used[at[near], b, k] = True
-    return bool(moved.any())
+    return bodies.change(shape=shape, frames=frames), True
 
 
-def _update_shapes(bodies: Bodies, history: History) -> bool:
+def _update_shapes(bodies: Bodies, history: History) -> tuple[Bodies, bool]:
     """Move places of markers by mean residuals; whether shapes, or the used markers, changed."""
     has_pose = np.isfinite(history['angle']) & (history['information'] > 0).all(axis=1)
     residual = np.where(has_pose[..., None], history['residual'], np.nan)
@@ -207,28 +215,28 @@ def _update_shapes(bodies: Bodies, history: History) -> bool:
     recent_mean = np.where(used[recent], residual[recent], 0).sum(axis=0)
     recent_mean = recent_mean / np.maximum(recent_count, 1)
     limit = MAX_MEAN_RESIDUAL * np.sqrt(
-        np.maximum(bodies.misfit, ROUNDED**2 * bodies.fitting.spread)
+        np.maximum(bodies.misfit, ROUNDED**2 * bodies.placement.spread)
     )
     contradicted = np.abs(recent_mean) > limit[:, None]
     contradicted &= is_settled & (recent_count >= MEMORY_FRAMES // 2)
     step = np.where(contradicted, recent_mean, np.where(is_settled, 0, mean))
     # A new marker is at its mean place in the frame of its body.
-    is_new = (bodies.frames == 0) & (bodies.fitting.learned_count >= 2)[:, None]
-    has_new = False
+    is_new = (bodies.frames == 0) & (bodies.placement.learned_count >= 2)[:, None]
+    has_new, shape, frames = False, bodies.shape.copy(), bodies.frames.copy()
     for b, k in zip(*is_new.nonzero(), strict=True):
         seen = has_pose[:, b] & ~np.isnan(history['markers'][:, b, k])
         if seen.any():
             turn = np.exp(-1j * history['angle'][seen, b])
             local = (history['markers'][seen, b, k] - history['position'][seen, b]) * turn
-            bodies.shape[b, k] = local.mean()
-            bodies.frames[b, k] = seen.sum()
+            shape[b, k] = local.mean()
+            frames[b, k] = seen.sum()
             history['used'][seen, b, k] = True
             step[b, k], has_new = 0.0, True
     # Frames have gained or lost a pose since, so other markers count.
     uses_changed = bool((history['used'].sum(axis=0) != count).any() and not is_settled.all())
-    bodies.shape += step
-    bodies.frames = np.minimum(np.maximum(bodies.frames, count), SETTLED_FRAMES)
-    return has_new or bool(step.any()) or uses_changed
+    frames = np.minimum(np.maximum(frames, count), SETTLED_FRAMES)
+    has_changed = has_new or bool(step.any()) or uses_changed
+    return bodies.change(shape=shape + step, frames=frames), has_changed
 
 
 def _without_noisy(bodies: Bodies, residual: Complex) -> Complex:
@@ -238,8 +246,8 @@ def _without_noisy(bodies: Bodies, residual: Complex) -> Complex:
 
 def freedom_of(bodies: Bodies, residual: Complex) -> Real:
     """Return the expected square of each residual (N, B, n) for unit variance of a coordinate."""
-    seen, weights = ~np.isnan(residual), bodies.fitting.weights
-    freedom = np.broadcast_to(bodies.fitting.factors.freedom, residual.shape)
+    seen, weights = ~np.isnan(residual), bodies.placement.weights
+    freedom = np.broadcast_to(bodies.placement.factors.freedom, residual.shape)
     frames, lacking = (seen != (weights > 0)).any(axis=-1).nonzero()
     if len(frames):
         own = np.where(seen[frames, lacking], weights[lacking], 0.0)
@@ -248,7 +256,18 @@ def freedom_of(bodies: Bodies, residual: Complex) -> Real:
     return freedom
 
 
-def _update_misfit(bodies: Bodies, history: History) -> None:
+def find_deformed(bodies: Bodies, history: History, window: int) -> Bodies:
+    """Find the bodies whose markers move against each other by more than their noise."""
+    rows = slice(-MEMORY_FRAMES - 2, None)
+    time, residual = history['time'][rows], history['residual'][rows]
+    interval = median(np.diff(time)) if len(time) > 1 else window / 2
+    free = freedom_of(bodies, residual).sum(axis=-1)
+    noise, half = np.fmax(bodies.noise, bodies.white), round(window / 2 / max(interval, 1.0))
+    freedom, factor = deformed_freedom(residual, free, noise, bodies.degrees, half)
+    return bodies.change(freedom=freedom, hidden_factor=factor)
+
+
+def _update_misfit(bodies: Bodies, history: History) -> Bodies:
     """Estimate the misfit: the variance of a marker about its place, per axis."""
     rows = slice(-MISFIT_FRAMES - 1, None)
     residual, markers = history['residual'][rows], history['markers'][rows]
@@ -257,38 +276,43 @@ def _update_misfit(bodies: Bodies, history: History) -> None:
     at_rest = (np.isnan(markers[1:]) | (markers[1:] == markers[:-1])).all(axis=-1)
     squares[1:][at_rest] = np.nan
     count = np.count_nonzero(~np.isnan(squares), axis=0)
-    bodies.fits = np.maximum(bodies.fits, count)
-    is_measured = count > 0
+    misfit, is_measured = bodies.misfit.copy(), count > 0
     if is_measured.any():
-        bodies.misfit[is_measured] = bulk_maximum(squares.T[is_measured]) / MISFIT_RATIO
+        misfit[is_measured] = bulk_maximum(squares.T[is_measured]) / MISFIT_RATIO
+    return bodies.change(fits=np.maximum(bodies.fits, count), misfit=misfit)
 
 
-def _update_noise(bodies: Bodies, history: History, window: int, given: float) -> None:
-    """Estimate the noise of a coordinate of a marker."""
+def _update_noise(bodies: Bodies, history: History, window: int, given: float) -> Bodies:
+    """Estimate the misfit, and the noise of a coordinate of a marker."""
+    # The misfit stands for the noise from the update on after which it is known.
+    was_mature, bodies = bodies.fitting.mature, _update_misfit(bodies, history)
     rows = slice(-MEMORY_FRAMES - 2, None)
     residual = _without_noisy(bodies, history['residual'][rows])
     freedom = freedom_of(bodies, history['residual'][rows])
     goes_on, time = history['goes_on'][rows], history['time'][rows]
     white, degrees = white_noise(residual, freedom, goes_on)
-    bodies.white, bodies.degrees = white, degrees
-    noise = white
-    bodies.lasting[:] = False
+    noise, lasting = white, np.zeros(bodies.count, bool)
     if len(time) > 1:
         frames = window / max(median(np.diff(time)), 1.0)
-        noise, bodies.lasting = correlated_noise(residual, freedom, goes_on, frames, white)
-    misfit = np.sqrt(np.where(bodies.fitting.mature, bodies.misfit, np.nan))
+        noise, lasting = correlated_noise(residual, freedom, goes_on, frames, white)
+    misfit = np.sqrt(np.where(was_mature, bodies.misfit, np.nan))
     noise = np.where(degrees < MIN_DOF, misfit, noise)
     if given > 0:
         noise = np.full(bodies.count, given)
     farthest = np.nan_to_num(np.abs(history['markers'][rows])).max(axis=(0, 2))
-    bodies.least_noise = np.maximum(ROUNDING * farthest, given)
-    bodies.noise = np.maximum(noise, ROUNDING * farthest)
+    return bodies.change(
+        noise=np.maximum(noise, ROUNDING * farthest),
+        white=white,
+        degrees=degrees,
+        lasting=lasting,
+        least_noise=np.maximum(ROUNDING * farthest, given),
+    )
 
 
-def _update_weights(bodies: Bodies, history: History) -> bool:
+def _update_weights(bodies: Bodies, history: History) -> tuple[Bodies, bool]:
     """Weight markers by their noise; whether weights have changed."""
     if bodies.width > MAX_MARKERS or len(history) < MIN_FRAMES:
-        return False
+        return bodies, False
     rows = slice(-MEMORY_FRAMES, None)
     residual, goes_on = history['residual'][rows], history['goes_on'][rows]
     squares = residual.real**2 + residual.imag**2
@@ -300,15 +324,14 @@ def _update_weights(bodies: Bodies, history: History) -> bool:
         largest = np.fmax.reduce(mean, axis=1)
         suspicious = (count > 2) & (largest > MIN_SUSPICIOUS_RATIO * medians(mean))
     suspicious |= (bodies.relative > 1).any(axis=1)
-    changed = False
+    relative, deviation = bodies.relative.copy(), bodies.deviation.copy()
     for b in np.flatnonzero(suspicious).tolist():
-        relative, bodies.deviation[b] = marker_variances(
+        relative[b], deviation[b] = marker_variances(
             residual[:, b], goes_on, bodies.shape[b], bodies.relative[b], bodies.deviation[b]
         )
-        if (relative != bodies.relative[b]).any():
-            bodies.relative[b] = relative
-            changed = True
-    return changed
+    bodies = bodies.change(deviation=deviation)
+    has_changed = bool((relative != bodies.relative).any())
+    return bodies.change(relative=relative) if has_changed else bodies, has_changed
 
 
 def path_scale(history: History) -> Real:

@@ -36,7 +36,7 @@ from kinpole_ros.tracking.thresholds import (
     RECENT_FRAMES,
 )
 
-# What is counted in `Tracker.counts`.
+# What is counted in `Tracker.update_counts`.
 REGROUPED, BY_SHAPE, UNCERTAIN = 'markers_regrouped', 'frames_by_shape', 'bodies_ambiguous'
 # If the parameters name points 0 to n - 1, a cloud of exactly n points counts as so many clouds of
 # another size, while the usual size is learned.
@@ -82,6 +82,8 @@ class Matcher:
     ----------
     given : GivenShapes
         What the parameters say.
+    bodies : Bodies
+        What is known now, put in by `put_bodies` of state.py.
     notes : Counter of str
         Corrected names, and how often each correction began.
     regrouped : list of (str, str, str)
@@ -94,12 +96,11 @@ class Matcher:
     def __init__(
         self, settings: Settings, assignment: MarkerAssignment, bodies: Bodies, history: History
     ) -> None:
-        self._assignment, self._bodies, self._history = assignment, bodies, history
+        self._assignment, self._history = assignment, history
         self.given = given_shapes(settings, bodies.width)
+        self.bodies = bodies.give(self.given.shapes) if self.given.has_shape.any() else bodies
         self.notes: Counter[str] = Counter()
         self.regrouped: list[tuple[str, str, str]] = []
-        if self.given.has_shape.any():
-            bodies.give(self.given.shapes)
         self.full_count = 0
         # How many of the first clouds without names had which number of points.
         self._cloud_sizes: Counter[int] = Counter()
@@ -133,14 +134,15 @@ class Matcher:
         self._update_full_count(placed)
         return placed.size != self.full_count
 
-    def arrange(self, placed: PlacedFrames, k: int, counts: Counter[str]) -> bool:
+    def arrange(self, placed: PlacedFrames, k: int, counts: Counter[str]) -> tuple[bool, bool]:
         """
         Match frame `k` by shape if names mean nothing.
 
-        Returns whether all bodies have to start again, since earlier frames were assigned wrongly.
+        Returns whether all bodies have to start again, since earlier frames were assigned wrongly,
+        and whether the frame was matched.
         """
         if not placed.is_nameless:
-            return False
+            return False, False
         restarts = False
         if self._arranged < MIN_SAMPLES:
             has_changed = self._update_full_count(placed)
@@ -150,13 +152,12 @@ class Matcher:
                 self._assignment.ordered_size = self.full_count
         is_full = placed.size == self.full_count
         if is_full and not self.given.by_shape:
-            return restarts
+            return restarts, False
         was_in_order = not self.disordered
         ambiguous = self._arrange_by_shape(placed, k, is_full, restarts)
         counts.update({BY_SHAPE: 1, UNCERTAIN: ambiguous})
-        placed.arranged = k
         # Frames before the disorder was noticed did not show the bodies they were taken for.
-        return restarts or (was_in_order and self.disordered)
+        return restarts or (was_in_order and self.disordered), True
 
     def is_doubtful(self, placed: PlacedFrames, k: int, fit: Fit, hidden: np.ndarray) -> bool:
         """
@@ -172,35 +173,35 @@ class Matcher:
             Markers that were not seen.
 
         """
-        unassigned = placed.layout.unassigned
-        if not len(unassigned) or placed.arranged == k:
+        unassigned = self._assignment.layout_of(placed).unassigned
+        if not len(unassigned):
             return False
         points = self._assignment.project_all(placed, k)[0][unassigned]
         points = points[~np.isnan(points)]
         if not len(points):
             return False
-        shapes, limit = self._bodies.fitting.places, self._bodies.fitting.limit
+        shapes, limit = self.bodies.placement.places, self.bodies.fitting.limit
         predicted = fit.position[:, None] + np.exp(1j * fit.angle)[:, None] * shapes
         predicted = np.where(hidden, predicted, np.nan)
         if (np.abs(predicted[..., None] - points) <= limit[:, None, None]).any():
             return True
         # A body without a pose is doubtful if it and the unassigned points have enough markers.
-        lost = np.isnan(fit.angle) & (self._bodies.fitting.learned_count >= 2) & ~self.withheld
+        lost = np.isnan(fit.angle) & (self.bodies.placement.learned_count >= 2) & ~self.withheld
         return bool((lost & (len(points) + (~hidden).sum(axis=1) >= 2)).any())
 
     def correct_names(self, placed: PlacedFrames, k: int, counts: Counter[str]) -> bool:
         """Correct the names from frame `k` on; return whether any was wrong."""
         # One body that has all points, and poses, cannot be confused.
-        layout, frames = placed.layout, len(placed.frames.stamps) - k
+        layout, frames = self._assignment.layout_of(placed), len(placed.frames.stamps) - k
         is_alone = len(self.given.names) == 1 and not len(layout.unassigned)
-        if self.given.by_shape or placed.arranged == k or is_alone or self._assignment.posed:
+        if self.given.by_shape or is_alone or self.bodies.are_measured:
             return False
         points, _ = self._assignment.project_all(placed, k)
         assigned = np.where(layout.rows < len(points), layout.rows, -1)
         hidden = (assigned >= 0) & np.isnan(np.append(points, np.nan)[assigned])
         named = np.where(hidden, -1, assigned)
         named[self.withheld] = -1
-        fits = self._fits_by_name(points, named, self._bodies.fitting.places)
+        fits = self._fits_by_name(points, named, self.bodies.placement.places)
         rows = merge_names(self._match(placed, k, points, named, fits), named)
         if rows is None:
             return False
@@ -208,7 +209,7 @@ class Matcher:
         # A hidden marker that found no other point keeps its name.
         rows = np.where(hidden & (rows < 0), assigned, rows)
         self._assignment.correct_names(placed, rows, not placed.is_nameless)
-        count_misnamed(counts, placed.layout, frames)
+        count_misnamed(counts, self._assignment.layout_of(placed), frames)
         self._note_corrections(placed)
         self._assignment.assign_again(placed, k)
         return True
@@ -267,11 +268,11 @@ class Matcher:
         """
         found = {}
         for b in np.flatnonzero(self.given.has_shape & ~self.withheld).tolist():
-            given, learned, name = self.given.shapes[b], self._bodies.shape[b], self.given.names[b]
+            given, learned, name = self.given.shapes[b], self.bodies.shape[b], self.given.names[b]
             markers = given[~np.isnan(given)]
             size = np.abs(markers - markers.mean()).max()
             limit = max(
-                N_SIGMA * float(np.nan_to_num(self._bodies.fitting.limit[b])), NEGLIGIBLE * size
+                N_SIGMA * float(np.nan_to_num(self.bodies.fitting.limit[b])), NEGLIGIBLE * size
             )
             indices = np.where(np.isnan(given), -1, np.arange(len(given)))
             if not fit_points(learned, np.nan_to_num(given), indices)[2] <= limit:
@@ -283,7 +284,7 @@ class Matcher:
 
     def _note_corrections(self, placed: PlacedFrames) -> None:
         """Remember which markers were corrected."""
-        layout, names = placed.layout, placed.identities
+        layout, names = self._assignment.layout_of(placed), placed.identities
         if placed.is_nameless:
             return
         corrected = (layout.rows != layout.named_rows) & (layout.rows < len(names))
@@ -316,9 +317,9 @@ class Matcher:
         """
         points, heights = self._assignment.project_all(placed, k)
         # Learned shapes are void after a restart.
-        shapes = self.given.shapes if restarts else self._bodies.fitting.places
+        shapes = self.given.shapes if restarts else self.bodies.placement.places
         has_shape = (~np.isnan(shapes)).sum(axis=1) >= 2
-        rows = placed.layout.rows
+        rows = self._assignment.layout_of(placed).rows
         named = np.where(rows < len(points), rows, -1)
         # While it is not known whether the order is stable, the names are tried first.
         learns_order = is_full and self._arranged < MIN_SAMPLES and not self.disordered
@@ -343,7 +344,7 @@ class Matcher:
         named = np.where(np.isnan(shapes), -1, named)
         _, turn, worst = fit_points(points, np.where(np.isnan(shapes), 0, shapes), named)
         enough = (named >= 0).sum(axis=1) >= 2
-        return np.asarray(enough & np.isfinite(turn) & (worst <= self._bodies.fitting.limit))
+        return np.asarray(enough & np.isfinite(turn) & (worst <= self.bodies.fitting.limit))
 
     def _check_order(self, in_order: np.ndarray) -> None:
         """Withhold bodies if points come in random order; `in_order` (B,) is of one frame."""
@@ -362,17 +363,16 @@ class Matcher:
         shapes: Complex | None = None,
     ) -> Match:
         """Match the points of a frame by shape, and by the predicted poses."""
-        shapes = self._bodies.fitting.places if shapes is None else shapes
+        shapes = self.bodies.placement.places if shapes is None else shapes
         if self.withheld.any():
             shapes = np.where(self.withheld[:, None], np.nan, shapes)
         # Most best fits are right, so their median variance is that of the noise.
         variance = np.inf
         if len(self._variances) >= MIN_SAMPLES:
             variance = float(np.median(self._variances))
-        expected = Expected(
-            *self._predict(placed.frames.stamps[k]), named, fits, variance, self.given.pins
-        )
-        found = match(points, shapes, self._bodies.fitting.limit, expected)
+        position, turn = self._predict(placed.frames.stamps[k])
+        expected = Expected(position, turn, named, fits, variance, pins=self.given.pins)
+        found = match(points, shapes, self.bodies.fitting.limit, expected)
         self._variances.extend(found.variance[np.isfinite(found.variance)].tolist())
         return found
 
@@ -390,5 +390,5 @@ class Matcher:
         shapes = self.given.shapes[b : b + 1].conj()
         nowhere = np.full(1, complex(np.nan, np.nan))
         expected = Expected(nowhere, nowhere, np.full(shapes.shape, -1), np.zeros(1, bool))
-        found = match(points, shapes, self._bodies.fitting.limit[b : b + 1], expected)
+        found = match(points, shapes, self.bodies.fitting.limit[b : b + 1], expected)
         return bool(np.isfinite(found.turn[0]) or found.uncertain[0])

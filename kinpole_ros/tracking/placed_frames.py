@@ -1,7 +1,6 @@
 """Frames whose markers are in the slots of the bodies, and where these are in their message."""
 
 from collections import Counter
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -37,8 +36,7 @@ class FrameLayout(NamedTuple):
     slots: Slots | None = None
 
 
-@dataclass
-class PlacedFrames:
+class PlacedFrames(NamedTuple):
     """
     Frames of one layout whose markers are in the slots of the bodies.
 
@@ -46,8 +44,6 @@ class PlacedFrames:
     ----------
     frames : MarkerFrames
         The frames, with contiguous points.
-    layout : FrameLayout
-        Where their markers are in the message.
     points, heights : (T, B, n)
         Markers in the plane, complex, m, NaN for none, and for all while the plane is not known;
         their heights along its normal, m. C reads both; `correct_next` corrects rows before that.
@@ -55,24 +51,22 @@ class PlacedFrames:
         Markers in the frame of the message, m, of poses or while the plane is not known.
     tilts : (T, B) complex or None
         Tilts of poses, see `tilts_of`; None for markers, and while the plane is not known.
-    size : int
-        Number of rows of the message.
     is_nameless : bool
         Whether the names are indices, which may change at any time.
-    arranged : int
-        The last of the frames that was matched by shape since it is nameless, -1 for none.
 
     """
 
     frames: MarkerFrames
-    layout: FrameLayout
     points: np.ndarray
     heights: np.ndarray
     in_space: np.ndarray | None
     tilts: np.ndarray | None
-    size: int
     is_nameless: bool
-    arranged: int = -1
+
+    @property
+    def size(self) -> int:
+        """Number of rows of the message."""
+        return self.frames.points.shape[1]
 
     @property
     def identities(self) -> tuple[str, ...]:

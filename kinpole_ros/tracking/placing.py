@@ -40,8 +40,6 @@ class MarkerAssignment:
     ----------
     markers : list of list of str
         Names of the markers of each body.
-    width : int
-        Number of slots of each body.
     unknown : int
         Rows of the last new layout that no body names.
     posed : bool
@@ -73,9 +71,6 @@ class MarkerAssignment:
             or [f'{body}_{k}' for k in range(0 if posed else len(settings.shapes.get(body, ())))]
             for body, markers in settings.bodies.items()
         ]
-        self.width = (
-            len(POSE_POINTS) if posed else max(2, *(len(markers) for markers in self.markers))
-        )
         self.unknown, self.ordered_size = 0, NOT_ORDERED
         # A body of all markers takes any point for a marker.
         self.takes_all = not any(self.markers)
@@ -86,11 +81,22 @@ class MarkerAssignment:
         # parameters, and the slot that takes the place of each, counted through all bodies.
         self._aliases: dict[str, tuple[int, int]] = {}
         self._regrouped: np.ndarray | None = None
-        self.order = np.tile(np.arange(self.width), (len(self.markers), 1))
+        width = len(POSE_POINTS) if posed else max(2, *map(len, self.markers))
+        self.order = np.tile(np.arange(width), (len(self.markers), 1))
         self.uncounted: np.ndarray | None = None
         self.withheld = np.zeros(len(self.markers), bool)
         # Of poses: see `project_poses`.
         self._upside_down = np.full(len(self.markers), -1)
+
+    @property
+    def width(self) -> int:
+        """Number of slots of each body."""
+        return self.order.shape[1]
+
+    @property
+    def points_each(self) -> int:
+        """Number of points that stand for a marker."""
+        return len(POSE_POINTS) if self.posed else 1
 
     @property
     def count(self) -> int:
@@ -133,21 +139,16 @@ class MarkerAssignment:
         tilts = None
         if in_space is not None and self.plane is not None:
             tilts = tilts_of(in_space, self.plane, self._upside_down)
-        return PlacedFrames(
-            frames,
-            layout,
-            flat,
-            heights,
-            in_space,
-            tilts,
-            size=points.shape[1],
-            is_nameless=layout.is_numbered and not self.names_come,
-        )
+        is_nameless = layout.is_numbered and not self.names_come
+        return PlacedFrames(frames, flat, heights, in_space, tilts, is_nameless)
+
+    def layout_of(self, placed: PlacedFrames) -> FrameLayout:
+        """Return the layout of frames, by what is known of names now."""
+        return self._layout_of(placed.identities)
 
     def assign_again(self, placed: PlacedFrames, first: int) -> None:
         """Place the frames from `first` on again, by what is known of names now."""
-        placed.layout = self._layout_of(placed.identities)
-        points, heights, *_ = self._place(placed.frames, placed.layout, first)
+        points, heights, *_ = self._place(placed.frames, self.layout_of(placed), first)
         placed.points[first:], placed.heights[first:] = points, heights
 
     def _place(
@@ -187,8 +188,8 @@ class MarkerAssignment:
 
     def project_all(self, placed: PlacedFrames, k: int) -> InPlane:
         """Return all points (m,) of a frame in the plane, complex, m, and their heights."""
-        points = placed.frames.points[k]
-        flat, heights, _ = self._in_plane(points[None], placed.layout.all_rows, points.shape[:1])
+        points, layout = placed.frames.points[k], self.layout_of(placed)
+        flat, heights, _ = self._in_plane(points[None], layout.all_rows, points.shape[:1])
         return flat[0], heights[0]
 
     def correct_names(self, placed: PlacedFrames, rows: np.ndarray, for_all: bool) -> None:
@@ -205,12 +206,12 @@ class MarkerAssignment:
             Whether the names of the rows stand for the same markers in other layouts too.
 
         """
-        layout, identities = placed.layout, placed.identities
+        layout, identities = self.layout_of(placed), placed.identities
         none = len(identities)
         rows = np.where(rows < 0, none, rows)
         # What was exchanged within a body is right now.
         self.restore_order((rows != layout.rows).any(axis=1))
-        self._layouts[identities] = placed.layout = self._make_layout(
+        self._layouts[identities] = self._make_layout(
             identities, rows, layout.named_rows, layout.absent
         )
         if not for_all:
@@ -284,10 +285,9 @@ class MarkerAssignment:
         """Return the markers that a message lacks, of bodies with less than two in it."""
         if self._settings.marker_identity == 'shape':
             return []
-        count = (placed.layout.rows < len(placed.identities)).sum(axis=1).tolist()
-        return [
-            names if n < 2 else [] for n, names in zip(count, placed.layout.absent, strict=True)
-        ]
+        layout = self.layout_of(placed)
+        count = (layout.rows < len(placed.identities)).sum(axis=1).tolist()
+        return [names if n < 2 else [] for n, names in zip(count, layout.absent, strict=True)]
 
     def _layout_of(self, identities: tuple[str, ...]) -> FrameLayout:
         """Look up the layout of a message, or make it, with its slots."""
@@ -361,7 +361,16 @@ class MarkerAssignment:
             unassigned = unassigned[:0]
         is_numbered &= not self.posed
         all_rows = self._slots_of(np.arange(none), none)
-        return FrameLayout(rows, named, absent, foreign, unknown, unassigned, is_numbered, all_rows)
+        return FrameLayout(
+            rows=rows,
+            named_rows=named,
+            absent=absent,
+            foreign_names=foreign,
+            unknown_names=unknown,
+            unassigned=unassigned,
+            is_numbered=is_numbered,
+            all_rows=all_rows,
+        )
 
     def _with_aliases(self, identities: tuple[str, ...], named: np.ndarray) -> np.ndarray:
         """Rows with the markers that have other names for now; a name of its own goes first."""
@@ -386,5 +395,4 @@ class MarkerAssignment:
         markers += new[: MOST_MARKERS - len(markers)]
         if len(markers) > self.width:
             self.order = np.hstack((self.order, np.arange(self.width, len(markers))[None]))
-            self.width = len(markers)
             self._layouts.clear()

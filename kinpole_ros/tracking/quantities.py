@@ -4,6 +4,7 @@ from ctypes import byref
 
 import numpy as np
 
+from kinpole_ros import planar
 from kinpole_ros.core.bindings import (
     SIZES,
     Motion,
@@ -127,6 +128,19 @@ def relative_centers(motion: Motion, pairs: np.ndarray) -> tuple[Complex, Real, 
         into = map(pass_new_array, arrays)
         library.kinpole_relative_centers(byref(motion), bodies, address_of(pairs), number, *into)
     return arrays
+
+
+def ball_of_motion(position: Complex, angle: Real) -> Complex:
+    """Return Ball's points (...), m, of bodies; `position` and `angle` are (4, ...) or more."""
+    icr, u, du = (
+        planar.to_plane(center.value)
+        for center in (
+            planar.pole(1, position, angle),
+            planar.icr_velocity(position, angle),
+            planar.icr_acceleration(position, angle),
+        )
+    )
+    return planar.to_complex(planar.ball_point(angle[1], angle[2], icr, u, du))
 
 
 def _empty(shape: tuple[int, ...]) -> tuple[Complex, Real, np.ndarray]:

@@ -29,12 +29,12 @@ here.
 | a pose | OFF_PATH | off its neighbors by `FAR` | `wrong_before_last` in C | a reason |
 | a pose | OFF_PATH | newest, off by `NEWEST_FACTOR` | `doubtful_newest` in C | a reason |
 | a pin | off | by `N_SIGMA` in more than two frames | `kinpole_holds_on_pin` in C | - |
-| a pin | dropped | off in `CONFIRMING_FRAMES` in a row | `Pins.update` | - |
+| a pin | dropped | off in `CONFIRMING_FRAMES` in a row | `update_pins` | - |
 | a result | TOO_NOISY | `MAX_ANGLE_NOISE` | `reasons_of` | a reason |
 | a result | NOISE_UNKNOWN | less than `MIN_SAMPLES` frames | `reasons_of` | a reason |
 
-What is counted is a key of `Tracker.counts`, which diagnostics print. A verdict without a count
-leads to another one. A reason stands with the results that are missing for it.
+What is counted is a key of `Tracker.update_counts`, which diagnostics print. A verdict without a
+count leads to another one. A reason stands with the results that are missing for it.
 """
 
 from typing import NamedTuple
@@ -157,7 +157,7 @@ def marker_limits(
     return MarkerLimits(limit, largest, doubtful, error / MAX_ANGLE_NOISE**2)
 
 
-def reasons_of(noise: Real, spread: Real, angle_noise: Real | None) -> np.ndarray:
+def reasons_of(noise: Real, spread: Real, angle_noise: Real) -> np.ndarray:
     """
     Return the codes (B,) of why bodies have no results.
 
@@ -165,14 +165,12 @@ def reasons_of(noise: Real, spread: Real, angle_noise: Real | None) -> np.ndarra
     ----------
     noise, spread : (B,) float
         Noise of a coordinate of a marker, m, NaN while not known; sum of squared arms, m^2.
-    angle_noise : (B,) float or None
-        Noise of the angles, rad, where the input are poses.
+    angle_noise : (B,) float
+        Noise of measured angles, rad, NaN of those that are fitted to markers.
 
     """
-    if angle_noise is None:
-        is_steady = noise**2 < MAX_ANGLE_NOISE**2 * spread
-    else:
-        is_steady = angle_noise < MAX_ANGLE_NOISE
+    is_steady = noise**2 < MAX_ANGLE_NOISE**2 * spread
+    is_steady = np.where(np.isnan(angle_noise), is_steady, angle_noise < MAX_ANGLE_NOISE)
     steady = np.where(is_steady, REASONS['KNOWN'], REASONS['TOO_NOISY'])
     return np.where(np.isfinite(noise), steady, REASONS['NOISE_UNKNOWN']).astype(np.uint8)
 
@@ -204,6 +202,16 @@ class Arrivals(NamedTuple):
     late: int
     repeated: int
     last: LastFrame
+
+
+def are_steady(last: LastFrame, stamps: np.ndarray, window: int) -> bool:
+    """Return whether each of the next stamps, ns, follows those before by a window at most."""
+    if not 0 < int(stamps[0]) - last.newest <= window:
+        return False
+    if len(stamps) == 1:
+        return True
+    steps = stamps[1:] - stamps[:-1]
+    return bool(np.minimum.reduce(steps) > 0 and np.maximum.reduce(steps) <= window)
 
 
 def judge_arrivals(

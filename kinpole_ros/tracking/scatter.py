@@ -52,7 +52,7 @@ class Scatter:
     def add(self, points: np.ndarray) -> None:
         """Add groups of markers (k, GROUP, B, w, 3), m, NaN for none."""
         sums = self._sums_of(points)
-        self._groups.extend(Sums(*group) for group in zip(*sums, strict=True))
+        self._groups.extend(map(Sums._make, zip(*sums, strict=True)))
 
     def update(self) -> bool:
         """Update `sums` with all groups; return whether there are any."""
@@ -60,7 +60,7 @@ class Scatter:
         if count:
             begins = np.arange(0, count, -(-count // _MAX_BLOCKS))
             parts = zip(*self._groups, strict=True)
-            self.sums = Sums(*(np.add.reduceat(np.stack(part), begins) for part in parts))
+            self.sums = Sums._make(np.add.reduceat(np.stack(part), begins) for part in parts)
         return count > 0
 
     def about_means(self) -> np.ndarray:
@@ -126,13 +126,13 @@ class Scatter:
         terms = pair_seen, change, change**2, has_difference, rough_distance
         pairs = np.stack([term.sum(1) for term in terms], axis=-1)
         return Sums(
-            seen.sum(1, dtype=float),
-            off.sum(1),
-            _squares(off),
+            count=seen.sum(1, dtype=float),
+            first=off.sum(1),
+            second=_squares(off),
             # The second difference of white noise has six times its variance.
-            _squares(bent) / 6,
-            rough_count.astype(float),
-            pairs,
+            rough=_squares(bent) / 6,
+            rough_count=rough_count.astype(float),
+            pairs=pairs,
         )
 
 

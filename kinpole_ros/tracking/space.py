@@ -61,13 +61,12 @@ class SpaceReport(NamedTuple):
 
 def updated(before: SpaceReport, now: SpaceReport) -> SpaceReport:
     """Return the report `now`, completed by the one `before`."""
-    size, off, stretch = (
-        np.where(np.isnan(new), old, new) for old, new in zip(before[-3:], now[-3:], strict=True)
-    )
+    of_bodies = {}
+    for name in ('size', 'off_plane', 'stretch'):
+        old, new = getattr(before, name), getattr(now, name)
+        of_bodies[name] = np.where(np.isnan(new), old, new)
     motion = before if now.normal is None else now
-    return motion._replace(
-        plane=now.plane or before.plane, size=size, off_plane=off, stretch=stretch
-    )
+    return motion._replace(plane=now.plane or before.plane, **of_bodies)
 
 
 class Space:
@@ -77,13 +76,17 @@ class Space:
         self.plane = plane_of(setting)
         self._shape = bodies, width
         self._waiting: list[np.ndarray] = []
-        self._number = 0
         self._scatter = Scatter(*self._shape)
+
+    @property
+    def _number(self) -> int:
+        """Number of the waiting frames."""
+        return sum(map(len, self._waiting))
 
     def widen(self, width: int) -> None:
         """Make room for more markers per body; the motion is measured from the start."""
         self._shape = self._shape[0], width
-        self._waiting, self._number = [], 0
+        self._waiting = []
         self._scatter = Scatter(*self._shape)
 
     def add(self, points: np.ndarray) -> None:
@@ -91,7 +94,6 @@ class Space:
         if self._number >= (GROUP if self.plane is None else _FRAMES_AT_ONCE):
             self._measure()
         self._waiting.append(points)
-        self._number += len(points)
         if len(points) > GROUP:
             self._measure()
 
@@ -103,7 +105,6 @@ class Space:
         points = np.concatenate(self._waiting)
         done = groups * GROUP
         self._waiting = [points[done:].copy()]
-        self._number -= done
         self._scatter.add(points[:done].reshape(groups, GROUP, *points.shape[1:]))
         if self.plane is None and self._scatter.update():
             normal, line, deviation = self._normal_of_motion(None)
@@ -142,7 +143,16 @@ class Space:
             # Before the normal of the motion is known, a tilt would look the same.
             if across is not None and len(self._scatter.sums.count) >= MIN_DOF:
                 off = self._off_plane(across, size, stretch)
-        return SpaceReport(self.plane, normal, line, tilt, deviation, size, off, stretch)
+        return SpaceReport(
+            plane=self.plane,
+            normal=normal,
+            line=line,
+            tilt=tilt,
+            deviation=deviation,
+            size=size,
+            off_plane=off,
+            stretch=stretch,
+        )
 
     def _normal_of_motion(self, plane: Plane | None) -> tuple[np.ndarray | None, bool, float]:
         """

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.settings import Settings, of_poses
-from kinpole_ros.tracking.bodies import Bodies
-from kinpole_ros.tracking.center import Pins
+from kinpole_ros.tracking.bodies import Bodies, new_bodies
+from kinpole_ros.tracking.center import PinSearch, new_pin_search
 from kinpole_ros.tracking.events import EventSearch
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.history import History
@@ -45,6 +45,16 @@ def new_totals(bodies: int) -> Totals:
     return Totals(Counter(), no_outages(bodies), np.zeros(bodies, np.int64))
 
 
+class NameSearch(NamedTuple):
+    """Searches for names in a row without a result, and the frame from which to search again."""
+
+    futile: int
+    due: int
+
+
+_NOT_SEARCHED = NameSearch(0, 0)
+
+
 @dataclass
 class State:
     """
@@ -68,8 +78,10 @@ class State:
         The plane, and how the motion lies in space.
     before_plane : deque
         Frames before the plane was known, with their times and counts.
-    bodies, pins : Bodies, Pins
-        What is learned, written by `update` of update.py.
+    bodies : Bodies
+        What is learned, put in by `put_bodies` alone.
+    pins : PinSearch
+        Poses that are kept for pins, written by update.py.
     history, step : History, Step
         The frames of late, written by C.
     event_search : EventSearch
@@ -81,8 +93,8 @@ class State:
         The frame at which to learn next.
     names_changed : bool
         Whether names stand for other markers since the frames in hand were placed.
-    futile_searches, next_search : int
-        Searches for names in a row without a result, and the frame from which to search again.
+    name_search : NameSearch
+        When to search for names again.
 
     """
 
@@ -95,7 +107,7 @@ class State:
     event_search: EventSearch
     bodies: Bodies
     history: History
-    pins: Pins
+    pins: PinSearch
     matcher: Matcher
     step: Step
     placed: PlacedFrames | None = None
@@ -107,73 +119,86 @@ class State:
     counted_count: int = 0
     next_update: int = 1
     names_changed: bool = False
-    futile_searches: int = 0
-    next_search: int = 0
+    name_search: NameSearch = _NOT_SEARCHED
 
 
-def start(settings: Settings, posed: bool, totals: Totals, before: Timeline | None) -> State:
-    """Return the state before the first frame; the clock goes on from the timeline `before`."""
+def start(settings: Settings, are_measured: bool, totals: Totals, before: Timeline | None) -> State:
+    """
+    Return the state before the first frame, of bodies whose poses are measured or not.
+
+    The clock goes on from the timeline `before`.
+    """
     count = len(settings.bodies)
-    assignment = MarkerAssignment(of_poses(settings) if posed else settings, posed)
+    assignment = MarkerAssignment(of_poses(settings) if are_measured else settings, are_measured)
     space = Space(settings.plane, count, assignment.width)
     assignment.set_plane(space.plane)
+    bodies, history, pins, matcher, step = _new_bodies(settings, totals, assignment, are_measured)
     return State(
-        settings,
-        totals,
-        next(_run_numbers),
-        Timeline(settings, totals.counts, before),
-        assignment,
-        space,
-        EventSearch(settings.window_ns, count),
-        *_new_bodies(settings, totals, assignment),
+        settings=settings,
+        totals=totals,
+        run=next(_run_numbers),
+        timeline=Timeline(settings, totals.counts, before),
+        assignment=assignment,
+        space=space,
+        event_search=EventSearch(settings.window_ns, count),
+        bodies=bodies,
+        history=history,
+        pins=pins,
+        matcher=matcher,
+        step=step,
     )
 
 
 def start_bodies(state: State) -> None:
     """Start with bodies of which nothing is known, on the same clock, names and plane."""
     state.assignment.restart()
-    parts = _new_bodies(state.settings, state.totals, state.assignment)
-    state.bodies, state.history, state.pins, state.matcher, state.step = parts
+    about = state.settings, state.totals, state.assignment, state.bodies.are_measured
+    state.bodies, state.history, state.pins, state.matcher, state.step = _new_bodies(*about)
     state.frame_count = state.learned_count = state.counted_count = 0
-    state.futile_searches = state.next_search = 0
-    state.next_update, state.names_changed = 1, False
+    state.next_update, state.names_changed, state.name_search = 1, False, _NOT_SEARCHED
 
 
 def _new_bodies(
-    settings: Settings, totals: Totals, assignment: MarkerAssignment
-) -> tuple[Bodies, History, Pins, Matcher, Step]:
+    settings: Settings, totals: Totals, assignment: MarkerAssignment, are_measured: bool
+) -> tuple[Bodies, History, PinSearch, Matcher, Step]:
     """Return bodies, history, pins, matcher and step before the first frame."""
-    posed = assignment.posed
-    settings = of_poses(settings) if posed else settings
+    settings = of_poses(settings) if are_measured else settings
     slots = len(settings.bodies), assignment.width
-    bodies, history = Bodies(np.zeros(slots, complex)), History(*slots)
-    pins = Pins(bodies)
-    matcher = Matcher(settings, assignment, bodies, history)
-    step = Step(settings, posed, new_tracks(len(settings.bodies), totals.outages, totals.wrong))
-    step.bind(bodies, pins, history)
-    return bodies, history, pins, matcher, step
+    history = History(*slots)
+    matcher = Matcher(settings, assignment, new_bodies(*slots, are_measured), history)
+    step = Step(settings, new_tracks(len(settings.bodies), totals.outages, totals.wrong))
+    step.bind(matcher.bodies, history)
+    return matcher.bodies, history, new_pin_search(*slots), matcher, step
+
+
+def put_bodies(state: State, bodies: Bodies) -> None:
+    """Let all stages of the next frames use what is known of the bodies now."""
+    state.bodies = state.matcher.bodies = bodies
+    state.step.bind(bodies, state.history)
 
 
 def widen(state: State) -> None:
     """Make room for more markers, of a body that takes all markers."""
     width = state.assignment.width
-    for part in (state.bodies, state.history, state.pins, state.space):
-        part.widen(width)
-    state.step.bind(state.bodies, state.pins, state.history)
+    state.history.widen(width)
+    state.space.widen(width)
+    state.pins = state.pins.widen(width)
+    put_bodies(state, state.bodies.widen(width))
     state.before_plane.clear()
 
 
-def restart_bodies(state: State, which: np.ndarray) -> None:
-    """Forget everything learned of some bodies (B,)."""
-    state.bodies.restart(which)
+def restart_bodies(state: State, bodies: Bodies, which: np.ndarray) -> Bodies:
+    """Return `bodies` with everything learned of some (B,) forgotten, as in history and pins."""
+    bodies = bodies.restart(which)
     state.assignment.restore_order(which)
     given = state.matcher.given
     if given.has_shape.any():
-        state.bodies.give(np.where(which[:, None], given.shapes, np.nan))
+        bodies = bodies.give(np.where(which[:, None], given.shapes, np.nan))
     history = state.history
     history['information'][:, :, which] = 0.0
     history['used'][:, which] = False
     history['markers'][:, which] = np.nan
     history['angle'][:, which] = np.nan
-    state.pins.forget(which)
-    state.step.bind(state.bodies, state.pins, history)
+    state.step.tracks['last_angle'][which] = np.nan
+    state.pins = state.pins.forget(which)
+    return bodies

@@ -17,10 +17,9 @@ from kinpole_ros.core.bindings import (
 from kinpole_ros.derivatives import finish_call, new_call
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.bodies import Bodies
-from kinpole_ros.tracking.center import Pins
-from kinpole_ros.tracking.estimate import Results, new_results
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.rejection import FAR, GAP, NEAR, NEWEST_FACTOR, reasons_of
+from kinpole_ros.tracking.rejection import FAR, GAP, NEAR, NEWEST_FACTOR
+from kinpole_ros.tracking.result_arrays import Results, new_results
 from kinpole_ros.tracking.thresholds import N_SIGMA
 
 # Why the compiled loop ends: see codes.h.
@@ -54,6 +53,7 @@ def new_tracks(bodies: int, outages: np.ndarray, wrong: np.ndarray) -> dict[str,
         'outages': outages,
         'seen_last': np.full(bodies, -1, np.int64),
         'sure_angle': np.full(bodies, np.nan),
+        'last_angle': np.full(bodies, np.nan),
         'sure_tilt': np.full(bodies, complex(np.nan, np.nan)),
     }
 
@@ -71,11 +71,10 @@ class Step:
 
     """
 
-    def __init__(self, settings: Settings, posed: bool, tracks: dict[str, np.ndarray]) -> None:
+    def __init__(self, settings: Settings, tracks: dict[str, np.ndarray]) -> None:
         limits = FrameLimits(
             window_ns=round(settings.window * 1e9),
             lag_ns=settings.lag * 1e9,
-            posed=posed,
             far=FAR,
             newest_factor=NEWEST_FACTOR,
             near=NEAR,
@@ -85,38 +84,20 @@ class Step:
         fields = Frames(limits)
         self._frames = byref(fields)
         self.columns, self.known, self.incoming = fields.history, fields.known, fields.incoming
-        self.tracks, self._posed, self._tracks = tracks, posed, fields.tracks
+        self.tracks, passed = tracks, fields.tracks
         for name in BodyTracks.elements:
-            self._tracks.bind(name, tracks[name])
+            passed.bind(name, tracks[name])
         self._call = new_call(settings.window, 0)
+        # Keeps the arrays of new frames alive.
         self._new_frames: list[np.ndarray | None] = []
-        self._corrected: np.ndarray | None = None
 
-    def bind(self, bodies: Bodies, pins: Pins, history: History) -> None:
+    def bind(self, bodies: Bodies, history: History) -> None:
         """Use these arrays, after an update of the bodies or growth of the history."""
         known, self._history = self.known, history
         known.bodies, known.width = bodies.shape.shape
-        hub, angle_noise = bodies.hub, None
-        if self._posed:
-            # The derivatives assume independent errors of position and angle: so at the middle.
-            hub, angle_noise = np.where(hub == 0, bodies.fitting.middle, hub), bodies.angle_noise
-        learned = {
-            'hub': hub,
-            'pin': pins.center,
-            'pin_arm': pins.arm,
-            'pin_variance': pins.variance,
-            'pin_since': pins.since,
-            'noise': np.where(bodies.noise > 0, bodies.noise, 1.0),
-            'reason': reasons_of(bodies.noise, bodies.fitting.spread, angle_noise),
-        }
+        fields = bodies.placement._asdict() | bodies.fitting._asdict() | vars(bodies)
         for name in BodyArrays.elements:
-            owner = bodies.fitting if hasattr(bodies.fitting, name) else bodies
-            value = learned[name] if name in learned else getattr(owner, name)
-            array = np.ascontiguousarray(value)
-            if name == 'last_angle':
-                # The compiled code updates the last angles.
-                bodies.last_angle = array
-            known.bind(name, array)
+            known.bind(name, np.ascontiguousarray(fields[name]))
         self.bind_history()
 
     def bind_history(self) -> None:
@@ -149,7 +130,6 @@ class Step:
                 array = np.ascontiguousarray(array, element)
                 array = array if array.flags.writeable else array.copy()
                 address = addressof(pass_new_array(array))
-            # Keeps the arrays alive while the library uses them.
             self._new_frames.append(array)
             setattr(incoming, name, address)
         incoming.frame, incoming.frames = 0, number
@@ -188,6 +168,5 @@ class Step:
 
     def correct_next(self, markers: np.ndarray) -> None:
         """Fit the next frame to these markers (B, n), complex, whatever is unusual of it."""
-        # As in `pass_frames`; the struct is to keep the array alive.
-        self._corrected = markers
+        self._new_frames.append(markers)
         self.incoming.corrected = addressof(pass_new_array(markers))

@@ -22,9 +22,17 @@ class TrackerSummary:
 
     state: State
 
-    @property
-    def counts(self) -> Counter[str]:
-        """Numbers of frames and markers that were dropped, corrected or not seen, by cause."""
+    def count(self, what: str, number: int = 1) -> None:
+        """Count something that the readers of messages found."""
+        self.state.totals.counts[what] += number
+
+    def update_counts(self) -> Counter[str]:
+        """
+        Count up to the last frame, and return the counts.
+
+        They are the numbers of frames and markers that were dropped, corrected or not seen, by
+        cause.
+        """
         count_new_frames(self.state)
         self.state.timeline.count_lost()
         return self.state.totals.counts
@@ -65,7 +73,9 @@ class TrackerSummary:
 
     def angle_noise(self) -> np.ndarray | None:
         """Return the noise (B,) of the angles of input poses, rad; None for markers."""
-        return self.state.bodies.angle_noise if self.state.assignment.posed else None
+        bodies = self.state.bodies
+        known = np.where(np.isinf(bodies.angle_noise), np.nan, bodies.angle_noise)
+        return known if bodies.are_measured else None
 
     def rigidity_residual(self) -> np.ndarray:
         """Return the rms residual (B,) of each body, m, per axis; 0 for one that is rigid."""

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.planar._plane import ROUNDING, Real
-from kinpole_ros.tracking.clock import CHANGE_NATS, DECISIVE_NATS, UNSETTLED
+from kinpole_ros.tracking.clock import DECISIVE_NATS
+from kinpole_ros.tracking.frame_intervals import CHANGE_NATS, UNSETTLED
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.statistics import median
 from kinpole_ros.tracking.thresholds import N_SIGMA

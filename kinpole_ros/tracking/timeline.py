@@ -17,7 +17,6 @@ from kinpole_ros.tracking.clock import (
     DECISIVE_NATS,
     HALF_LIFE,
     MEMORY,
-    UNSETTLED,
     Clock,
     clock_of,
     count_frames,
@@ -25,15 +24,21 @@ from kinpole_ros.tracking.clock import (
     estimate_clock,
     even_clock,
 )
-from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.frame_counter import FrameCounter
+from kinpole_ros.tracking.frame_intervals import UNSETTLED, lost_between
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.rejection import LastFrame, judge_arrivals
+from kinpole_ros.tracking.rejection import LastFrame, are_steady, judge_arrivals
 from kinpole_ros.tracking.thresholds import MIN_SAMPLES
 from kinpole_ros.tracking.tick_evidence import FEWEST_WEIGHED, SIDE, TickEvidence, add_evidence
+from kinpole_ros.tracking.timed_frames import (
+    MIN_STEP,
+    TimedFrames,
+    increasing,
+    split_certain,
+    times_at_stamps,
+)
 
-# ns. The least time between two frames.
-_MIN_STEP = 1000
 # A frame may be late by this share of the window before the clock is known.
 _MAX_INITIAL_LATENESS = 1 / 4
 # The rate is the same if the counts of this share of the frames agree with those before.
@@ -56,20 +61,6 @@ class StampState(NamedTuple):
     regularized: bool
     nats: float
     costs: bool
-
-
-class TimedFrames(NamedTuple):
-    """
-    Frames of one layout whose times are certain.
-
-    `times` (T,), ns, and `counts` (T,) are those for the history. `numbers` (T,) are the frames,
-    counted through one call of the tracker, with which each became certain.
-    """
-
-    frames: MarkerFrames
-    times: np.ndarray
-    counts: np.ndarray
-    numbers: np.ndarray
 
 
 class Timeline:
@@ -126,10 +117,8 @@ class Timeline:
             return None
         moved = clock.jitter / clock.interval * evidence.speed
         costs = not self.at_ticks and evidence.nats > -DECISIVE_NATS and moved > 1.0
-        interval, jitter, largest = (
-            length * 1e-9 for length in (clock.interval, clock.jitter, clock.largest)
-        )
-        return StampState(interval, jitter, largest, self.at_ticks, evidence.nats, costs)
+        lengths = {name: getattr(clock, name) * 1e-9 for name in ('interval', 'jitter', 'largest')}
+        return StampState(**lengths, regularized=self.at_ticks, nats=evidence.nats, costs=costs)
 
     def accept(self, stamps: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """
@@ -162,7 +151,7 @@ class Timeline:
             return np.zeros(0, int), 0, False
         if self._last is None:
             self._last = LastFrame(int(stamps[0]) - 1, int(stamps[0]) - 1, None)
-        if self._are_steady(stamps):
+        if are_steady(self._last, stamps, self._settings.window_ns):
             self._last = LastFrame(int(stamps[-1]), int(stamps[-1]), points[count - 1].copy())
             self._append(stamps, np.ones(count, bool))
             return np.arange(count), count, False
@@ -175,17 +164,6 @@ class Timeline:
         if end:
             self._append(stamps[:end][found.is_new], found.is_used[found.is_new])
         return found.is_used.nonzero()[0], end, end < count
-
-    def _are_steady(self, stamps: np.ndarray) -> bool:
-        """Whether each of the next stamps is later than those before, by a window at most."""
-        assert self._last is not None
-        window = self._settings.window_ns
-        if not 0 < int(stamps[0]) - self._last.newest <= window:
-            return False
-        if len(stamps) == 1:
-            return True
-        steps = stamps[1:] - stamps[:-1]
-        return bool(np.minimum.reduce(steps) > 0 and np.maximum.reduce(steps) <= window)
 
     def _append(self, stamps: np.ndarray, is_used: np.ndarray) -> None:
         """Append the stamps (T,), ns, of new frames, some of which are used."""
@@ -235,11 +213,11 @@ class Timeline:
         """
         if self._counter is None and not self._waiting:
             counts = np.zeros(len(numbers), np.int64)
-            times = self._times_at_stamps([frames.stamps], history)
+            times = times_at_stamps([frames.stamps], history, self.at_ticks)
             return [TimedFrames(frames, times, counts, numbers)]
         parts = [*self._waiting, frames]
         if self._counter is None:
-            times = self._times_at_stamps([part.stamps for part in parts], history)
+            times = times_at_stamps([part.stamps for part in parts], history, self.at_ticks)
             counts = np.zeros(len(times), np.int64)
             numbers = np.concatenate((np.repeat(numbers[:1], len(times) - len(numbers)), numbers))
         else:
@@ -249,34 +227,9 @@ class Timeline:
             numbers = np.concatenate((earlier, numbers[certain_with]))
             counts = np.concatenate((self._waiting_counts, counted))
             times = self._times_of(counts)
-        self._waiting, self._waiting_counts = [], _NO_COUNTS
-        certain, first = [], 0
-        for part in parts:
-            number = min(len(part.stamps), len(counts) - first)
-            rows = slice(first, first + number)
-            if number:
-                of_part = part_of(part, slice(number)), times[rows], counts[rows], numbers[rows]
-                certain.append(TimedFrames(*of_part))
-            if number < len(part.stamps):
-                self._waiting.append(part_of(part, slice(number, None)))
-            first += number
+        self._waiting_counts = _NO_COUNTS
+        certain, self._waiting = split_certain(parts, times, counts, numbers)
         return certain
-
-    def _times_at_stamps(self, parts: list[np.ndarray], history: History) -> np.ndarray:
-        """Times (T,), ns, of the next frames, which are not counted, from their stamps."""
-        before = int(parts[0][0]) - _MIN_STEP
-        if history.end > history.first:
-            before = int(history.columns['time'][history.end - 1])
-        times = []
-        for stamps in parts:
-            increase = stamps[0] > before
-            if len(stamps) > 1:
-                increase = increase and not (stamps[1:] <= stamps[:-1]).any()
-            if self.at_ticks or not increase:
-                stamps = _increasing(np.concatenate(((before,), stamps)))[1:]
-            times.append(stamps)
-            before = int(stamps[-1])
-        return np.concatenate(times) if times[1:] else times[0]
 
     def _times_of(self, counts: np.ndarray) -> np.ndarray:
         """Times (T,) of the ticks with these counts (T,), ns."""
@@ -311,7 +264,7 @@ class Timeline:
                 self._counter.noise = float(np.fmax.reduce(noise)) / self._settings.scale
         elif was_at_ticks:
             self._counter = None
-            history['time'][...] = _increasing(history['stamp'])
+            history['time'][...] = increasing(history['stamp'])
 
     def _estimate_clock(self, history: History, noise: Real) -> np.ndarray:
         """Estimate the clock; return the counts (n,) of the newest frames of the history."""
@@ -342,7 +295,7 @@ class Timeline:
         if self._new and self.clock is not None and self._shows_losses(self.clock):
             stamps = np.concatenate([stamps for stamps, _ in self._appended])
             counts = count_frames(stamps[-self._new - UNSETTLED - 1 :], self.clock)
-            lost += _lost_between(counts[:-UNSETTLED])
+            lost += lost_between(counts[:-UNSETTLED])
         self._totals['lost'] += lost - self._lost
         self._lost = lost
 
@@ -350,9 +303,9 @@ class Timeline:
         """Count the frames lost between those with stamps (N,), ns; the newest have counts (n,)."""
         dropped = len(stamps) - len(counts)
         if dropped and self.clock is not None and self._shows_losses(self.clock):
-            self._lost_before += _lost_between(count_frames(stamps, self.clock)[: dropped + 1])
+            self._lost_before += lost_between(count_frames(stamps, self.clock)[: dropped + 1])
         shown = self._shows_losses(clock)
-        self._lost_at_update = _lost_between(counts[:-UNSETTLED]) if shown else 0
+        self._lost_at_update = lost_between(counts[:-UNSETTLED]) if shown else 0
         self._new = 0
 
     def _shows_losses(self, clock: Clock) -> bool:
@@ -413,9 +366,9 @@ class Timeline:
         history['tick'][first:] = counts
         history['time'][first:] = self._times_of(counts)
         # Earlier frames had another rate: they are at their stamps, less the mean lateness.
-        before = _increasing(history['stamp'][:first] - round(clock.lateness))
+        before = increasing(history['stamp'][:first] - round(clock.lateness))
         if first < len(history):
-            latest = history['time'][first] - _MIN_STEP * np.arange(first, 0, -1)
+            latest = history['time'][first] - MIN_STEP * np.arange(first, 0, -1)
             before = np.minimum(before, latest)
         history['time'][:first] = before
 
@@ -443,14 +396,3 @@ class Timeline:
         waiting = [self._counter.count_frames(p.stamps, p.points)[0] for p in self._waiting]
         self._waiting_counts = np.concatenate([_NO_COUNTS, *waiting])
         return counts
-
-
-def _lost_between(counts: np.ndarray) -> int:
-    """Return how many frames were lost between those with counts (n,)."""
-    return int(counts[-1] - counts[0]) + 1 - len(counts)
-
-
-def _increasing(stamps: np.ndarray) -> np.ndarray:
-    """Times (T,) that increase, from stamps that may not."""
-    least = _MIN_STEP * np.arange(len(stamps))
-    return np.asarray(np.maximum.accumulate(stamps - least) + least)

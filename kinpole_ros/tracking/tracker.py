@@ -13,16 +13,18 @@ from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.before_plane import keep_frame, take_again
 from kinpole_ros.tracking.correction import correct_next
 from kinpole_ros.tracking.deformed_results import add_deformation
-from kinpole_ros.tracking.estimate import Estimate, Results, estimate_of
+from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.events import FRAMES_BEHIND, BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import note_gap
 from kinpole_ros.tracking.placed_frames import PlacedFrames
 from kinpole_ros.tracking.rejection import EXCHANGED
+from kinpole_ros.tracking.result_arrays import Results, estimate_of
 from kinpole_ros.tracking.result_layout import DEFORMED, FILLED
 from kinpole_ros.tracking.state import new_totals, start, widen
 from kinpole_ros.tracking.summary import TrackerSummary
-from kinpole_ros.tracking.timeline import TimedFrames, Timeline
+from kinpole_ros.tracking.timed_frames import TimedFrames
+from kinpole_ros.tracking.timeline import Timeline
 from kinpole_ros.tracking.update import learn_if_due, recover, update_clock, update_if_due
 
 
@@ -30,16 +32,21 @@ class Tracker(TrackerSummary):
     """Tracks the bodies of `settings` from frame to frame."""
 
     def __init__(self, settings: Settings) -> None:
-        self.settings, self.bodies = settings, tuple(settings.bodies)
+        self.settings = settings
         self._frame_id = ''
         self._results: list[tuple[Results, np.ndarray]] = []
         self._events: list[BodyEvent] = []
         self._events_needed = False
-        self.state = start(settings, False, new_totals(len(self.bodies)), None)
+        self.state = start(settings, False, new_totals(len(self.bodies)), before=None)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies."""
+        return tuple(self.settings.bodies)
 
     def reset(self) -> None:
         """Forget all frames and everything learned from them."""
-        self._start(self.state.assignment.posed)
+        self._start(self.state.bodies.are_measured)
 
     def recover(self, failures: int) -> str:
         """
@@ -52,11 +59,11 @@ class Tracker(TrackerSummary):
             return 'starts anew'
         return recover(self.state, failures)
 
-    def _start(self, posed: bool, before: Timeline | None = None) -> None:
+    def _start(self, are_measured: bool, before: Timeline | None = None) -> None:
         """Start from nothing, but with the clock of the timeline `before` a jump of the stamps."""
         self._events = []
         self.state.timeline.count_lost()
-        self.state = start(self.settings, posed, self.state.totals, before)
+        self.state = start(self.settings, are_measured, self.state.totals, before)
 
     def add(self, frames: MarkerFrames, order: int | None, events: bool = False) -> list[Estimate]:
         """
@@ -95,8 +102,8 @@ class Tracker(TrackerSummary):
         for frames in parts:
             if not len(frames.stamps):
                 continue
-            posed = frames.axes is not None
-            if frames.frame_id != self._frame_id or posed != self.state.assignment.posed:
+            is_other = frames.has_poses != self.state.bodies.are_measured
+            if frames.frame_id != self._frame_id or is_other:
                 estimates += self._change_frame(frames)
             estimates += self._accept(frames, number, order)
             number += len(frames.stamps)
@@ -104,13 +111,13 @@ class Tracker(TrackerSummary):
 
     def _change_frame(self, frames: MarkerFrames) -> list[Estimate]:
         """Start again with another frame_id, or with poses instead of markers."""
-        state, posed = self.state, frames.axes is not None
+        state = self.state
         estimates = self._flush_results()
         used = len(state.history) > 0
         state.totals.counts['frame_changes'] += used
         self._frame_id = frames.frame_id
-        if used or posed != state.assignment.posed:
-            self._start(posed)
+        if used or frames.has_poses != state.bodies.are_measured:
+            self._start(frames.has_poses)
         return estimates
 
     def _accept(self, frames: MarkerFrames, number: int, order: int | None) -> list[Estimate]:
@@ -143,7 +150,7 @@ class Tracker(TrackerSummary):
         if stamp > newest:
             note_gap(state.totals.outages, newest, stamp - newest)
         state.totals.counts['resets'] += 1
-        self._start(state.assignment.posed, state.timeline)
+        self._start(state.bodies.are_measured, state.timeline)
 
     def _take(self, timed: TimedFrames, order: int | None) -> list[Estimate]:
         """Take frames whose times are known; return the results before a restart."""
@@ -160,7 +167,8 @@ class Tracker(TrackerSummary):
             learns = state.frame_count >= state.next_update or state.names_changed
             if learns and update_if_due(state):
                 state.assignment.assign_again(placed, first)
-                state.step.incoming.hidden_is_unusual = len(placed.layout.unassigned) > 0
+                unassigned = state.assignment.layout_of(placed).unassigned
+                state.step.incoming.hidden_is_unusual = len(unassigned) > 0
             if state.assignment.plane is not state.space.plane:
                 self._keep_results(results, numbers)
                 estimates += self._flush_results()
@@ -183,7 +191,7 @@ class Tracker(TrackerSummary):
         if state.assignment.width > state.step.known.width:
             widen(state)
         new_frames = frames.stamps, *times, placed.points, placed.heights, placed.tilts
-        hidden_is_unusual = len(placed.layout.unassigned) > 0
+        hidden_is_unusual = len(state.assignment.layout_of(placed).unassigned) > 0
         state.step.pass_frames(len(frames.stamps), new_frames, hidden_is_unusual)
         return placed
 
@@ -229,8 +237,7 @@ class Tracker(TrackerSummary):
         state, history, search = self.state, self.state.history, self.state.event_search
         settled = max(history.first, history.end - 1 - FRAMES_BEHIND)
         if history.columns['time'][settled] >= search.due:
-            pin, numbers = state.pins.center, numbers[: len(times)]
-            self._events += search.search(history, state.bodies, pin, numbers)
+            self._events += search.search(history, state.bodies, numbers[: len(times)])
 
     def _keep_results(self, results: Results, numbers: np.ndarray) -> None:
         """Keep results for the next estimate; `numbers` count the frames passed to the step."""
@@ -243,14 +250,13 @@ class Tracker(TrackerSummary):
         if not results:
             return []
         events, self._events = self._events, []
-        names = self.state.assignment
         estimate = estimate_of(
             results,
             self._frame_id,
             self.bodies,
             run=self.state.run,
-            plane=names.plane,
-            posed=names.posed,
+            plane=self.state.assignment.plane,
+            are_measured=self.state.bodies.are_measured,
             events=tuple(events),
         )
         return [estimate]

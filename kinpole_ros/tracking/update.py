@@ -2,21 +2,19 @@
 
 import numpy as np
 
-from kinpole_ros.tracking.center import find_hubs
-from kinpole_ros.tracking.deformation import deformed_freedom
+from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.center import find_hubs, update_pins
 from kinpole_ros.tracking.learn import (
     MISFIT_FRAMES,
+    find_deformed,
     forget_held_markers,
-    freedom_of,
     learn,
     path_scale,
 )
 from kinpole_ros.tracking.noise import find_repetition
-from kinpole_ros.tracking.posed import learn_poses
+from kinpole_ros.tracking.pose_noise import learn_poses
 from kinpole_ros.tracking.rejection import HELD, HELD_MARKERS, NO_MARKER_REPEATS
-from kinpole_ros.tracking.state import MIN_HISTORY_FRAMES, State, restart_bodies
-from kinpole_ros.tracking.statistics import median
-from kinpole_ros.tracking.thresholds import MEMORY_FRAMES
+from kinpole_ros.tracking.state import MIN_HISTORY_FRAMES, State, put_bodies, restart_bodies
 
 # The history has at least this many windows, and at most so many bytes, whatever the window: 30 s
 # of 20 bodies with four markers at 200 Hz. Results of a longer window are from what is kept of it.
@@ -50,7 +48,6 @@ def learn_if_due(state: State) -> None:
 
 def _update(state: State) -> bool:
     """Learn from the history; return whether names stand for other markers since."""
-    bodies, history, window = state.bodies, state.history, state.settings.window_ns
     state.next_update = state.frame_count + max(
         1, min(int(state.frame_count * UPDATE_SHARE), MAX_UPDATE_INTERVAL)
     )
@@ -58,59 +55,62 @@ def _update(state: State) -> bool:
         drop_old_frames(state)
         return False
     count_new_frames(state)
-    new = state.frame_count - state.learned_count
-    if state.assignment.posed:
-        learn_poses(bodies, history, state.settings.noise)
-        bodies.learned_tilt_turn = state.step.tracks['sure_tilt_turn'].copy()
-    else:
-        restarts, counts = learn(bodies, history, window, state.settings.noise)
-        state.totals.counts.update(counts)
-        state.pins.forget(restarts)
-    state.pins.update(bodies, history, min(new, len(history)), state.assignment.posed)
+    bodies, restarted = _learn_shapes_and_noise(state, state.bodies)
+    new = min(state.frame_count - state.learned_count, len(state.history))
+    pins = state.pins.forget(restarted)
+    bodies, state.pins = update_pins(bodies, pins, state.history, new)
     state.learned_count = state.frame_count
     drop_old_frames(state)
-    # Measured noise, not what the parameters say: exact poses of a body at rest do repeat.
-    is_measured = state.assignment.posed and not state.settings.noise
-    noise = bodies.noise if is_measured else bodies.white
-    degrees = 3 if state.assignment.posed else None
-    before = bodies.repetition
-    repetition = find_repetition(history['markers'][-MISFIT_FRAMES:], noise, degrees)
-    # Of a body that starts again, what was known before holds until its noise is.
-    bodies.repetition = np.where(np.isnan(noise), before, repetition)
-    begins = (bodies.repetition == NO_MARKER_REPEATS) & (before != NO_MARKER_REPEATS)
-    if begins.any():
-        last = history['markers'][-2:].copy()
-        lacking = forget_held_markers(bodies, history, begins)
-        if lacking.any():
-            restart_bodies(state, lacking)
-            history['markers'][-2:][:, lacking] = last[:, lacking]
-            bodies.repetition[lacking] = NO_MARKER_REPEATS
-    bodies.hub = find_hubs(bodies, history, window, bodies.hub)
-    bodies.jump_scale = path_scale(history)
-    if not state.assignment.posed:
-        _find_deformed(state)
-    changed = False
-    if state.matcher.regrouping_is_due():
+    bodies = _learn_without_held_markers(state, bodies)
+    bodies = bodies.change(
+        hub=find_hubs(bodies, state.history, state.settings.window_ns, bodies.hub),
+        jump_scale=path_scale(state.history),
+    )
+    if not bodies.are_measured:
+        bodies = find_deformed(bodies, state.history, state.settings.window_ns)
+    regrouped = np.zeros(bodies.count, bool)
+    changed = state.matcher.regrouping_is_due()
+    if changed:
         regrouped = state.matcher.regroup(bodies.rigidity_residual() > 0, state.totals.counts)
         changed = bool(regrouped.any() or state.matcher.withheld.any())
-        if regrouped.any():
-            restart_bodies(state, regrouped)
-    state.step.bind(bodies, state.pins, history)
+    if regrouped.any():
+        bodies = restart_bodies(state, bodies, regrouped)
+    put_bodies(state, bodies)
     return changed
 
 
-def _find_deformed(state: State) -> None:
-    """Find the bodies whose markers move against each other by more than their noise."""
-    bodies, history = state.bodies, state.history
-    rows = slice(-MEMORY_FRAMES - 2, None)
-    time, residual = history['time'][rows], history['residual'][rows]
-    interval = median(np.diff(time)) if len(time) > 1 else state.settings.window_ns / 2
-    free = freedom_of(bodies, residual).sum(axis=-1)
-    noise = np.fmax(bodies.noise, bodies.white)
-    half = round(state.settings.window_ns / 2 / max(interval, 1.0))
-    bodies.freedom, bodies.hidden_factor = deformed_freedom(
-        residual, free, noise, bodies.degrees, half
-    )
+def _learn_shapes_and_noise(state: State, bodies: Bodies) -> tuple[Bodies, np.ndarray]:
+    """Learn what fits need; return also which bodies (B,) started again from earlier frames."""
+    settings, history, tracks = state.settings, state.history, state.step.tracks
+    if bodies.are_measured:
+        bodies = bodies.change(learned_tilt_turn=tracks['sure_tilt_turn'].copy())
+        return learn_poses(bodies, history, settings.noise), np.zeros(bodies.count, bool)
+    bodies, restarted, counts = learn(bodies, history, settings.window_ns, settings.noise)
+    state.totals.counts.update(counts)
+    for b in np.flatnonzero(restarted).tolist():
+        angle = history['angle'][:, b]
+        tracks['last_angle'][b] = angle[np.isfinite(angle)][-1]
+    return bodies, restarted
+
+
+def _learn_without_held_markers(state: State, bodies: Bodies) -> Bodies:
+    """Find how markers may repeat; learn again where some stood still that never do."""
+    history, before = state.history, bodies.repetition
+    degrees = 3 if bodies.are_measured else None
+    found = find_repetition(history['markers'][-MISFIT_FRAMES:], bodies.white, degrees)
+    # Of a body that starts again, what was known before holds until its noise is.
+    repetition = np.where(np.isnan(bodies.white), before, found)
+    bodies = bodies.change(repetition=repetition)
+    begins = (repetition == NO_MARKER_REPEATS) & (before != NO_MARKER_REPEATS)
+    if not begins.any():
+        return bodies
+    last = history['markers'][-2:].copy()
+    bodies, lacking = forget_held_markers(bodies, history, begins)
+    if not lacking.any():
+        return bodies
+    bodies = restart_bodies(state, bodies, lacking)
+    history['markers'][-2:][:, lacking] = last[:, lacking]
+    return bodies.change(repetition=repetition)
 
 
 def recover(state: State, failures: int) -> str:
@@ -122,10 +122,10 @@ def recover(state: State, failures: int) -> str:
     """
     if failures:
         names, number = list(state.settings.bodies), failures - 1
-        restart_bodies(state, np.arange(len(names)) == number)
+        put_bodies(state, restart_bodies(state, state.bodies, np.arange(len(names)) == number))
         return f'starts anew with {names[number]}'
     drop_old_frames(state)
-    state.step.bind(state.bodies, state.pins, state.history)
+    put_bodies(state, state.bodies)
     return 'goes on without that frame'
 
 
@@ -141,10 +141,10 @@ def count_new_frames(state: State) -> None:
         if held.any():
             state.totals.counts[key] += int(held.sum())
             held[:] = 0
-    seen = np.count_nonzero(~np.isnan(markers[..., 0] if state.assignment.posed else markers))
+    seen = np.count_nonzero(~np.isnan(markers)) // state.assignment.points_each
     lacking = state.assignment.count * new - seen
     state.totals.counts['markers_not_seen'] += int(lacking)
-    if not state.assignment.posed:
+    if not state.bodies.are_measured:
         state.space.add(state.assignment.plane.in_space(markers, heights))
 
 

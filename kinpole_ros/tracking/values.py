@@ -1,13 +1,10 @@
 """Names of quantities, values with their uncertainty, and pairs of bodies of an estimate."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from kinpole_ros.tracking.estimate import Estimate
 
 # Most bodies with relative motions of all pairs: 20 have 190 pairs, 300 would have 44,850.
 MOST_PAIRED_BODIES = 20
@@ -83,28 +80,6 @@ def sigma_along(vectors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     with np.errstate(invalid='ignore', divide='ignore'):
         unit = np.stack((vectors.real, vectors.imag), axis=-1) / np.abs(vectors)[:, None]
     return np.sqrt(np.maximum(np.einsum('ti,tij,tj->t', unit, covariance, unit), 0))
-
-
-class RegisteredQuantity(NamedTuple):
-    """
-    A quantity that another package computes from estimates, for topics, tables and `state`.
-
-    `kind` is point, vector, number, force or torque; numbers (T,) are along the normal of the
-    plane. It needs derivatives up to `order`. One of a `body` has its topic below the name of that,
-    and a field in `state`.
-    """
-
-    topic: str
-    kind: str
-    order: int
-    unit: str
-    values: Callable[['Estimate'], Numbers | Vectors]
-    body: int | None = None
-
-    @property
-    def is_vector(self) -> bool:
-        """Whether it has two components in the plane."""
-        return self.kind not in ('number', 'torque')
 
 
 class FramePoses(NamedTuple):

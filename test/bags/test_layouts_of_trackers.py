@@ -487,6 +487,7 @@ def test_people_of_openpose_have_numbers_and_a_note(tmp_path):
         (lambda: tracker_project(1.0, 0.0), {}, 'is in px; fix: give --scale'),
         (lambda: tracker_project(0.0, 0.0), {}, 'the scale is 0'),
         (lambda: tracker_project(9.0, 0.0)[:-200], {}, 'is not XML that can be read'),
+        (lambda: tracker_project(9.0, 0.0).replace('name="y"', 'name="z"'), {}, 'has no y; fix'),
         (lambda: kinovea_xml().replace('209', 'a').replace('10.5', 'x'), {}, 'is not t, x and y'),
         (lambda: kinovea_xml().replace('<W', '<!DOCTYPE a [<!ENTITY b "c">]><W', 1), {},
          'it defines entities'),

@@ -3,6 +3,7 @@
 import ast
 import re
 from collections import defaultdict
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,16 @@ import pytest
 from kinpole_ros import track
 from kinpole_ros.core import bindings
 from kinpole_ros.core.bindings import BodyTracks, Struct
+from kinpole_ros.settings import settings_from
+from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.step import Step
+from kinpole_ros.tracking.tracker import Tracker
 
 PACKAGE = Path(bindings.__file__).parents[1]
 # Those that know the codes of C.
 SHARING = 'core', 'derivatives', 'messages', 'tracking'
+FIELDS = {field.name for field in fields(Bodies)}
 
 
 def test_every_field_says_what_it_is() -> None:
@@ -104,6 +110,30 @@ def test_arrays_have_the_shapes_that_are_declared(monkeypatch: pytest.MonkeyPatc
         check(type(struct), shapes)
     kinds = {type(struct).__name__ for struct, _ in bound.values()}
     assert kinds >= {'BodyArrays', 'BodyTracks', 'HistoryColumns', 'NewFrames', 'Slots'}
+
+
+def test_bodies_are_stored_once_and_an_update_makes_new_arrays() -> None:
+    angle = np.arange(60) / 30
+    flat = np.exp(1j * angle)[:, None] * (0.1, 0.2j, -0.1)
+    flat = flat + 1e-4 * np.random.default_rng(0).normal(size=flat.shape)
+    points = np.stack((flat.real, flat.imag, 0 * flat.real), axis=-1)
+    stamps = 1 + 5_000_000 * np.arange(len(angle))
+    tracker = Tracker(settings_from({'lag': 0.0}))
+    for first in range(0, len(angle), 20):
+        before = tracker.state.bodies
+        kept = {name: array.copy() for name, array in vars(before).items() if name in FIELDS}
+        part = slice(first, first + 20)
+        tracker.add(MarkerFrames(stamps[part], 'world', ('a', 'b', 'c'), points[part]), None)
+        for name, array in kept.items():
+            np.testing.assert_array_equal(getattr(before, name), array, err_msg=name)
+        bodies, known = tracker.state.bodies, tracker.state.step.known
+        assert bodies is not before
+        for kept, computed in zip(bodies.fitting, replace(bodies).fitting, strict=True):
+            np.testing.assert_array_equal(kept, computed)
+        owners = vars(bodies), bodies.placement._asdict(), bodies.fitting._asdict()
+        for name in known.elements:
+            (array,) = (owner[name] for owner in owners if name in owner)
+            assert getattr(known, name) == bindings.address_of(array), name
 
 
 def test_shapes_are_those_of_the_sizes() -> None:

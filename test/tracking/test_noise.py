@@ -80,7 +80,7 @@ def test_a_tracker_that_rounds_is_neither_exact_nor_wild(speed: float, rest: int
     found, tracker = level((exact / 1e-3).round() * 1e-3)
     uniform = 1e-3 / np.sqrt(12) / SIGMA
     assert 0.05 * uniform < found < 1.5 * uniform
-    assert not tracker.counts['markers_left_out']
+    assert not tracker.update_counts()['markers_left_out']
 
 
 @settings(max_examples=8)

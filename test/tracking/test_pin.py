@@ -11,7 +11,7 @@ from stretches import instants, joined, one_frame
 from bench._motions import motions, still_turning
 from kinpole_ros.mechanism import BodyMotion, marker_positions
 from kinpole_ros.settings import settings_from
-from kinpole_ros.tracking.center import Pins
+from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.reasons import PINNED as PINNED_REASON
@@ -66,7 +66,7 @@ def ever_taken(frames: list[MarkerFrames]) -> bool:
         # Pins come and go at beats, of which there is one in so many frames.
         last = first + 64
         tracker.add(joined(frames[first:last]), None)
-        if np.isfinite(tracker.state.pins.center[0]):
+        if np.isfinite(tracker.state.bodies.pin[0]):
             return True
         first = last
     return False
@@ -169,7 +169,7 @@ def test_a_slow_hinge_is_recognized_as_surely_as_a_fast_one() -> None:
         motion = about(0.3 + 0.2j, 0.1 - 0.05j, lambda t, w=rate: w * t)
         tracker = Tracker(settings_from({}))
         tracker.add(joined(seen(motion, count, 1e-4)), None)
-        assert np.isfinite(tracker.state.pins.center[0]), rate
+        assert np.isfinite(tracker.state.bodies.pin[0]), rate
 
 
 def test_a_hinge_at_rest_stays_one_and_has_no_poles() -> None:
@@ -192,17 +192,17 @@ def test_a_pin_is_found_and_kept_while_markers_come_and_go(seed: int) -> None:
     tracker = Tracker(settings_from({}))
     tracker.add(joined(frames[:800]), None)
     for frame in frames[800:]:
-        assert np.isfinite(tracker.state.pins.center[0])
+        assert np.isfinite(tracker.state.bodies.pin[0])
         tracker.add(frame, None)
-    pins = tracker.state.pins
-    assert np.abs(pins.center[0] - (0.3 + 0.2j)) < 4 * np.sqrt(pins.variance[0])
+    bodies = tracker.state.bodies
+    assert np.abs(bodies.pin[0] - (0.3 + 0.2j)) < 4 * np.sqrt(bodies.pin_variance[0])
 
 
 @pytest.mark.filterwarnings('error')
 def test_a_body_whose_origin_does_not_move_at_all_is_on_a_pin() -> None:
     angle = np.linspace(0, 4, 60)
-    *_, pins = poses(angle, np.full(60, 0.25 + 0.5j), 1e-5, 0)
-    assert pins.center[0] == pytest.approx(0.25 + 0.5j, abs=1e-4)
+    *_, bodies = poses(angle, np.full(60, 0.25 + 0.5j), 1e-5, 0)
+    assert bodies.pin[0] == pytest.approx(0.25 + 0.5j, abs=1e-4)
 
 
 def test_a_body_that_leaves_its_pin_is_told_of_at_once() -> None:
@@ -232,7 +232,7 @@ def test_a_frame_or_two_off_its_place_leaves_a_body_on_its_pin(bad: int) -> None
 
 def poses(
     angle: np.ndarray, place: np.ndarray, noise: float, seed: int, beat: int = 1
-) -> Iterator[Pins]:
+) -> Iterator[Bodies]:
     """The pins after so many frames each of a body of size 0.2 at poses (N,), with that noise."""
     shape = 0.1 * np.exp(0.5j * np.pi * np.arange(4))
     flat = place[:, None] + np.exp(1j * angle)[:, None] * shape
@@ -243,7 +243,7 @@ def poses(
     for first in range(0, len(angle), beat):
         tracker.add(part_of(frames, slice(first, first + beat)), None)
         tracker.learn_if_due()
-        yield tracker.state.pins
+        yield tracker.state.bodies
 
 
 @pytest.mark.parametrize('noise', [1e-3, 4e-3, 1.6e-2])
@@ -251,7 +251,7 @@ def test_an_icr_that_wanders_is_no_pin_while_the_noise_would_hide_it(noise: floa
     """By a tenth of the body's size per rad: an arc of 2 rad about a point is off it by little."""
     angle, wander = 0.07 * np.arange(60), 0.02
     place = wander * (angle - 1j) - 0.15 * np.exp(1j * angle)
-    assert not any(np.isfinite(pins.center[0]) for pins in poses(angle, place, noise, 0))
+    assert not any(np.isfinite(bodies.pin[0]) for bodies in poses(angle, place, noise, 0))
 
 
 @pytest.mark.parametrize('orbit', np.geomspace(1e-4, 4e-3, 6))
@@ -259,7 +259,7 @@ def test_nothing_flaps(orbit: float) -> None:
     # An orbit about as small as a frame's noise: whether it is one is hardest to tell.
     t = np.arange(4000) / 200
     place = orbit * np.exp(2j * np.pi * 0.7 * t)
-    held = [np.isfinite(pins.center[0]) for pins in poses(3.0 * t, place, 4e-4, 0)]
+    held = [np.isfinite(bodies.pin[0]) for bodies in poses(3.0 * t, place, 4e-4, 0)]
     assert np.abs(np.diff(np.array(held, int))).sum() <= 5
 
 
@@ -269,8 +269,8 @@ def test_the_stated_deviation_of_a_pin_is_its_error(speed: float, count: int) ->
     angle = speed * np.arange(count) / 200
     squares = []
     for seed in range(30):
-        *_, pins = poses(angle, 0.4 - 0.15 * np.exp(1j * angle), 1e-3, seed, beat=12)
-        squares.append(np.abs(pins.center[0] - 0.4) ** 2 / pins.variance[0] / 2)
+        *_, bodies = poses(angle, 0.4 - 0.15 * np.exp(1j * angle), 1e-3, seed, beat=12)
+        squares.append(np.abs(bodies.pin[0] - 0.4) ** 2 / bodies.pin_variance[0] / 2)
     assert np.isfinite(squares).sum() > 25
     # Thirty draws of a chi-square of 2 over 2 have a mean within 0.18 of 1, two times in three.
     assert 0.6 < np.nanmean(squares) < 1.5

@@ -266,7 +266,7 @@ def test_a_pose_that_is_missing_is_said_and_figures_go_on_after_it() -> None:
     assert np.mean(reasons[later] == '') > 0.95
     off = (found.rate(1).value[:, 0] - RATE_OF_ANGLE[row]) / np.sqrt(found.rate(1).variance[:, 0])
     assert np.sqrt((off[later & (reasons == '')] ** 2).mean()) < 1.1
-    assert tracker.counts['markers_not_seen'] == 60 + 43
+    assert tracker.update_counts()['markers_not_seen'] == 60 + 43
 
 
 def test_smoothed_poses_are_warned_of() -> None:
@@ -527,7 +527,7 @@ def test_a_pose_array_of_nobody_is_a_frame_in_which_nobody_is_seen() -> None:
     assert not errors and [each.points.shape[1] for each in frames] == [0, 1, 0, 1]
     tracker = Tracker(Settings(bodies={'wand': ('0',)}, marker_type='body_poses'))
     tracker.add_parts(frames, 1)
-    assert tracker.counts['markers_not_seen'] == 2
+    assert tracker.update_counts()['markers_not_seen'] == 2
 
 
 def test_names_that_never_come_are_said_with_those_that_do(tmp_path: Path) -> None:

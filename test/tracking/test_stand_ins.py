@@ -75,8 +75,10 @@ def test_a_constant_in_place_of_a_lost_marker_is_no_position(
     assert is_known.sum() > (COUNT - length) // 2
     assert np.mean(sigmas > 4) < 0.005 and sigmas.max() < 8
     # It is said: the first of them is an outlier, the others repeat it.
-    if not tracker.counts['poses_held']:
-        assert tracker.counts['markers_held'] == length - 2 + (stand_in == 'the last place')
+    if not tracker.update_counts()['poses_held']:
+        assert tracker.update_counts()['markers_held'] == length - 2 + (
+            stand_in == 'the last place'
+        )
 
 
 @pytest.mark.parametrize('block', [1, COUNT])

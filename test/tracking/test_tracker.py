@@ -43,7 +43,7 @@ def test_markers_may_be_missing_now_and_then(scene: str) -> None:
     # The very first windows hold too few samples of some markers.
     check(seen, found[2:])
     holes = sum(int(np.isnan(frame.points[0, :, 0]).sum()) for frame in seen.frames)
-    assert tracker.counts['markers_not_seen'] == holes
+    assert tracker.update_counts()['markers_not_seen'] == holes
 
 
 @pytest.mark.parametrize('scene', SCENES)
@@ -296,7 +296,7 @@ def test_too_few_markers_are_told_apart_from_too_few_frames() -> None:
     for order in range(1, 5):
         assert not last.pole(order).determined[0]
         assert last.pole(order).determined[1]
-    assert tracker.counts['markers_not_seen'] == 40 * 2 + 30 * 3
+    assert tracker.update_counts()['markers_not_seen'] == 40 * 2 + 30 * 3
 
 
 def test_there_are_no_figures_before_the_window_holds_seven_frames() -> None:
@@ -339,7 +339,7 @@ def test_a_body_of_all_markers_takes_in_what_it_meets() -> None:
         )
     tracker, found = follow(frames, {'window': 0.5})
     assert tracker.bodies == ('body',)
-    assert tracker.counts['markers_unknown'] == 0
+    assert tracker.update_counts()['markers_unknown'] == 0
     truth = seen.truth(estimate.stamp for estimate in found)['rod']
     for k, estimate in enumerate(found):
         assert not estimate.missing[0]
@@ -371,7 +371,7 @@ def test_markers_that_are_named_anew_in_every_frame_do_not_fill_the_memory() -> 
     for k, frame in enumerate(seen.frames):
         names = tuple(f'{k}_{n}' for n in range(300))
         tracker.add(frame._replace(identities=names, points=np.ones((1, 300, 3))), None)
-    assert tracker.counts['markers_unknown'] == 300
+    assert tracker.update_counts()['markers_unknown'] == 300
     assert tracker.state.bodies.width <= MOST_MARKERS
     # Nor do those that no body names, each time in a layout of its own.
     tracker = Tracker(settings_from({'bodies': ['rod'], 'rod.markers': ['a', 'b']}))
@@ -530,7 +530,7 @@ def test_a_marker_that_jumps_or_is_exchanged_makes_no_body_look_like_several_lin
         points[0, [0, 1]] = points[0, [1, 0]]
         points[0, 4] += 0.2
     tracker, _ = follow(seen.frames, seen.values, None)
-    assert tracker.counts['markers_left_out']
+    assert tracker.update_counts()['markers_left_out']
     np.testing.assert_array_equal(tracker.rigidity_residual(), 0.0)
 
 

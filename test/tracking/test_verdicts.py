@@ -41,8 +41,8 @@ def test_a_marker_beyond_all_possible_places_is_not_seen_and_is_counted() -> Non
     given = frames(markers(1))
     given.points[200, 2, 0], given.points[201, 5, 1] = 1e160, -1e15
     tracker = track(given)
-    assert tracker.counts['markers_too_far'] == 2
-    assert tracker.counts['markers_not_seen'] == 2
+    assert tracker.update_counts()['markers_too_far'] == 2
+    assert tracker.update_counts()['markers_not_seen'] == 2
 
 
 def test_a_body_dropped_for_its_misfit_is_counted() -> None:
@@ -51,9 +51,9 @@ def test_a_body_dropped_for_its_misfit_is_counted() -> None:
     points[300, 1] += 0.05
     points[300, 2] += 6.5e-4
     tracker = track(frames(points))
-    assert tracker.counts['markers_left_out'] == 1
-    assert tracker.counts['markers_of_misfits'] == 3
-    assert type(tracker.counts['markers_left_out']) is int
+    assert tracker.update_counts()['markers_left_out'] == 1
+    assert tracker.update_counts()['markers_of_misfits'] == 3
+    assert type(tracker.update_counts()['markers_left_out']) is int
 
 
 def test_markers_that_stay_exchanged_are_usual_frames_again(monkeypatch) -> None:
@@ -70,7 +70,7 @@ def test_markers_that_stay_exchanged_are_usual_frames_again(monkeypatch) -> None
     tracker = track(frames(points))
     assert len(corrected) == 1
     # Two markers in each of the first hundred frames; then their names were wrong before.
-    assert tracker.counts['markers_exchanged'] == 200
+    assert tracker.update_counts()['markers_exchanged'] == 200
     assert tracker.state.step.tracks['seen_last'].tolist() == [frames(points).stamps[-1]] * 2
 
 
@@ -115,7 +115,7 @@ def test_a_pose_that_is_held_is_not_seen(make: Callable[[], Stream], held_frames
         given.axes[part] = given.axes[299]
     tracker = Tracker(settings_from(stream.parameters))
     [estimate] = tracker.add(given, 2)
-    assert tracker.counts['poses_held'] == 2 * held_frames
+    assert tracker.update_counts()['poses_held'] == 2 * held_frames
     seen = estimate.missing == ''
     inside = np.isin(estimate.stamp, given.stamps[part])
     assert inside.sum() == held_frames and not seen[inside].any()
@@ -139,7 +139,7 @@ def test_exact_poses_at_rest_are_seen_whatever_noise_the_parameters_give() -> No
     for noise in (0.0, 1e-3):
         tracker = Tracker(settings_from(tilted_poses().parameters | {'noise': noise}))
         tracker.add(given, 1)
-        assert not tracker.counts['poses_held'], noise
+        assert not tracker.update_counts()['poses_held'], noise
 
 
 def test_a_body_at_rest_is_seen_whatever_the_resolution() -> None:
@@ -152,4 +152,4 @@ def test_a_body_at_rest_is_seen_whatever_the_resolution() -> None:
         points += noise * (rng.normal(size=(*points.shape, 2)) @ (1, 1j))
         points = resolution * (np.round(points / resolution))
         tracker = track(frames(points), 97)
-        assert not tracker.counts['poses_held'], (resolution, noise)
+        assert not tracker.update_counts()['poses_held'], (resolution, noise)

@@ -172,10 +172,10 @@ def test_a_marker_seen_late_joins_the_shape() -> None:
     points[:400, 3] = np.nan
     points[np.random.default_rng(5).random(points.shape) < 0.3] = np.nan
     tracker, _, angle = learned(points)
-    assert tracker.state.bodies.fitting.learned_count.tolist() == [5]
+    assert tracker.state.bodies.placement.learned_count.tolist() == [5]
     assert shape_error(tracker, 5) < 0.3
     spread = np.sum(np.abs(SHAPE[:5] - SHAPE[:5].mean()) ** 2)
-    assert tracker.state.bodies.fitting.spread == pytest.approx(spread, rel=0.01)
+    assert tracker.state.bodies.placement.spread == pytest.approx(spread, rel=0.01)
     enough = (~np.isnan(points)).sum(axis=1) >= 2
     assert np.array_equal(np.isfinite(angle), enough)
 
@@ -203,7 +203,7 @@ def test_a_body_starts_at_its_mean_along_the_axes_of_the_ground() -> None:
     assert angle[0] == pytest.approx(0, abs=1e-12)
     assert position[0] == pytest.approx(seen.mean())
     assert np.delete(tracker.state.bodies.shape[0], 2) == pytest.approx(seen - seen.mean())
-    assert tracker.state.bodies.fitting.learned_count.tolist() == [3]
+    assert tracker.state.bodies.placement.learned_count.tolist() == [3]
 
 
 @pytest.mark.parametrize('place', [0j, 0.1 + 0.7j, 1e6 + 0.1j])

@@ -34,6 +34,10 @@ _CONTEXT = multiprocessing.get_context('spawn')
 _CONNECT_TIMEOUT = 30  # s, for a scheduler to answer and for its first worker to connect
 _CHECK_INTERVAL = 5.0  # s between two looks whether a cluster has workers
 _TOPIC = 'kinpole'  # of the events by which Dask workers report the share done
+_DIED = (
+    'its worker process ended; fix: run the same command again, with fewer --workers if memory is '
+    'short'
+)
 _TLS = ('tls', 'wss')  # Dask's protocols in which both ends show certificates
 
 
@@ -71,12 +75,6 @@ def replay_in_processes(jobs: Sequence[Job], workers: int, take: Take, share: Sh
                     finish(number, {'bag': jobs[number].bag, 'error': _DIED})
 
 
-_DIED = (
-    'its worker process ended; fix: run the same command again, with fewer --workers if memory is '
-    'short'
-)
-
-
 def _replay_in_pool(
     jobs: Mapping[int, Job], workers: int, take: Take, share: Share, begun: set[int]
 ) -> None:
@@ -89,7 +87,7 @@ def _replay_in_pool(
     pool = ProcessPoolExecutor(workers, _CONTEXT, _begin_worker, (shares_end, life_end))
     left = set(jobs)
 
-    def on_task(_: Any, result: Any, *__: Any) -> None:
+    def take_rows(task: Any, result: Any, *state: Any) -> None:
         # Dask names its tasks, and adds others, as it likes. A row may come twice.
         for done in result if isinstance(result, list) else ():
             if isinstance(done, Done) and done.number in left:
@@ -107,7 +105,7 @@ def _replay_in_pool(
     try:
         _start(pool, workers)
         reader.start()
-        with Callback(posttask=on_task):
+        with Callback(posttask=take_rows):
             rows.compute(scheduler='processes', pool=pool, chunksize=1)
     finally:
         # The end of its pipe ends a worker, also in the middle of a bag.

@@ -135,9 +135,13 @@ def _numbers_by_frame(
         index = row.get('name', '')[1:-1]
         values = {e.get('name'): _cells.number_or_inf(e.text or '') for e in row.iter('property')}
         numbers = [values.get(key, default) for key, default in defaults.items()]
-        if not (index.isdecimal() and len(index) < 10 and np.isfinite(numbers).all()):
+        is_finite = np.isfinite(numbers).tolist()
+        unread = [key for key, finite in zip(defaults, is_finite, strict=True) if not finite]
+        if not (index.isdecimal() and len(index) < 10):
+            unread = ['number']
+        if unread:
             raise BagError(
-                f"{file.path}: frame '{_cells.shown(index)}' has no {next(iter(defaults))}; "
+                f"{file.path}: frame '{_cells.shown(index)}' has no {' and no '.join(unread)}; "
                 'fix: save it again'
             )
         if 0.0 in numbers[3:]:

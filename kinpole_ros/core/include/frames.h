@@ -15,7 +15,6 @@
 /* What does not change while the parameters stay: see rejection.py for the limits. */
 #define FRAME_LIMITS_FIELDS(VALUE, BLOCK, ARRAY)                                           \
     VALUE(long long, window_ns, "ns: length of the window")                                \
-    VALUE(long long, posed, "1 if the input are poses, 0 for markers")                     \
     VALUE(double, lag_ns, "ns: age of a frame when its result is due")                     \
     VALUE(double, far, "a pose farther off its path, in standard deviations, is not used") \
     VALUE(double, newest_factor, "the same of the newest poses, over `far`")               \
@@ -49,12 +48,12 @@ typedef STRUCT(FRAME_LIMITS_FIELDS) FrameLimits;
 
 typedef STRUCT(HISTORY_COLUMNS_FIELDS) HistoryColumns;
 
-/* What is known of the bodies: see bodies.py. C changes `last_angle` alone. */
+/* What is known of the bodies: see bodies.py. */
 #define BODY_ARRAYS_FIELDS(VALUE, BLOCK, ARRAY)                                                    \
     VALUE(long long, bodies, "B")                                                                  \
     VALUE(long long, width, "n: slots of markers of a body")                                       \
     ARRAY(Number, shape, "(B, n)", "m: markers in the body frame; 0 if not seen yet")              \
-    ARRAY(Number, hub, "(B)", "m: point that the body turns about, in its frame; 0: none")         \
+    ARRAY(Number, reference, "(B)", "m: point whose position is derived, in the body frame")       \
     ARRAY(Number, middle, "(B)", "m: where errors of position and angle are independent")          \
     ARRAY(Number, pin, "(B)", "m: fixed point that the body turns about; NaN for none")            \
     ARRAY(Number, pin_arm, "(B)", "m: the pin in its frame")                                       \
@@ -64,12 +63,12 @@ typedef STRUCT(HISTORY_COLUMNS_FIELDS) HistoryColumns;
     ARRAY(double, doubtful, "(B, n)", "m^2: the same of a marker whose name is doubtful")          \
     ARRAY(double, spread, "(B)", "m^2: sum of squared distances of the markers from their mean")   \
     ARRAY(double, loosest, "(B)", "m^2: least spread of markers that show an angle")               \
-    ARRAY(double, last_angle, "(B)", "rad: last angle that was known; NaN for none")               \
     ARRAY(double, jump_scale, "(2, B)", "rad, m: deviations of angle and position from paths")     \
     ARRAY(double, size, "(B)", "m: diameter of the body")                                          \
     ARRAY(double, error, "(B)", "m^2: variance of a coordinate of a marker, with rounding")        \
     ARRAY(double, information_factor, "(2, B)", "factors of `information`, for poses")             \
-    ARRAY(double, noise, "(B)", "m: standard deviation of a coordinate of a marker")               \
+    ARRAY(double, fit_noise, "(B)", "m: deviation of a coordinate of a marker; 1 if unknown")      \
+    ARRAY(double, angle_noise, "(B)", "rad: of measured poses; NaN for poses fitted to markers")   \
     ARRAY(double, freedom, "(B)", "degrees of freedom of a deformed body; 0 for a rigid one")      \
     ARRAY(double, pin_variance, "(B)", "m^2: variance of a coordinate of the pin")                 \
     ARRAY(double, learned_tilt_turn, "(B)", "rad: `tilt_turn` when the hub was learned")           \
@@ -100,6 +99,7 @@ typedef STRUCT(GAPS_FIELDS) Gaps;
     ARRAY(Gaps, outages, "(B + 1)", "gaps of each body; Python writes the last, of all frames")    \
     ARRAY(double, sure_tilt_turn, "(B)", "rad: `tilt_turn` of the last pose that is surely right") \
     ARRAY(double, sure_angle, "(B)", "rad: angle of this pose")                                    \
+    ARRAY(double, last_angle, "(B)", "rad: last angle that was known; NaN for none")               \
     ARRAY(Number, sure_tilt, "(B)", "tilt of this pose: see pose_points.py")
 
 typedef STRUCT(BODY_TRACKS_FIELDS) BodyTracks;
@@ -157,8 +157,8 @@ typedef STRUCT(RESULTS_FIELDS) Results;
    one in use, which stays out of use, and `unusual`. Returns the UNUSUAL_BITS of all bodies. */
 API int kinpole_try_frame(Frames *f, const Number *markers);
 /* Takes frames while they are usual, until the next update, and computes the results that are due.
-   Changes the history, `last_angle`, the tracks, `incoming`, `r` and what `kinpole_derive` changes
-   of `call`. Returns DONE, UNUSUAL if Python has to take the next frame, or an error below 0. */
+   Changes the history, the tracks, `incoming`, `r` and what `kinpole_derive` changes of `call`.
+   Returns DONE, UNUSUAL if Python has to take the next frame, or an error below 0. */
 API int kinpole_follow(Frames *f, Call *call, Results *r);
 
 #endif

@@ -72,8 +72,9 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
     history->angle[at] = is_known ? angle : NAN;
     history->position[at] = is_known ? middle - turn * mean : NAN;
     double *information = history->information + 2 * newest * known->bodies + b;
-    information[0] = !is_known ? 0.0 : f->limits.posed ? 1.0 : spread;
-    information[known->bodies] = !is_known ? 0.0 : f->limits.posed ? 1.0 :
+    int is_measured = !isnan(known->angle_noise[b]);
+    information[0] = !is_known ? 0.0 : is_measured ? 1.0 : spread;
+    information[known->bodies] = !is_known ? 0.0 : is_measured ? 1.0 :
         1.0 / (1.0 / total + square_of(mean) / spread);
     return found;
 }
@@ -83,13 +84,14 @@ kinpole_unwrap(const Frames *f)
 {
     const HistoryColumns *history = &f->history;
     const BodyArrays *known = &f->known;
+    double *last_angle = f->tracks.last_angle;
     for (long long b = 0; b < known->bodies; b++) {
         long long at = (history->end - 1) * known->bodies + b;
         double turns = history->end - 1 > history->first ? history->turns[at - known->bodies] : 0.0;
-        double angle = history->angle[at], last = known->last_angle[b];
+        double angle = history->angle[at], last = last_angle[b];
         if (!isnan(angle)) {
             turns -= isnan(last) ? 0.0 : rint((angle - last) / TURN);
-            known->last_angle[b] = angle;
+            last_angle[b] = angle;
         }
         history->turns[at] = turns;
     }

@@ -208,8 +208,7 @@ fill_window(const Frames *f, long long oldest, Poses *poses)
     const HistoryColumns *history = &f->history;
     const BodyArrays *known = &f->known;
     int tilts = 0;
-    for (long long i = oldest * known->bodies;
-         f->limits.posed && i < history->end * known->bodies; i++)
+    for (long long i = oldest * known->bodies; i < history->end * known->bodies; i++)
         tilts |= history->tilt_turn[i] != 0.0;
     for (long long row = oldest; row < history->end; row++)
         for (long long b = 0; b < known->bodies; b++) {
@@ -320,7 +319,7 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
         int pinned = kinpole_holds_on_pin(f, oldest, b);
         r->pin[to] = pinned ? known->pin[b] : NAN + I * NAN;
         r->pin_variance[to] = pinned ? known->pin_variance[b] : NAN;
-        poses->hub[b] = pinned ? 0.0 : known->hub[b];
+        poses->hub[b] = pinned ? 0.0 : known->reference[b];
     }
     int tilts = fill_window(f, oldest, poses);
     poses->frames[0] = now - oldest;
@@ -336,7 +335,7 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
     call->position = poses->position;
     call->angle_information = poses->turn_information;
     call->position_information = poses->place_information;
-    call->noise = known->noise;
+    call->noise = known->fit_noise;
     if (kinpole_lay_out_derivatives(call, OF_DERIVATIVES, bodies, &call->derivatives))
         return NO_MEMORY;
     int code = kinpole_derive(call);
@@ -361,8 +360,9 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
         r->derivatives.reference[to] = poses->hub[b];
         r->frame_angle[to] = history->angle[at] + TURN * history->turns[at];
         r->frame_position[to] = history->position[at];
-        r->noise[to] = known->noise[b];
-        r->middle[to] = f->limits.posed ? known->middle[b] : middle_of_used(f, now, b);
+        r->noise[to] = known->fit_noise[b];
+        r->middle[to] =
+            isnan(known->angle_noise[b]) ? middle_of_used(f, now, b) : known->middle[b];
         for (int c = 0; c < 2; c++)
             r->information[(2 * t + c) * bodies + b] =
                 seen ? information[c * bodies] * known->information_factor[c * bodies + b] : 0.0;

@@ -25,7 +25,7 @@ _MAX_RATIO = 1.25
 _BLOCKS = 2, 4, 8
 
 
-def learn_poses(bodies: Bodies, history: History, given: float) -> None:
+def learn_poses(bodies: Bodies, history: History, given: float) -> Bodies:
     """Update the noise of the poses; the parameters may give that of a position, m."""
     rows = slice(-MEMORY_FRAMES, None)
     has_pose = history['information'][rows, 0] > 0
@@ -34,18 +34,17 @@ def learn_poses(bodies: Bodies, history: History, given: float) -> None:
         np.where(has_pose, history['position'][rows], np.nan),
         np.where(has_pose, history['angle'][rows], np.nan),
     )
-    bodies.angle_noise = measured.angle
-    bodies.lasting = measured.underestimated
-    bodies.noise = measured.position
-    if given > 0:
-        bodies.noise = np.where(np.isnan(measured.angle), np.nan, given)
-    # Distance from their mean of markers with such noise.
-    arm = bodies.noise / bodies.angle_noise
-    scale = np.stack((arm**2, arm**2 / (arm**2 + np.abs(measured.middle) ** 2)))
-    bodies.information_factor = np.where(np.isnan(scale), 1.0, scale)
-    bodies.misfit = np.nan_to_num(bodies.noise**2)
-    bodies.update()
-    bodies.fitting = bodies.fitting._replace(middle=measured.middle, size=2 * arm)
+    is_unknown = np.isnan(measured.angle)
+    noise = np.where(is_unknown, np.nan, given) if given > 0 else measured.position
+    return bodies.change(
+        angle_noise=np.where(is_unknown, np.inf, measured.angle),
+        pose_middle=measured.middle,
+        lasting=measured.underestimated,
+        noise=noise,
+        # Not what the parameters say: exact poses of a body at rest do repeat.
+        white=np.full(bodies.count, np.nan) if given > 0 else noise,
+        misfit=np.nan_to_num(noise**2),
+    )
 
 
 class PoseNoise(NamedTuple):
