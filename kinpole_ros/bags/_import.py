@@ -23,6 +23,7 @@ from kinpole_ros.bags.formats import (
 )
 from kinpole_ros.messages import INPUT_TYPES, TF, marker_arrays, poses_data
 
+_OFF_GRID = 0.15  # intervals in the mean: more are on no grid, as rows of two topics in turn
 _FRAME = 'world'
 _BLOCK_BYTES = 1 << 20  # of messages in memory at a time
 _LONGEST = 2.0**31  # s; the seconds of a ROS stamp are an int32
@@ -50,6 +51,8 @@ class Imported:
         m per unit; in x and y where these are shares of a picture.
     notes : tuple of str
         What the user should know, a line each.
+    bodies : tuple of str
+        Those whose poses are on /tf. Markers of their names are their origins.
 
     """
 
@@ -61,6 +64,7 @@ class Imported:
     unit: str
     scale: float | tuple[float, float]
     notes: tuple[str, ...]
+    bodies: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """Say what was read: frames, markers, format, unit, span and rate."""
@@ -134,7 +138,7 @@ def import_points(
     stamps, stamp_notes = _stamps(path, read, rate)
     kept = leave_out_repeats(str(path), 'frames', stamps, _marks(read.points, poses))
     if kept.note:
-        stamp_notes.append(f'{path}: {kept.note}, and are left out')
+        stamp_notes.append(f'{path}: {kept.note}')
         own = kept.is_kept
         read = replace(read, points=read.points[own], poses=None if poses is None else poses[own])
     write_points(output, read.names, kept.stamps, read.points, progress, read.bodies, read.poses)
@@ -220,6 +224,7 @@ def _describe(
         shown(read.unit),
         scale,
         tuple(notes),
+        tuple(read.bodies),
     )
 
 
@@ -228,7 +233,10 @@ def _mean_rate(stamps: np.ndarray) -> float:
     steps = np.diff(stamps)
     if not len(steps):
         return math.nan
-    intervals = np.maximum(np.rint(steps / np.median(steps)), 1)
+    ratios = steps / np.median(steps)
+    intervals = np.maximum(np.rint(ratios), 1)
+    if np.abs(ratios - intervals).mean() > _OFF_GRID:
+        intervals = np.ones(len(steps))
     return float(intervals.sum() / steps.sum() * 1e9)
 
 

@@ -1,11 +1,12 @@
 """
-Frames that repeat the one before, as programs make them that change the rate of a film.
+Frames that repeat the one before, or are missing, in films of which a program changed the rate.
 
 From 24 to 30 Hz each fourth picture is shown twice; a film of uneven stamps that is made even has
 repeats where a stamp was late. All points then stay for a frame, and go on as before. Repeats tell
 nothing and are left out. The stamps of the others are off by up to a frame; they are right again
 if the camera took its pictures evenly, which the motion shows: stamps that are off move points
-along their paths, and noise moves them across as well.
+along their paths, and noise moves them across as well. From 30 to 24 Hz each fifth picture is
+left out, and the stamps of the others are made even: the motion shows that alike.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -29,7 +30,7 @@ _AROUND = 7  # frames, of which the usual step is taken
 _LONGEST = 5  # repeats in a row; what stays longer may stand still
 _SAME_WAY = 0.5  # cosine between the steps before and after; a body that turns back has -1
 _ROUNDED = 0.2  # of a step: larger steps between values are rounding, which looks like repeats
-_COLUMNS = 20  # that are looked at
+_COLUMNS = 20  # or points, that are looked at
 _BLOCK = 1 << 18  # values in memory at a time
 _MOST_PARTS = 12  # frames of a pattern, as 12 from 25 to 60 Hz
 _NEAR_RATIO = 0.25  # of itself: so far is the share of repeats from a pattern, where some are slow
@@ -37,6 +38,8 @@ _NEAR = 2  # frames from a repeat, where its stamps are tested
 _OFF = 0.05  # of a step: stamps that are more off, along the path alone, are wrong
 _ALONG = 3.0  # times the noise across the path
 _ONE_FRAME = 1.3  # as the line through few of them is not the best one
+_TRIED = 300  # frames by which a pattern of missing ones is found: time only
+_CLEARLY = 0.5  # of how far stamps are off otherwise: so far at most by that pattern
 _LEAST_FRAMES = 200  # by which the rate of a film without a pattern is known to 0.5%
 _NTSC = 1.001
 
@@ -90,7 +93,7 @@ def leave_out_repeats(
         return everything
     is_repeat, is_known = _find(points, least_step)
     if not is_repeat.any():
-        return everything
+        return _without_lost(path, noun, stamps, points, rate) or everything
     interval = float(np.median(np.diff(stamps)))
     frames = np.rint((stamps - stamps[0]) / interval).astype(int)
     best: tuple[float, np.ndarray, np.ndarray, float] | None = None
@@ -115,7 +118,60 @@ def leave_out_repeats(
     made = f', as a converter makes them from {even:.4g} to {1e9 / interval:.4g} Hz' if even else ''
     made = ', and the rate is that of the others' if even and rate else made
     stamps = stamps[0] + np.rint(times).astype(np.int64)
-    return Kept(~own, stamps, f'{share}{made}')
+    return Kept(~own, stamps, f'{share}{made}, and are left out')
+
+
+def _without_lost(
+    path: str, noun: str, stamps: np.ndarray, points: np.ndarray, rate: float | None
+) -> Kept | None:
+    """
+    Return frames at their times where a converter left others out; None where it did not.
+
+    Raises BagError where it did, in a pattern that changes.
+    """
+    interval = float(np.median(np.diff(stamps)))
+    frames = np.rint((stamps - stamps[0]) / interval).astype(int)
+    if np.abs(stamps - stamps[0] - frames * interval).max() > _OFF * interval:
+        return None
+    points = points[:, :: max(1, points.shape[1] // _COLUMNS)]
+    found = _pattern_of_lost(frames[:_TRIED], points[:_TRIED])
+    if found is None:
+        half = max(len(points) // 2, len(points) - _TRIED)
+        if _pattern_of_lost(frames[half:], points[half:]) is None:
+            return None
+        raise BagError(
+            f'{path}: a program that changed the rate to {1e9 / interval:.4g} Hz left out {noun}, '
+            'in a pattern that changes, so it is not known when the others were taken; fix: take '
+            'the film as the camera wrote it'
+        )
+    ratio, phase = found
+    taken = (frames * ratio.numerator + phase) // ratio.denominator
+    length = 1e9 / rate if rate else interval / float(ratio)
+    note = f'a converter from {1e9 / length:.4g} to {1e9 / interval:.4g} Hz left out {noun}'
+    times = stamps[0] + np.rint((taken - taken[0]) * length).astype(np.int64)
+    return Kept(np.ones(len(stamps), bool), times, f'{note}, and the others have their own times')
+
+
+def _pattern_of_lost(frames: np.ndarray, points: np.ndarray) -> tuple[Fraction, int] | None:
+    """
+    Return pictures per frame, more than 1, and the phase, by which the motion is even.
+
+    None if frames are even as they are, or no pattern is far better than all others.
+    """
+    middle = np.arange(2, len(points) - 2)
+    before = _off(points, frames.astype(float), middle, (_rms,))
+    if before < _OFF:
+        return None
+    tried = []
+    ratios = {Fraction(p, q) for p in range(3, _MOST_PARTS + 1) for q in range(2, p)}
+    for ratio in {one for one in ratios if one.denominator > 1}:
+        for phase in range(ratio.denominator):
+            numbers = (frames * ratio.numerator + phase) // ratio.denominator
+            along, _, step = _errors(points, numbers.astype(float), middle)
+            tried.append((_rms(along) / step, ratio, phase))
+    tried.sort()
+    off, ratio, phase = tried[0]
+    return (ratio, phase) if off < _CLEARLY * min(before, tried[1][0]) else None
 
 
 def conversion_fault(path: str, parts: Sequence[MarkerFrames]) -> str:
@@ -142,7 +198,7 @@ def conversion_fault(path: str, parts: Sequence[MarkerFrames]) -> str:
     if off < _OFF * np.median(np.diff(stamps)):
         return ''
     return (
-        f'{kept.note}, and the stamps of the others are off; fix: `kinpole import {path} --output '
+        f'{kept.note}, but the stamps of the others are off; fix: `kinpole import {path} --output '
         'NEW.mcap` finds these, replay that'
     )
 
@@ -328,6 +384,15 @@ def _off(
     middle = middle[(middle >= 2) & (middle < len(times) - 2)]
     if not len(middle):
         return 0.0
+    along, across, step = _errors(points, times, middle)
+    errors = [(scale(along), scale(across)) for scale in scales]
+    return max([own / step for own, other in errors if step and own > _ALONG * other], default=0.0)
+
+
+def _errors(
+    points: np.ndarray, times: np.ndarray, middle: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return errors of fast points of frames along and across their paths, and their usual step."""
     others = np.array([-2, -1, 1, 2])
     near = times[middle[:, None] + others] - times[middle, None]
     predicted = 0.0
@@ -346,8 +411,7 @@ def _off(
         total = np.where(is_fast, (error**2).sum(axis=-1), np.nan)
         across = np.sqrt(np.maximum(total - along**2, 0) / max(points.shape[-1] - 1, 1))
     step = _usual(np.where(is_fast, length, np.nan))
-    errors = [(scale(along), scale(across)) for scale in scales]
-    return max([own / step for own, other in errors if step and own > _ALONG * other], default=0.0)
+    return along, across, step
 
 
 def _usual(values: np.ndarray) -> float:

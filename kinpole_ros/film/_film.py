@@ -45,8 +45,7 @@ def read_film(
     kept = leave_out_repeats(video.path, 'pictures', seen.stamps, marks, options.rate, _LEAST_STEP)
     own = kept.is_kept
     seen = replace(seen, stamps=kept.stamps, pixels=seen.pixels[own], dots=seen.dots[own])
-    repeats = kept.note and f'{kept.note}, and are left out'
-    notes = [repeats, video.late and f'{video.late} left out whose stamps do not increase']
+    notes = [kept.note, video.late and f'{video.late} left out whose stamps do not increase']
     interlaced = 'interlaced, so each field is a picture of its own' if video.is_interlaced else ''
     shutter = f'{options.line_time * 1e6:.3g} us' if options.line_time else 'none'
     changed = [f'rolling shutter: {shutter}', 'to change: --line-time, --rate']

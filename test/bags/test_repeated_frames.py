@@ -65,7 +65,7 @@ def test_the_rate_before_a_conversion_is_found(
     repeats = len(stamps) - len(kept.stamps)
     assert kept.note == (
         f'{repeats} of {len(stamps)} pictures repeat the one before, as a converter makes them '
-        f'from {before:.4g} to {after:.4g} Hz'
+        f'from {before:.4g} to {after:.4g} Hz, and are left out'
     )
 
 
@@ -99,7 +99,28 @@ def test_where_the_last_picture_stands_for_a_lost_one_stamps_are_right() -> None
     stamps, points, shown = converted(taken, 30, 5e-5, turning)
     kept = leave_out_repeats('f', 'pictures', stamps, points)
     np.testing.assert_allclose(kept.stamps * 1e-9, shown[kept.is_kept], atol=1e-8)
-    assert kept.note == '4 of 149 pictures repeat the one before'
+    assert kept.note == '4 of 149 pictures repeat the one before, and are left out'
+
+
+@pytest.mark.parametrize('motion', [turning, swinging])
+@pytest.mark.parametrize('noise', [0.0, 2e-4])
+@pytest.mark.parametrize(('before', 'after'), [(30, 24), (30, 25), (50, 30), (60, 24), (60, 25)])
+def test_pictures_that_a_converter_left_out_are_lost_frames(
+    before: int, after: int, noise: float, motion: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    frames = np.arange(5 * after)
+    taken = (frames * before + 10) // after / before
+    points = motion(taken) + noise * np.random.default_rng(0).standard_normal((len(taken), 3, 2))
+    kept = leave_out_repeats('f', 'pictures', np.rint(frames * 1e9 / after).astype(int), points)
+    assert kept.is_kept.all() and f'from {before} to {after} Hz left out pictures' in kept.note
+    assert np.ptp(kept.stamps * 1e-9 - taken) < 1e-6
+
+
+def test_pictures_left_out_in_a_pattern_that_changes_are_refused() -> None:
+    frames = np.arange(125)
+    taken = np.where(frames < 10, frames, frames * 30 // 24 - 2) / 30
+    with pytest.raises(BagError, match='f: a program that changed the rate to 24 Hz left out pict'):
+        leave_out_repeats('f', 'pictures', np.rint(frames * 1e9 / 24).astype(int), turning(taken))
 
 
 def test_a_given_rate_is_that_of_pictures_that_repeat_no_other() -> None:
@@ -114,11 +135,12 @@ def test_a_given_rate_is_that_of_pictures_that_repeat_no_other() -> None:
         np.zeros((200, 3, 2)),
         dwelling(np.arange(200) / 30),
         swinging(np.arange(200) / 30),
+        turning(np.arange(200) / 6) + 0.02 * turning(np.arange(200) * 4),
         np.round(turning(np.arange(200) / 3000), 4),
         turning(np.arange(200) / 30000)
         + 1e-4 * np.random.default_rng(1).standard_normal((200, 3, 2)),
     ],
-    ids=['still', 'dwell', 'swing', 'rounded', 'noise'],
+    ids=['still', 'dwell', 'swing', 'shake', 'rounded', 'noise'],
 )
 def test_slow_and_rounded_motion_is_no_repeat(points: np.ndarray) -> None:
     kept = leave_out_repeats('f', 'rows', np.arange(200) * 33_333_333, points)
@@ -150,5 +172,5 @@ def test_replay_blames_a_tracker_for_no_repeats_of_a_film(is_film: bool, tmp_pat
     bag = tmp_path / 'markers.mcap'
     write_points(bag, ['a', 'b'], stamps, np.pad(points, ((0, 0), (0, 0), (0, 1))))
     lines = ' '.join(replay(bag, Settings()).misnamed)
-    assert ('as a converter makes them from 24 to 30 Hz, and the stamps' in lines) == is_film
+    assert ('as a converter makes them from 24 to 30 Hz, and are left out, but' in lines) == is_film
     assert ('send nothing of a body that it lost' in lines) != is_film

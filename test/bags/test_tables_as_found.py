@@ -391,3 +391,10 @@ def test_the_rate_of_rounded_times_is_that_of_their_grid(tmp_path) -> None:
     times = ''.join(f'{k / 60:.4f},{0.1 * k},2\n' for k in range(200) if k % 17)
     done, *_ = bring(tmp_path, 't,a_x,a_y\n' + times)
     assert abs(done.rate - 60) < 0.001
+
+
+def test_the_rate_of_two_topics_in_turn_is_that_of_their_rows(tmp_path) -> None:
+    times = np.sort(np.concatenate((np.arange(50) * 0.02, np.arange(50) * 0.02 + 0.0013)))
+    lines = [f'{time:.4f},{k},0' for k, time in enumerate(times)]
+    done, *_ = bring(tmp_path, '\n'.join(['t,A_x,A_y', *lines]))
+    assert done.rate == pytest.approx(101, rel=0.01)

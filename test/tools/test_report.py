@@ -289,6 +289,23 @@ def test_a_report_of_a_table_imports_it(tmp_path, capsys) -> None:
     assert output.exists()
 
 
+def test_a_report_of_a_table_of_poses_has_their_rates(tmp_path, capsys) -> None:
+    t = np.arange(100) / 50
+    turns = np.stack((t, 0 * t, 0 * t, np.sin(t), np.cos(t)), axis=1)
+    table, output = tmp_path / 'poses.csv', tmp_path / 'a.html'
+    head = ','.join(
+        ['__time', '/1st/x', '/1st/y', *(f'/1st/orientation/{axis}' for axis in 'xyzw')]
+    )
+    rows = np.insert(turns, 1, [[0.1], [0.2]], axis=1)
+    np.savetxt(table, rows, delimiter=',', header=head, comments='')
+    assert main(['report', str(table), '--output', str(output)]) == 0
+    assert 'bodies: body_1, each by its pose; to change: ' in capsys.readouterr().out
+    (body,) = data_of(output)['bodies']
+    # In the first half second the noise is not known yet.
+    rates = np.array(body['angular_velocity']['value'][30:], float)
+    np.testing.assert_allclose(rates, 2, atol=1e-6)
+
+
 def test_a_report_of_a_folder_of_openpose_imports_it(tmp_path, capsys) -> None:
     folder = openpose(tmp_path / 'json')
     words = ['--rate', '50', '--scale', '0.001', '--output', str(tmp_path / 'page.html')]

@@ -3,14 +3,15 @@
 import shlex
 import tempfile
 from argparse import Namespace
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from kinpole_ros.bags import BagError, Imported, import_points, topics
-from kinpole_ros.settings import Settings, assignments, load_settings
+from kinpole_ros.messages import TF
+from kinpole_ros.settings import GROUND, Settings, assignments, load_settings, settings_from
 from kinpole_ros.tools.filmed import film_options, given_names, is_bag_of_pictures, is_video
 from kinpole_ros.tools.record.result_bag import has_results, is_bag
 
@@ -69,6 +70,9 @@ def prepared(
             bag = str(Path(folder) / f'{Path(file).stem}.mcap')
             imported = import_points(file, bag, options.rate, options.scale, options.y_down)
             assumed.append(_import_text(imported))
+            if imported.bodies == imported.markers and settings.bodies == Settings().bodies:
+                settings = _settings_of_poses(imported.bodies, options.set)
+                assumed.append(_pose_text(settings))
         else:
             own = _OF_POINTS if options.video is None else _OF_POINTS[1:]
             _refuse(options, own, f'{file} is a bag, which has its stamps and is in m')
@@ -113,6 +117,26 @@ def _read(file: str, options: Namespace, bag: str | None, progress: Progress) ->
     given = film_options(options)
     given = given if bag else replace(given, topic=None)  # that of the markers
     return film_to_bag(file, bag, given, share) if bag else read_film(file, given, share)
+
+
+def _settings_of_poses(names: tuple[str, ...], changes: Sequence[str]) -> Settings:
+    """Return the settings by which each pose on /tf is a body, of its name where that may be."""
+    bodies = {
+        name if name.isascii() and name.isidentifier() and name != GROUND else f'body_{k}': name
+        for k, name in enumerate(names, 1)
+    }
+    values = {'marker_type': 'tf', 'marker_topic': TF, 'bodies': list(bodies)}
+    values |= {f'{body}.markers': [name] for body, name in bodies.items()}
+    return settings_from(values | assignments(changes))
+
+
+def _pose_text(settings: Settings) -> str:
+    names = list(settings.bodies)
+    more = f' and {len(names) - _MOST_NAMES} more' if len(names) > _MOST_NAMES else ''
+    return (
+        f'bodies: {", ".join(names[:_MOST_NAMES])}{more}, each by its pose; to change: kinpole '
+        'import FILE --output BAG, and give it with --config rig.yaml'
+    )
 
 
 def _import_text(imported: Imported) -> str:
