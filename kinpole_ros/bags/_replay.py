@@ -213,8 +213,7 @@ class _Replaying:
         outcome.concatenated = _unlisted_files(self._bag)
         if self._positions is not None:
             outcome.scene_positions = self._positions.report()
-        _replayed.finish(outcome, self._tracker)
-        return outcome
+        return _replayed.finish(outcome, self._tracker)
 
     def _add_topics(self, writer: BagWriter) -> None:
         """Have all topics in the bag of results, also those without messages."""
