@@ -134,7 +134,7 @@ def import_points(
     stamps, stamp_notes = _stamps(path, read, rate)
     kept = leave_out_repeats(str(path), 'frames', stamps, _marks(read.points, poses))
     if kept.note:
-        stamp_notes.append(f'{path}: {kept.note}')
+        stamp_notes.append(f'{path}: {kept.note}, and are left out')
         own = kept.is_kept
         read = replace(read, points=read.points[own], poses=None if poses is None else poses[own])
     write_points(output, read.names, kept.stamps, read.points, progress, read.bodies, read.poses)

@@ -1,6 +1,6 @@
 """The topic of markers or poses in a bag, and its frames as arrays."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from itertools import groupby
 from pathlib import Path
@@ -163,8 +163,20 @@ def _marker_topic(bag: str | Path, topic: str | None) -> tuple[str, str]:
     listed, fix = ', '.join(sorted(candidates)), 'name one with --topic'
     if not candidates:
         listed = 'no topic of markers'
-        fix = f'`kinpole import {bag} --output NEW.mcap` reads poses and messages of trackers'
+        fix = film_fix(bag, types) or (
+            f'`kinpole import {bag} --output NEW.mcap` reads poses and messages of trackers'
+        )
     raise BagError(f'{bag}: topic {name} {fault}; it holds {listed}; fix: {fix}')
+
+
+def film_fix(bag: str | Path, types: Mapping[str, str]) -> str:
+    """Return how pictures or detected tags on topics become markers; '' where there are none."""
+    kinds = {messages.IMAGE, messages.COMPRESSED_IMAGE, messages.DETECTIONS}
+    return (
+        f'`kinpole film {bag} --output NEW.mcap` finds tags in its pictures'
+        if kinds & {*types.values()}
+        else ''
+    )
 
 
 def input_topic(bag: str | Path, settings: Settings, topic: str | None) -> tuple[str, str]:
@@ -180,7 +192,9 @@ def input_topic(bag: str | Path, settings: Settings, topic: str | None) -> tuple
         # Topics of other types are listed only where there are no others.
         listed = {t: kind for t, kind in types.items() if kind in input_types} or types
         text = ', '.join(f'{t} ({kind})' for t, kind in sorted(listed.items())) or 'no topics'
-        raise BagError(f'{bag}: no topic {name}; it holds {text}; name one with --topic')
+        film = '' if input_types & {*types.values()} else film_fix(bag, types)
+        fix = f'fix: {film}' if film else 'name one with --topic'
+        raise BagError(f'{bag}: no topic {name}; it holds {text}; {fix}')
     marker_type, type_name = settings.marker_type, types[name]
     kind = messages.kind_of(type_name, marker_type)
     if kind is not None:

@@ -10,11 +10,13 @@ along their paths, and noise moves them across as well.
 
 from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
+from kinpole_ros.tracking.frame import MarkerFrames
 
 # Of the steps before and after: so little is noise, and no motion. Even pictures are found with
 # the most noise, and pictures at uneven times, whose steps differ, with less.
@@ -22,7 +24,7 @@ _SMALLS = 0.3, 0.1, 0.03
 _LARGE = 0.6  # of these: so much is motion
 _STILL = 0.1  # of the fast steps of a film: where all are shorter, nothing moves
 _MOST_BETWEEN = 0.2  # of the repeats: more steps of up to twice this are noise, of all sizes
-_FEWEST = 5  # repeats that say something of the stamps; fewer are left out
+FEWEST_REPEATS = 5  # repeats that say something of the stamps; fewer are left out
 _AROUND = 7  # frames, of which the usual step is taken
 _LONGEST = 5  # repeats in a row; what stays longer may stand still
 _SAME_WAY = 0.5  # cosine between the steps before and after; a body that turns back has -1
@@ -101,10 +103,10 @@ def leave_out_repeats(
             best = off, own, times, even
     assert best is not None
     off, own, times, even = best
-    if off > _OFF and is_repeat.sum() < _FEWEST:
+    if off > _OFF and is_repeat.sum() < FEWEST_REPEATS:
         own, times, even = is_repeat, (stamps - stamps[0])[~is_repeat], 0.0
     share = f'{own.sum()} of {len(stamps)} {noun} repeat the one before'
-    if off > _OFF and is_repeat.sum() >= _FEWEST:
+    if off > _OFF and is_repeat.sum() >= FEWEST_REPEATS:
         raise BagError(
             f'{path}: {share} in no even pattern, as of a film of uneven stamps that was made '
             'even, so it is not known when the others were taken; fix: take the film as the '
@@ -113,7 +115,36 @@ def leave_out_repeats(
     made = f', as a converter makes them from {even:.4g} to {1e9 / interval:.4g} Hz' if even else ''
     made = ', and the rate is that of the others' if even and rate else made
     stamps = stamps[0] + np.rint(times).astype(np.int64)
-    return Kept(~own, stamps, f'{share}{made}, and are left out')
+    return Kept(~own, stamps, f'{share}{made}')
+
+
+def conversion_fault(path: str, parts: Sequence[MarkerFrames]) -> str:
+    """Return what is wrong with stamps of frames that repeat others; '' if they are right."""
+    names = list(dict.fromkeys(chain.from_iterable(part.identities for part in parts)))
+    stamps = np.concatenate([part.stamps for part in parts])
+    kinds = 1 if parts[0].axes is None else 3  # places, and axes of poses
+    points = np.full((len(stamps), len(names), kinds, 3), np.nan)
+    first = 0
+    for part in parts:
+        columns = [names.index(name) for name in part.identities]
+        block = points[first : first + len(part.stamps)]
+        block[:, columns, :1] = part.points[:, :, None]
+        if part.axes is not None:
+            block[:, columns, 1:] = part.axes
+        first += len(part.stamps)
+    is_later = np.diff(np.maximum.accumulate(stamps), prepend=-1) > 0
+    stamps, points = stamps[is_later], points[is_later].reshape(is_later.sum(), -1, 3)
+    try:
+        kept = leave_out_repeats(path, 'frames', stamps, points)
+    except BagError as error:
+        return str(error)
+    off = np.abs(kept.stamps - stamps[kept.is_kept]).max()
+    if off < _OFF * np.median(np.diff(stamps)):
+        return ''
+    return (
+        f'{kept.note}, and the stamps of the others are off; fix: `kinpole import {path} --output '
+        'NEW.mcap` finds these, replay that'
+    )
 
 
 def _find(points: np.ndarray, least_step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -142,7 +173,7 @@ def _find(points: np.ndarray, least_step: float) -> tuple[np.ndarray, np.ndarray
     for small in _SMALLS:
         between = ((ratios >= small) & (ratios < 2 * small)).sum()
         count = (ratios < small).sum()
-        if between <= _MOST_BETWEEN * count and (count >= _FEWEST or small == _SMALLS[0]):
+        if between <= _MOST_BETWEEN * count and (count >= FEWEST_REPEATS or small == _SMALLS[0]):
             break
     else:
         return is_repeat, is_repeat

@@ -18,11 +18,13 @@ from kinpole_ros.bags._bag_reader import Progress
 from kinpole_ros.bags._bag_writer import BagWriter
 from kinpole_ros.bags._files import BagError, Truncated, bag_files, in_place_of
 from kinpole_ros.bags._marker_frames import NODE_NAME, frame_blocks, input_topic
+from kinpole_ros.bags._repeated_frames import FEWEST_REPEATS, conversion_fault
 from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._tables import TABLES
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.rejection import HELD
 from kinpole_ros.tracking.space import updated
 from kinpole_ros.tracking.tracker import Tracker
 
@@ -213,7 +215,16 @@ class _Replaying:
         outcome.concatenated = _unlisted_files(self._bag)
         if self._positions is not None:
             outcome.scene_positions = self._positions.report()
-        return _replayed.finish(outcome, self._tracker)
+        return _replayed.finish(outcome, self._tracker, self._converted())
+
+    def _converted(self) -> str:
+        """Say how frames repeat others, as of a film whose rate was changed; '' if they do not."""
+        if self._tracker.update_counts()[HELD] < FEWEST_REPEATS:
+            return ''
+        reader = messages.reader_of(self._kind, self._settings)
+        blocks = frame_blocks(self._bag, self._topic, self._kind, reader, None)
+        parts = [part for frames, _, _ in blocks for part in frames]
+        return conversion_fault(str(self._bag), parts)
 
     def _add_topics(self, writer: BagWriter) -> None:
         """Have all topics in the bag of results, also those without messages."""

@@ -12,6 +12,7 @@ from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.marker_rows import find_rows
 from kinpole_ros.tracking.outages import Outage
+from kinpole_ros.tracking.rejection import HELD
 from kinpole_ros.tracking.space import SpaceReport, updated
 from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.tracker import Tracker
@@ -184,10 +185,16 @@ def add_estimate(outcome: ReplayedSoFar, estimate: Estimate) -> None:
             outcome.unknown[body] = str(reasons[-1])
 
 
-def finish(outcome: ReplayedSoFar, tracker: Tracker) -> Replayed:
-    """Return the outcome, with what the tracker knows at the end."""
+def finish(outcome: ReplayedSoFar, tracker: Tracker, converted: str = '') -> Replayed:
+    """
+    Return the outcome, with what the tracker knows at the end.
+
+    `converted` says why frames repeat others, if it is known.
+    """
     bodies, counts = tracker.bodies, tracker.update_counts()
-    outcome.misnamed = [*faults.identity_lines(tracker, counts), *outcome.misnamed]
+    told = {**counts, HELD: 0} if converted else counts
+    lines = [*faults.identity_lines(tracker, told), *([converted] if converted else [])]
+    outcome.misnamed = [*lines, *outcome.misnamed]
     if len(bodies) > MOST_PAIRED_BODIES:
         outcome.misnamed.append(
             f'relative rates and centers of pairs are left out: there are {len(bodies)} bodies, '

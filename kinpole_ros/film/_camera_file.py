@@ -29,7 +29,7 @@ _LENSES = (
     *('distortioncoefficients', 'distcoeffs', 'distcoeff', 'distortioncoeffs', 'distortions'),
     *('distortion', 'd', 'dist', 'coeffs'),
 )
-_SIZES = 'imagesize', 'size', 'resolution'
+_SIZES = 'imagesize', 'imgsize', 'framesize', 'size', 'resolution'
 _MODELS = '', 'none', 'plumbbob', 'rationalpolynomial', 'radtan', 'pinhole', 'opencv'
 _FISHEYE = 'equidistant', 'fisheye', 'kannalabrandt', 'kannalabrandt4', 'opencvfisheye'
 _DAMAGED = (
@@ -86,11 +86,12 @@ def _content(text: str) -> dict[str, Any]:
         return _of_xml(text)
     if re.search(r'^\s*\[[^\],]+\]\s*$', text, re.MULTILINE):
         return _of_toml(text) if '=' in text else _of_ost(text)
-    # OpenCV's header is not YAML, and its matrices have a tag of their own. A topic is echoed
+    # OpenCV's header is not YAML, and its matrices have tags of their own. A topic is echoed
     # message by message.
-    text = re.sub(r'^%YAML.*', '', text).replace('!!opencv-matrix', '')
+    text = re.sub('^%YAML.*|!!opencv-(nd-)?matrix', '', text)
     parts = re.split(r'^---\s*$', text, flags=re.MULTILINE)
-    return dict(load_yaml(next(filter(str.strip, parts), '')) or {})
+    content = load_yaml(next(filter(str.strip, parts), ''))
+    return content if isinstance(content, dict) else {}
 
 
 def _of_xml(text: str) -> dict[str, Any]:

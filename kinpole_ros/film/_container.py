@@ -26,8 +26,11 @@ from kinpole_ros.film._decoder import (
 
 # FFmpeg invents 25 Hz for these, which have pictures and no times.
 _UNTIMED = {'h264': 'raw H.264', 'hevc': 'raw H.265', 'm4v': 'raw MPEG-4', 'mjpeg': 'raw MJPEG'}
-_FORMATS = ','.join(('mov,matroska,webm,avi,mpegts', *_UNTIMED))
-_CODECS = 'h264,hevc,av1,libdav1d,vp8,vp9,libvpx,libvpx-vp9,mpeg4,mjpeg,prores,rawvideo,ffv1'
+_FORMATS = ','.join(('mov,matroska,webm,avi,mpeg,mpegts', *_UNTIMED))
+_CODECS = (
+    'h264,hevc,av1,libdav1d,vp8,vp9,libvpx,libvpx-vp9,mpeg4,mpeg2video,dvvideo,mjpeg,prores,'
+    'rawvideo,ffv1'
+)
 _LONGEST = 2.0**31  # s, as stamps of ROS
 # com.android.capture.fps, which Android writes, and others like it.
 _CAPTURE = re.compile(r'capture[._-]?(fps|frame_?rate)$', re.IGNORECASE)

@@ -45,7 +45,8 @@ def read_film(
     kept = leave_out_repeats(video.path, 'pictures', seen.stamps, marks, options.rate, _LEAST_STEP)
     own = kept.is_kept
     seen = replace(seen, stamps=kept.stamps, pixels=seen.pixels[own], dots=seen.dots[own])
-    notes = [kept.note, video.late and f'{video.late} left out whose stamps do not increase']
+    repeats = kept.note and f'{kept.note}, and are left out'
+    notes = [repeats, video.late and f'{video.late} left out whose stamps do not increase']
     interlaced = 'interlaced, so each field is a picture of its own' if video.is_interlaced else ''
     shutter = f'{options.line_time * 1e6:.3g} us' if options.line_time else 'none'
     changed = [f'rolling shutter: {shutter}', 'to change: --line-time, --rate']
@@ -79,7 +80,7 @@ def _read_detections(path: str, topic: str, options: FilmOptions) -> Filmed:
     late = int((~is_later).sum())
     notes = [late and f'{late} late ones left out']
     line = _film_line(seen, f'by the headers of {topic}', notes)
-    filmed = place_seen(seen, options, lens)
+    filmed = place_seen(replace(seen, path=path), options, lens)
     return replace(filmed, assumed=[line, *filmed.assumed])
 
 
@@ -144,16 +145,13 @@ def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Se
         fix = 'tape tags of `kinpole film --print` on the links, and film nearer, in more light'
         fix = 'give --scale' if options.points else fix
         raise _no_tags(video.path, seen, finder, video.cut, fix)
-    return replace(seen, dots=np.array(places), turns=video.turns)
+    return replace(seen, dots=np.array(places), turns=video.turns, path=video.path)
 
 
 def _no_tags(path: str, seen: Seen, finder: TagFinder, damage: str, fix: str) -> FilmError:
     """Return the error of a film without tags that can be used."""
     if finder.mirrored and not seen.unused:
-        return FilmError(
-            f'{path} shows tags of family {finder.mirrored} as in a mirror; fix: mirror it, as by '
-            'ffmpeg -i IN -vf hflip OUT.mp4'
-        )
+        return mirror_fault(path, finder, 'mirror it, as by ffmpeg -i IN -vf hflip OUT.mp4')
     if any(finder.twice.values()):
         fix = 'print a number once, and tape another tag on each link'
     texts = [f'seen and not used: {"; ".join(seen.unused)}'] if seen.unused else []
@@ -162,6 +160,11 @@ def _no_tags(path: str, seen: Seen, finder: TagFinder, damage: str, fix: str) ->
         f'{path} shows no tag: none was found in {LEAST_PICTURES} or more of its '
         f'{len(seen.stamps)} pictures{notes}; fix: {fix}'
     )
+
+
+def mirror_fault(source: str, finder: TagFinder, fix: str) -> FilmError:
+    """Return the error of a film or a camera whose pictures are mirrored."""
+    return FilmError(f'{source} shows tags of family {finder.mirrored} as in a mirror; fix: {fix}')
 
 
 def gather(

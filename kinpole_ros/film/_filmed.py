@@ -174,7 +174,8 @@ class Seen:
     What the pictures show: tags, stamps (T,), and pixels of corners (T, n, 4, 2), dots (T, m, 2).
 
     `picture` is the width and height of one, which was turned to the left by so many quarter turns.
-    `unused` are tags that were found and left out, each with its cause.
+    `unused` are tags that were found and left out, each with its cause. `path` is that of the film,
+    '' of a live camera.
     """
 
     tags: list[int]
@@ -185,3 +186,8 @@ class Seen:
     family: str
     turns: int = 0
     unused: tuple[str, ...] = ()
+    path: str = ''
+
+    def refused(self, text: str) -> FilmError:
+        """Return the error of a film whose tags cannot be placed."""
+        return FilmError(f'{self.path}: {text}' if self.path else text)

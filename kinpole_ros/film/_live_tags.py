@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from kinpole_ros.film._decoder import FilmError
-from kinpole_ros.film._film import gather
+from kinpole_ros.film._film import gather, mirror_fault
 from kinpole_ros.film._filmed import Filmed, FilmOptions, marker_names
 from kinpole_ros.film._ground import leave_out_hidden
 from kinpole_ros.film._lens import Lens
@@ -27,7 +27,7 @@ class LiveTags:
 
     The map to the plane is learned from the first pictures with tags, and kept. `learned` is None
     until then. `lens` is the camera if it is known otherwise than by a file. Raises FilmError for a
-    camera that moves, and for options of videos.
+    camera that moves or mirrors, and for options of videos.
     """
 
     def __init__(self, options: FilmOptions, lens: Lens | None = None) -> None:
@@ -38,6 +38,7 @@ class LiveTags:
         self._options, self._lens = options, lens
         self._finder = TagFinder(options.family)
         self._found: list[tuple[list[int], np.ndarray]] = []
+        self._without_tags = 0  # pictures since the last one with tags
         self._known: list[int] = []  # tags, in the order of their markers
 
     def find(self, gray: np.ndarray) -> tuple[list[str], np.ndarray]:
@@ -47,6 +48,10 @@ class LiveTags:
         A tag has its columns from its first picture on, with NaN where it is hidden.
         """
         tags, places = self._finder.find(gray)
+        self._without_tags = 0 if tags else self._without_tags + 1
+        if self.learned is None and self._finder.mirrored and self._without_tags >= _LEARNED:
+            fix = 'switch that off, as by v4l2-ctl --set-ctrl horizontal_flip=0'
+            raise mirror_fault('the camera', self._finder, fix)
         height, width = gray.shape
         return self.place(tags, places, (width, height))
 

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._filmed import Filmed, FilmOptions, Seen
 from kinpole_ros.film._ground import (
     PlaneMap,
@@ -56,7 +55,7 @@ def place_seen(
         placed = _place_tags(seen, pixels, options, lens, may_turn)
         corners, heights, maps, assumed, lifted = placed
         if lifted is not None and options.points:
-            raise FilmError(
+            raise seen.refused(
                 '--points are placed in the plane of motion, which is seen from its side, as the '
                 'tags turn out of the picture; fix: leave them out, or film along the axis'
             )
@@ -119,18 +118,18 @@ def _place_tags(
 def _placed_in_space(seen: Seen, turning: Turning, options: FilmOptions, pixel: float) -> _Placed:
     """Return tags that turn out of the picture, in the axes of the ground; raises FilmError."""
     if turning.residual * pixel > _MOST_OFF_PLANE * options.size:
-        raise FilmError(
+        raise seen.refused(
             f'the tags turn out of the picture, and are {turning.residual:.2g} pixels off any '
             'motion in one plane: the camera moves, or the motion is in space; fix: hold the '
             'camera by a tripod, and see that each tag is stiff'
         )
     if not turning.deviation < _MOST_UNCERTAIN:
-        raise FilmError(
+        raise seen.refused(
             'the tags turn out of the picture, and show the axis of their motion to '
             f'{np.degrees(turning.deviation):.2g} deg only; fix: film a wider motion'
         )
     if turning.scatter > _MOST_SCATTER * options.size:
-        raise FilmError(
+        raise seen.refused(
             f'the tags turn out of the picture, and their poses are known to '
             f'{turning.along * 1e3:.2g} mm only along the line of sight, too little for tags of '
             f'{options.size * 1e3:.4g} mm; fix: larger tags, or nearer, or film along the axis '
@@ -179,7 +178,7 @@ def _lost_text(
     if lens is None:
         fix += ', or give --camera FILE, by which tags are placed in space'
     if np.isfinite(corners).all(axis=2).sum(axis=0).max() < LEAST_PICTURES:
-        raise FilmError(f'{text}; fix: {fix}')
+        raise seen.refused(f'{text}; fix: {fix}')
     return f'; {text} ({fix})'
 
 

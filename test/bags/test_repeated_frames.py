@@ -6,7 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinpole_ros.bags import BagError, import_points, leave_out_repeats, read_frames
+from kinpole_ros.bags import (
+    BagError,
+    import_points,
+    leave_out_repeats,
+    read_frames,
+    replay,
+    write_points,
+)
+from kinpole_ros.settings import Settings
 
 ARMS = np.array([0.04, 0.09 + 0.01j, 0.3])
 
@@ -57,7 +65,7 @@ def test_the_rate_before_a_conversion_is_found(
     repeats = len(stamps) - len(kept.stamps)
     assert kept.note == (
         f'{repeats} of {len(stamps)} pictures repeat the one before, as a converter makes them '
-        f'from {before:.4g} to {after:.4g} Hz, and are left out'
+        f'from {before:.4g} to {after:.4g} Hz'
     )
 
 
@@ -91,7 +99,7 @@ def test_where_the_last_picture_stands_for_a_lost_one_stamps_are_right() -> None
     stamps, points, shown = converted(taken, 30, 5e-5, turning)
     kept = leave_out_repeats('f', 'pictures', stamps, points)
     np.testing.assert_allclose(kept.stamps * 1e-9, shown[kept.is_kept], atol=1e-8)
-    assert kept.note == '4 of 149 pictures repeat the one before, and are left out'
+    assert kept.note == '4 of 149 pictures repeat the one before'
 
 
 def test_a_given_rate_is_that_of_pictures_that_repeat_no_other() -> None:
@@ -130,3 +138,17 @@ def test_a_table_of_such_a_film_is_imported_at_the_rate_of_the_film(tmp_path: Pa
     read = np.concatenate([part.stamps for part in frames])
     assert len(read) == len(np.unique(taken))
     np.testing.assert_allclose(np.diff(read), 1e9 / 24, atol=2)
+
+
+@pytest.mark.parametrize('is_film', [True, False])
+def test_replay_blames_a_tracker_for_no_repeats_of_a_film(is_film: bool, tmp_path: Path) -> None:
+    number = np.arange(300)
+    shown = number * 4 // 5 if is_film else number - (number % 9 == 8)
+    points = turning(number / (24 if is_film else 30))[:, :2]
+    points = (points + 2e-5 * np.random.default_rng(2).standard_normal(points.shape))[shown]
+    stamps = np.rint(number * 1e9 / 30).astype(np.int64)
+    bag = tmp_path / 'markers.mcap'
+    write_points(bag, ['a', 'b'], stamps, np.pad(points, ((0, 0), (0, 0), (0, 1))))
+    lines = ' '.join(replay(bag, Settings()).misnamed)
+    assert ('as a converter makes them from 24 to 30 Hz, and the stamps' in lines) == is_film
+    assert ('send nothing of a body that it lost' in lines) != is_film

@@ -107,6 +107,15 @@ TABLES: dict[str, Table] = {
     'velocities before their markers': Table(
         rows('t,A_x,A_y,v_A_x,v_A_y', TIMES, A, SPEED), ('A',), unread=('v_A_x', 'v_A_y'),
     ),
+    'velocities before their markers, places too': Table(
+        rows('t,pos_A_x,pos_A_y,vel_A_x,vel_A_y', TIMES, A, SPEED), ('pos_A',),
+        unread=('vel_A_x', 'vel_A_y'),
+    ),
+    'a force and a moment beside markers': Table(
+        rows('t,A_x,A_y,B_x,B_y,F_x,F_y,M_z', TIMES, A, B, SPEED, ZERO), ('A', 'B'), (A, B),
+        ('F_x', 'F_y', 'M_z'),
+    ),
+    'a marker F': Table(rows('t,E_x,E_y,F_x,F_y', TIMES, A, B), ('E', 'F'), (A, B)),
     'velocities beside p': Table(
         rows('t,p_x,p_y,v_x,v_y', TIMES, A, SPEED), ('p',), unread=('v_x', 'v_y'),
     ),
@@ -213,6 +222,17 @@ TABLES: dict[str, Table] = {
         long('frame,marker_id,cX,cY', lambda k, p: f'{k},{p},{xy(k, p, 1e3)}'),
         ('0', '1'), (A, B), options=PX, down=True,
     ),
+    'ArUco, centers by their word': Table(
+        long('frame,marker_id,center_x,center_y', lambda k, p: f'{k},{p},{xy(k, p, 1e3)}'),
+        ('0', '1'), (A, B), options=PX, down=True,
+    ),
+    'ArUco, numbered corners': Table(
+        long('frame,id,x1,y1,x2,y2,x3,y3,x4,y4', lambda k, p: (
+            f'{k},{p},' + ','.join(4 * [xy(k, p, 1e3)])
+        )),
+        tuple(f'{tag}.point{k}' for tag in '01' for k in range(1, 5)), (*4 * [A], *4 * [B]),
+        options=PX, down=True,
+    ),
     'ArUco, places': Table(
         long('time,id,tvec_x,tvec_y,tvec_z,rvec_x,rvec_y,rvec_z', lambda k, p: (
             f'{TIMES[k]:.2f},{p},{xy(k, p)},0,1,2,3'
@@ -241,6 +261,11 @@ TABLES: dict[str, Table] = {
         'Number of frames:\t12\nFrequency:\t100.0\nUnits:\tmm\n\n'
         + rows('Frame\tmarker_1 x\tmarker_1 y\tmarker_1 z', np.arange(COUNT), A * 1e3, ZERO,
                mark='\t'),
+        ('marker_1',),
+    ),
+    'NDI, cells': Table(
+        'Number of frames:,12\nFrequency:,100.0\nUnits:,mm\n\n'
+        + rows('Frame,marker_1 x,marker_1 y,marker_1 z', np.arange(COUNT), A * 1e3, ZERO),
         ('marker_1',),
     ),
     'Visual3D': Table(

@@ -27,6 +27,10 @@ distortions = {ALL}\nrotation = [ 0.0, 0.0, 0.0,]\n\n[metadata]\nadjusted = fals
 FILES = {
     'rows.yaml': f'camera_matrix: {MATRIX.tolist()}\ndist_coeff: [{ALL}]\nsize: [1280, 720]\n',
     'camera.json': json.dumps({'K': MATRIX.tolist(), 'D': LENS.tolist(), 'size': SIZE}),
+    'sizes.json': json.dumps({'mtx': MATRIX.tolist(), 'dist': [LENS.tolist()], 'img_size': SIZE}),
+    'flat.yaml': '%YAML 1.2\n---\ncameraMatrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n'
+    f'   data: {FLAT}\ndistCoeffs: !!opencv-nd-matrix\n   sizes: [ 5 ]\n   dt: d\n   data: {ALL}\n'
+    'imageSize: [ 1280, 720 ]\n',
     'ost.txt': OST,
     'echo.yaml': ECHO % 'plumb_bob',
     'empty.yaml': ECHO % "''",
@@ -80,7 +84,8 @@ def test_a_file_of_kalibr_has_four_numbers_and_four_coefficients(tmp_path: Path)
         ('', 'it has no camera_matrix'),
         ('<a>', 'is not the file of a camera'),
         ('<!DOCTYPE a [<!ENTITY b "c">]><a/>', 'it defines entities'),
-        ('[1, 2]', 'is not the file of a camera'),
+        ('[1, 2]', 'it has no camera_matrix'),
+        ('# Camera list\n1 OPENCV 1280 720 900 901 640 360\n', 'it has no camera_matrix'),
     ],
 )
 def test_what_a_file_lacks_is_named(text: str, fault: str, tmp_path: Path) -> None:

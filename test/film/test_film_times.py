@@ -188,7 +188,7 @@ def test_images_of_all_encodings_have_their_brightness(encoding: str) -> None:
         _frame('x', own)
 
 
-def test_what_a_bag_lacks_is_named(tmp_path: Path) -> None:
+def test_what_a_bag_lacks_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / 'two.mcap'
     data = [message(IMAGE, np.zeros((64, 64), np.uint8), 0)]
     with BagWriter(path) as bag:
@@ -196,6 +196,9 @@ def test_what_a_bag_lacks_is_named(tmp_path: Path) -> None:
             bag.write_many([(topic, message_class(IMAGE), [7], data)])
     with pytest.raises(FilmError, match='several topics of pictures, /left, /right; fix: name one'):
         read_film(path)
+    for command, output in (('import', 'a.mcap'), ('replay', 'a.mcap'), ('discover', 'a.yaml')):
+        assert main([command, str(path), '--output', str(tmp_path / output)]) == 2
+        assert f'fix: `kinpole film {path} --output' in capsys.readouterr().err
     video = Video(path, None, '/left')
     assert stamps_of(video).tolist() == [7]
     assert video.clock == 'by the log times of /left, whose headers have no stamps'

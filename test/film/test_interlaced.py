@@ -4,6 +4,7 @@ from pathlib import Path
 
 import av
 import numpy as np
+import pytest
 from rendered import FOUR_BAR, Camera, Film
 
 from kinpole_ros.film import FilmOptions, read_film
@@ -49,3 +50,21 @@ def test_numbered_fields_are_two_to_a_frame(tmp_path: Path) -> None:
     found = [(picture.stamp, picture.gray.mean()) for picture in video.pictures()]
     assert [stamp for stamp, _ in found] == [5_000_000 * k for k in range(8)]
     assert [gray for _, gray in found] == sorted(gray for _, gray in found)
+
+
+@pytest.mark.parametrize(('codec', 'name', 'size'), [
+    ('mpeg2video', 'tape.mpg', (96, 64)), ('dvvideo', 'tape.avi', (720, 576)),
+])  # fmt: skip
+def test_films_of_camcorders_are_read(codec: str, name: str, size: tuple, tmp_path: Path) -> None:
+    """Converted, they would lose that they are interlaced."""
+    with av.open(str(tmp_path / name), 'w') as container:
+        stream = container.add_stream(codec, rate=25)
+        stream.width, stream.height = size
+        stream.pix_fmt = 'yuv420p'
+        for k in range(4):
+            gray = np.full((size[1] * 3 // 2, size[0]), 60 + 20 * k, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(gray, 'yuv420p')))
+        container.mux(stream.encode())
+    found = [(picture.stamp, picture.gray.mean()) for picture in Video(tmp_path / name).pictures()]
+    assert {stamp % 20_000_000 for stamp, _ in found} == {0}
+    assert found[0][1] == pytest.approx(60, abs=3) and found[-1][1] == pytest.approx(120, abs=3)

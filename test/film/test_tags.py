@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rendered import Camera, Film, bits
 
-from kinpole_ros.film import FilmError, FilmOptions, print_sheet, read_film
+from kinpole_ros.film import FilmError, FilmOptions, LiveTags, print_sheet, read_film
 from kinpole_ros.film._families import FAMILIES, largest, smallest
 from kinpole_ros.film._film import gather
 from kinpole_ros.film._placing import place_seen
@@ -84,6 +84,13 @@ def test_a_mirrored_film_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     path = film.write(tmp_path / 'mirrored.mp4')
     with pytest.raises(FilmError, match='shows tags of family 36h11 as in a mirror; fix: mirror'):
         read_film(path)
+
+
+def test_a_live_camera_that_mirrors_is_named() -> None:
+    live, mirrored = LiveTags(FilmOptions()), np.ascontiguousarray(picture()[:, ::-1])
+    with pytest.raises(FilmError, match='the camera shows tags of family 36h11 as in a mirror'):
+        for _ in range(60):
+            live.find(mirrored)
 
 
 def test_tags_that_are_seen_and_not_used_are_named() -> None:

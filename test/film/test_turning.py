@@ -161,8 +161,10 @@ def test_without_a_camera_a_line_says_so_and_how_often() -> None:
 def test_a_motion_in_space_is_named() -> None:
     both = [turn(0, 0, 0.4 * np.sin(2 * t)) for t in TIMES]
     corners = np.stack([c @ r.T for c, r in zip(DOOR.corners(), both, strict=True)])
-    with pytest.raises(FilmError, match=r'pixels off any motion in one plane: the camera moves'):
-        place_seen(seen_from(corners), FilmOptions(size=DOOR.size), LENS)
+    seen = replace(seen_from(corners), path='door.mp4')
+    cause = r'door.mp4: .* pixels off any motion in one plane: the camera moves'
+    with pytest.raises(FilmError, match=cause):
+        place_seen(seen, FilmOptions(size=DOOR.size), LENS)
 
 
 def test_dots_are_not_placed_in_a_plane_that_is_seen_from_its_side() -> None:

@@ -23,7 +23,7 @@ from kinpole_ros.bags._files import (
     BagError,
     Truncated,
 )
-from kinpole_ros.bags._marker_frames import read_frames
+from kinpole_ros.bags._marker_frames import film_fix, read_frames
 from kinpole_ros.bags._storages import ros1_messages, ros1_topics
 from kinpole_ros.bags.formats import _series
 from kinpole_ros.bags.formats._cells import check_cells, check_names, number_names, shown
@@ -166,7 +166,8 @@ def _choose_topics(file: File, types: dict[str, str]) -> list[str]:
             return topics
     listed = ', '.join(f'{topic} ({kind})' for topic, kind in sorted(types.items())[:10])
     raise BagError(
-        f'{file.path} has no topic of markers or poses, only {listed or "none"}; fix: record one'
+        f'{file.path} has no topic of markers or poses, only {listed or "none"}; fix: '
+        f'{film_fix(file.path, types) or "record one"}'
     )
 
 

@@ -23,7 +23,7 @@ _MOST_TITLE_ROWS = 10  # titles and comments above the names of columns
 _MOST_UNIT_ROWS = 3  # short names and units below them
 _LENGTHS = '|'.join(sorted({*UNITS, *PIXELS, 'mm', 'millimeters'}, key=len, reverse=True))
 _UNIT = re.compile(
-    r'\bunits?\b[^:=,;\t]*[:=,;\t ]\s*\(?(?P<any>[A-Za-zµ]+)'
+    r'\bunits?\b[^:=,;\t]*[:=,;\t ]+\(?(?P<any>[A-Za-zµ]+)'
     rf'|\b(?:in|all)\s+(?P<known>{_LENGTHS})\b'
     rf'|[(\[](?P<alone>{_LENGTHS})[)\]]',
     re.IGNORECASE,

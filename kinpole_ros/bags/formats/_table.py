@@ -51,6 +51,8 @@ _FRAME = re.compile(
 _IN_FRAMES = re.compile(r't(?:ime)? ?[(\[]frames?[)\]]', re.IGNORECASE)  # of MTrackJ
 # Points that only pictures have: the corners of tags.
 _CORNER = re.compile(r'(?:top|bottom)[ _]?(?:left|right)|corner[ _]?[0-9]', re.IGNORECASE)
+# By scripts that find tags in pictures: center_x, center_y, or x1, y1, ... x4, y4.
+_OF_TAGS = {'center'}, {'centre'}, {f'point{k}' for k in range(1, 5)}
 _FAR = 50.0  # m: beyond, points of a tracker of particles or tags are in another unit
 _LIKELIHOODS = ('likelihood', 'score', 'confidence', 'visibility', 'presence')
 
@@ -318,6 +320,7 @@ def _usual_unit(
     titles = {title.lower() for title in header}
     if _is_trackmate(header):
         return ''
+    is_far = long is not None and np.nanmax(np.abs(points[..., :2]), initial=0.0) > _FAR
     is_in_picture = (
         {'particle', 'frame'} <= titles  # trackpy
         or all(of['y'] < of['x'] for of in layout.points.values())  # rows and columns of a picture
@@ -325,11 +328,11 @@ def _usual_unit(
         or {'cx', 'cy'} <= titles  # the center of a contour or a tag
         or (titles >= {'seconds', 'x1', 'y1'} and len(titles) % 2 == 1)  # idtracker.ai
         or any(title.startswith('probid') for title in titles)  # idtracker
+        or (is_far and layout.points.keys() in _OF_TAGS)
     )
     if is_in_picture:
         return 'px'
     # Lines above the names that say the rate alone may say the unit in other words.
-    is_far = long is not None and np.nanmax(np.abs(points[..., :2]), initial=0.0) > _FAR
     return '' if about.rate or is_far else 'm'
 
 

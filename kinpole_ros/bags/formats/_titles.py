@@ -56,6 +56,7 @@ _NO_PLACES = frozenset(
 )
 _LETTERS = frozenset(('v', 'a', 'f', 'w', 'j', 'd', 'u', 'dv', 'alpha', 'mom'))
 _NO_PLACES_OF_ROS = frozenset(('scale', 'color', 'normal', 'axis', 'magnetic', 'field'))
+_MOMENTS = ('M', 'T')
 # Of units that are no lengths; those with a / are others.
 _NO_LENGTHS = frozenset(
     ('n', 'kn', 'lbf', 'nm', 'n·m', 'n*m', 'n.m', 'nmm', 'rad', 'deg', '°', 'degrees', 'g', 'kg')
@@ -90,6 +91,12 @@ class _Group(NamedTuple):
         while words and words[-1] in _AROUND:
             words = words[:-1]
         return words[1:] if words[:1] in (('field',), ('msg',)) else words
+
+    @property
+    def bare(self) -> tuple[str, ...]:
+        """Return the stem without a word of places before it, as of "pos_A"."""
+        stem = self.stem
+        return stem[1:] if stem[:1] and stem[0] in _PLACES else stem
 
 
 def find_columns(header: Sequence[str]) -> Layout:
@@ -173,9 +180,14 @@ def _is_no_place(group: _Group, groups: Sequence[_Group]) -> bool:
     kind = words[-1].rstrip('0123456789')
     if kind in _NO_PLACES or (is_of_ros and kind in _NO_PLACES_OF_ROS):
         return True
+    others = [other for other in groups if other is not group]
+    # A marker, as of L, M and N, has x and y; a moment in the plane has z alone, beside a force F.
+    moments = [one for one in groups if one.name in _MOMENTS and one.columns.keys() == {'z'}]
+    if group in moments or (moments and group.name == 'F'):
+        return True
     if group.name == 'A':
         return False  # a marker, as of A, B and C; an acceleration is a
-    stems = {other.stem for other in groups if other is not group}
+    stems = {stem for other in others for stem in (other.stem, other.bare)}
     names = {other.words for other in groups}
     # p_x beside v_x is the place of which that is the velocity.
     stems |= {name[:-1] for name in names if name[-1:] in (('p',), ('r',), ('s',))
