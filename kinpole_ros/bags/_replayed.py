@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 from kinpole_ros.bags._files import Truncated
 from kinpole_ros.messages import faults
 from kinpole_ros.settings import Settings
+from kinpole_ros.tracking.clock import StampState
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.marker_rows import find_rows
 from kinpole_ros.tracking.outages import Outage
 from kinpole_ros.tracking.rejection import HELD
 from kinpole_ros.tracking.space import SpaceReport, updated
-from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.tracker import Tracker
 from kinpole_ros.tracking.values import MOST_PAIRED_BODIES, POLE_NAMES
 
