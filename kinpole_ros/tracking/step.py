@@ -98,6 +98,7 @@ class Step:
         finish_call(self._call, 0)
         known.bodies, known.width = bodies.shape.shape
         fields = bodies.placement._asdict() | bodies.fitting._asdict() | vars(bodies)
+        fields['reference'] = bodies.reference
         for name in BodyArrays.elements:
             known.bind(name, np.ascontiguousarray(fields[name]))
         self.bind_history()
