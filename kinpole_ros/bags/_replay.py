@@ -219,8 +219,7 @@ class _Replaying:
         outcome.concatenated = _unlisted_files(self._bag)
         if self._positions is not None:
             outcome.scene_positions = self._positions.report()
-        _replayed.finish(outcome, self._tracker, self._converted())
-        return outcome
+        return _replayed.finish(outcome, self._tracker, self._converted())
 
     def _converted(self) -> str:
         """Say how frames repeat others, as of a film whose rate was changed; '' if they do not."""

@@ -1,13 +1,15 @@
 """The outcome of a replay, for the command line, batches and Python."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import compress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from kinpole_ros.bags._files import Truncated
 from kinpole_ros.findings import Finding
 from kinpole_ros.messages import faults
 from kinpole_ros.settings import Settings
+from kinpole_ros.tracking.clock import StampState
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.marker_rows import find_rows
@@ -15,7 +17,6 @@ from kinpole_ros.tracking.outages import Outage
 from kinpole_ros.tracking.reasons import KNOWN
 from kinpole_ros.tracking.rejection import HELD
 from kinpole_ros.tracking.space import SpaceReport, updated
-from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.tracker import Tracker
 from kinpole_ros.tracking.values import MOST_PAIRED_BODIES, POLE_NAMES
 
@@ -27,10 +28,10 @@ _LATEST = 2**63 - 1  # ns; ROS has no later time
 _COUNTED = ('frames', 'unreadable', 'repeated', 'late', 'lost', 'resets', 'frame_changes')
 
 
-@dataclass
+@dataclass(frozen=True)
 class Replayed:
     """
-    The outcome of a replay, which the functions of this module fill.
+    The outcome of a replay.
 
     Attributes
     ----------
@@ -118,22 +119,46 @@ class Replayed:
     outages: dict[str, Outage] = field(default_factory=dict)
 
 
-def begin(settings: Settings, tracker: Tracker) -> Replayed:
-    """Return the outcome of a replay that has no frames yet."""
+@dataclass
+class ReplayedSoFar:
+    """
+    What a replay has found so far, as fields of `Replayed`.
+
+    `determined` has the numbers of instants at which poles are determined, by body and pole.
+    """
+
+    space: SpaceReport
+    determined: dict[str, dict[str, int]]
+    absent: dict[str, list[str]]
+    unknown: dict[str, int]
+    estimates: int = 0
+    problem: str = ''
+    empty: int = 0
+    truncated: Truncated | None = None
+    first: int = _LATEST
+    last: int = 0
+    identities: tuple[str, ...] = ()
+    concatenated: list[str] = field(default_factory=list)
+    scene_positions: 'PositionReport | None' = None
+    misnamed: list[Finding] = field(default_factory=list)
+    pose_problem: str = ''
+
+
+def begin(settings: Settings, tracker: Tracker) -> ReplayedSoFar:
+    """Return what a replay has found that has no frames yet."""
     absent = {body: list(names) for body, names in settings.bodies.items() if names}
     for body in settings.shapes if settings.marker_identity == 'shape' else ():
         absent.pop(body, None)
     poles = POLE_NAMES[: settings.highest_order]
-    return Replayed(
-        tracker.space(),
+    return ReplayedSoFar(
+        space=tracker.space(),
         determined={body: dict.fromkeys(poles, 0) for body in tracker.bodies},
-        first=_LATEST,
         absent=absent,
         unknown=dict.fromkeys(tracker.bodies, KNOWN),
     )
 
 
-def add_frames(outcome: Replayed, frames: MarkerFrames) -> None:
+def add_frames(outcome: ReplayedSoFar, frames: MarkerFrames) -> None:
     """Add frames (T,) before the tracker takes them."""
     outcome.first = min(outcome.first, int(frames.stamps.min()))
     outcome.last = max(outcome.last, int(frames.stamps.max()))
@@ -150,7 +175,7 @@ def add_frames(outcome: Replayed, frames: MarkerFrames) -> None:
         outcome.absent = {body: names for body, names in absent.items() if names}
 
 
-def add_estimate(outcome: Replayed, estimate: Estimate) -> None:
+def add_estimate(outcome: ReplayedSoFar, estimate: Estimate) -> None:
     """Add the estimates (T,) of consecutive instants."""
     outcome.estimates += len(estimate)
     for b, poles in enumerate(outcome.determined.values()):
@@ -163,29 +188,13 @@ def add_estimate(outcome: Replayed, estimate: Estimate) -> None:
             outcome.unknown[body] = int(reasons[-1])
 
 
-def finish(outcome: Replayed, tracker: Tracker, converted: str = '') -> None:
+def finish(outcome: ReplayedSoFar, tracker: Tracker, converted: str = '') -> Replayed:
     """
-    Add what the tracker knows at the end, and turn numbers of instants into shares.
+    Return the outcome, with what the tracker knows at the end.
 
     `converted` says why frames repeat others, if it is known.
     """
     bodies, counts = tracker.bodies, tracker.update_counts()
-    for name in _COUNTED:
-        setattr(outcome, name, counts[name])
-    # These came, but have no stamps.
-    outcome.lost = max(outcome.lost - outcome.empty, 0)
-    if not outcome.frames:
-        outcome.first = 0
-    for poles in outcome.determined.values():
-        for pole in poles:
-            poles[pole] /= max(outcome.estimates, 1)
-    outcome.noise = dict(zip(bodies, tracker.noise().tolist(), strict=True))
-    residuals = tracker.rigidity_residual().tolist()
-    outcome.rigidity_residual = dict(zip(bodies, residuals, strict=True))
-    outcome.causes = dict(zip(bodies, tracker.causes(), strict=True))
-    outcome.noise_underestimated = [*compress(bodies, tracker.noise_underestimated())]
-    outcome.space = updated(outcome.space, tracker.space())
-    outcome.stamps = tracker.stamp_state()
     told = {**counts, HELD: 0} if converted else counts
     found = [*faults.identity_findings(tracker, told)]
     if converted:
@@ -194,6 +203,28 @@ def finish(outcome: Replayed, tracker: Tracker, converted: str = '') -> None:
     if len(bodies) > MOST_PAIRED_BODIES:
         about = {'count': len(bodies), 'most': MOST_PAIRED_BODIES}
         outcome.misnamed.append(Finding('unpaired', values=about))
-    outcome.erring = tracker.erring()
-    outcome.wrong = dict(zip(bodies, tracker.wrong().tolist(), strict=True))
-    outcome.outages = tracker.outages()
+    estimates = max(outcome.estimates, 1)
+    shares = {
+        body: {pole: number / estimates for pole, number in poles.items()}
+        for body, poles in outcome.determined.items()
+    }
+
+    def by_body(values: Iterable[Any]) -> dict[str, Any]:
+        return dict(zip(bodies, values, strict=True))
+
+    at_end = {
+        'determined': shares,
+        'first': outcome.first if counts['frames'] else 0,
+        # Messages without markers came, but have no stamps.
+        'lost': max(counts['lost'] - outcome.empty, 0),
+        'noise': by_body(tracker.noise().tolist()),
+        'rigidity_residual': by_body(tracker.rigidity_residual().tolist()),
+        'causes': by_body(tracker.causes()),
+        'noise_underestimated': [*compress(bodies, tracker.noise_underestimated())],
+        'space': updated(outcome.space, tracker.space()),
+        'stamps': tracker.stamp_state(),
+        'erring': tracker.erring(),
+        'wrong': by_body(tracker.wrong().tolist()),
+        'outages': tracker.outages(),
+    }
+    return Replayed(**vars(outcome) | {name: counts[name] for name in _COUNTED} | at_end)

@@ -6,12 +6,12 @@ import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.findings import ERROR, STALE, WARN, Finding
+from kinpole_ros.tracking.clock import StampState
 from kinpole_ros.tracking.names import BY_SHAPE, UNCERTAIN
 from kinpole_ros.tracking.placed_frames import OTHERS, RENAMED
 from kinpole_ros.tracking.plane import FIT, Plane, PlaneSetting, as_parameter
 from kinpole_ros.tracking.rejection import HELD
 from kinpole_ros.tracking.space import SpaceReport
-from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.tracker import Tracker
 
 _LISTED_NOTES, _NOTE_CHARACTERS = 3, 120  # notes on identities may be of any number and length

@@ -6,14 +6,16 @@ computed from them when they are first asked for. A quantity that does not excee
 undetermined, for a reason that is named.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from ctypes import addressof
 from functools import cached_property, partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from kinpole_ros import planar
-from kinpole_ros.core.bindings import Motion
+from kinpole_ros.core.bindings import Motion, pass_new_array
+from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.quantities import (
@@ -32,11 +34,13 @@ from kinpole_ros.tracking.quantities import (
 )
 from kinpole_ros.tracking.reasons import (
     KNOWN,
+    REASONS,
     SIGNIFICANT,
+    reasons_of_poses,
     stands_out,
     texts_of,
 )
-from kinpole_ros.tracking.result_layout import INSTANT_AXIS
+from kinpole_ros.tracking.result_layout import FILLED, INSTANT_AXIS, ArrayPart, layout_of
 from kinpole_ros.tracking.values import (
     POLE_NAMES,
     RATE_NAMES,
@@ -49,6 +53,77 @@ from kinpole_ros.tracking.values import (
 
 _Arrays = TypeVar('_Arrays', bound=Vectors | Numbers | FramePoses)
 _Computed = TypeVar('_Computed')
+
+
+class Results(NamedTuple):
+    """
+    The results of up to so many instants, of bodies with some markers, as follow.c fills them.
+
+    Attributes
+    ----------
+    fields : (n,) int64
+        Those of `Results` of frames.h: the number of instants that there is memory for, how many
+        have results, the fewest samples of a window, how many results are of deformed bodies, and
+        where the arrays begin.
+    layout : dict of str to Part
+        Where each array is in the buffer.
+    buffer : ndarray
+        All arrays, from `address` on.
+    of_motion : (m,) int64
+        Where the arrays of `Motion` are in the buffer.
+    instants, orders, bodies : int
+        Sizes of the arrays.
+
+    """
+
+    fields: np.ndarray
+    layout: dict[str, ArrayPart]
+    buffer: np.ndarray
+    address: int
+    of_motion: np.ndarray
+    instants: int
+    orders: int
+    bodies: int
+
+    @property
+    def filled(self) -> int:
+        """How many instants have results."""
+        return int(self.fields[FILLED])
+
+    def array(self, name: str) -> np.ndarray:
+        """Return an array, of all instants that there is memory for."""
+        shape, dtype, offset = self.layout[name]
+        return np.ndarray(shape, dtype, self.buffer, offset)
+
+    def column(self, name: str) -> np.ndarray:
+        """Return an array, of the instants that have results."""
+        array, count = self.array(name), self.filled
+        if count == self.instants:
+            return array
+        return array[(slice(None),) * INSTANT_AXIS.get(name, 0) + (slice(count),)]
+
+    def motion(self) -> Motion:
+        """Return the motion of the instants that have results."""
+        count = self.filled
+        numbers = count * self.bodies, self.instants * self.bodies, self.orders
+        fields = np.empty(len(numbers) + len(self.of_motion), np.int64)
+        fields[: len(numbers)] = numbers
+        np.add(self.of_motion, self.address, out=fields[len(numbers) :])
+        motion = Motion.from_buffer(fields)
+        motion.shape, motion.owners = (count, self.bodies), [self.buffer]
+        return motion
+
+
+def new_results(instants: int, orders: int, bodies: int, markers: int) -> Results:
+    """Return memory for the results of so many instants, with derivatives of so many `orders`."""
+    layout, offsets, of_motion, size = layout_of(instants, orders, bodies, markers)
+    numbers = instants, 0, FEWEST_SAMPLES, 0
+    fields = np.empty(len(numbers) + len(offsets), np.int64)
+    fields[: len(numbers)] = numbers
+    buffer = np.empty(size, np.uint8)
+    address = addressof(pass_new_array(buffer))
+    np.add(offsets, address, out=fields[len(numbers) :])
+    return Results(fields, layout, buffer, address, of_motion, instants, orders, bodies)
 
 
 def _column(name: str) -> Any:
@@ -381,3 +456,53 @@ def _pole(order: int, estimate: Estimate) -> Vectors:
 def _at(instant: int, arrays: _Arrays) -> _Arrays:
     """One instant of arrays (T, ...)."""
     return type(arrays)(*(array[instant] for array in arrays))
+
+
+def estimate_of(
+    parts: Sequence[tuple[Results, np.ndarray]],
+    frame_id: str,
+    bodies: tuple[str, ...],
+    run: int,
+    plane: Plane | None,
+    are_measured: bool,
+    events: tuple[BodyEvent, ...] = (),
+) -> Estimate:
+    """
+    Return results, of one instant after the other, as one estimate.
+
+    Each of the `parts` is with the numbers of the frames of which `due` counts.
+    """
+    results = [part for part, _ in parts]
+    for part, numbers in parts:
+        due, reason = part.column('due'), part.column('reason')
+        due[:] = numbers[due]
+        if plane is None:
+            reason[:] = REASONS['PLANE_UNKNOWN']
+        elif are_measured:
+            reason[:] = reasons_of_poses(reason)
+
+    def stored(name: str) -> np.ndarray:
+        axis = INSTANT_AXIS.get(name, 0)
+        return np.concatenate([part.column(name) for part in results], axis)
+
+    if len(results) == 1:
+        stored = results[0].column
+
+    def column(name: str) -> np.ndarray:
+        return stored('freedom') - 1 if name == 'degree' else stored(name)
+
+    def frame_poses() -> FramePoses:
+        turned, placed = stored('information').swapaxes(0, 1)
+        return FramePoses(
+            angle=stored('frame_angle'),
+            position=stored('frame_position'),
+            angle_information=turned,
+            position_information=placed,
+            middle=stored('middle'),
+            noise=stored('noise'),
+        )
+
+    estimate = Estimate(column, frame_id, bodies, run, plane, frame_poses, events)
+    if len(results) == 1:
+        estimate.compiled_motion = results[0].motion()
+    return estimate

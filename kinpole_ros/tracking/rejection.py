@@ -187,16 +187,6 @@ class Arrivals(NamedTuple):
     last: LastFrame
 
 
-def are_steady(last: LastFrame, stamps: np.ndarray, window: int) -> bool:
-    """Return whether each of the next stamps, ns, follows those before by a window at most."""
-    if not 0 < int(stamps[0]) - last.newest <= window:
-        return False
-    if len(stamps) == 1:
-        return True
-    steps = stamps[1:] - stamps[:-1]
-    return bool(np.minimum.reduce(steps) > 0 and np.maximum.reduce(steps) <= window)
-
-
 def judge_arrivals(
     last: LastFrame,
     stamps: np.ndarray,

@@ -4,13 +4,13 @@ from collections import Counter
 
 import numpy as np
 
+from kinpole_ros.tracking.clock import StampState
 from kinpole_ros.tracking.deformation import TISSUE
 from kinpole_ros.tracking.names import Matcher
 from kinpole_ros.tracking.outages import Outage, named_outages
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.space import SpaceReport
 from kinpole_ros.tracking.state import State
-from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.update import count_new_frames
 
 # Residuals beyond this share of the body size are of markers on other bodies: tissue moves less.

@@ -13,13 +13,12 @@ from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.before_plane import keep_frame, take_again
 from kinpole_ros.tracking.correction import correct_next
 from kinpole_ros.tracking.deformed_results import add_deformation
-from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.estimate import Estimate, Results, estimate_of
 from kinpole_ros.tracking.events import FRAMES_BEHIND, BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import note_gap
 from kinpole_ros.tracking.placed_frames import PlacedFrames
 from kinpole_ros.tracking.rejection import EXCHANGED
-from kinpole_ros.tracking.result_arrays import Results, estimate_of
 from kinpole_ros.tracking.result_layout import DEFORMED, FILLED
 from kinpole_ros.tracking.state import new_totals, start, widen
 from kinpole_ros.tracking.summary import TrackerSummary
@@ -102,7 +101,7 @@ class Tracker(TrackerSummary):
         for frames in parts:
             if not len(frames.stamps):
                 continue
-            is_other = frames.has_poses != self.state.bodies.are_measured
+            is_other = (frames.axes is not None) != self.state.bodies.are_measured
             if frames.frame_id != self.frame_id or is_other:
                 estimates += self._change_frame(frames)
             estimates += self._accept(frames, number, order)
@@ -116,8 +115,8 @@ class Tracker(TrackerSummary):
         used = len(state.history) > 0
         state.totals.counts['frame_changes'] += used
         self.frame_id = frames.frame_id
-        if used or frames.has_poses != state.bodies.are_measured:
-            self._start(frames.has_poses)
+        if used or (frames.axes is not None) != state.bodies.are_measured:
+            self._start(frames.axes is not None)
         return estimates
 
     def _accept(self, frames: MarkerFrames, number: int, order: int | None) -> list[Estimate]:
