@@ -39,6 +39,7 @@ _OFF = 0.05  # of a step: stamps that are more off, along the path alone, are wr
 _ALONG = 3.0  # times the noise across the path
 _ONE_FRAME = 1.3  # as the line through few of them is not the best one
 _TRIED = 300  # frames by which a pattern of missing ones is found: time only
+_PART, _PARTS = 60, 5  # frames of a part, and parts, most of which have a pattern of missing ones
 _CLEARLY = 0.5  # of how far stamps are off otherwise: so far at most by that pattern
 _LEAST_FRAMES = 200  # by which the rate of a film without a pattern is known to 0.5%
 _NTSC = 1.001
@@ -135,9 +136,15 @@ def _without_lost(
         return None
     points = points[:, :: max(1, points.shape[1] // _COLUMNS)]
     found = _pattern_of_lost(frames[:_TRIED], points[:_TRIED])
+    if found != _pattern_of_lost(frames[-_TRIED:], points[-_TRIED:]):
+        found = None
     if found is None:
-        half = max(len(points) // 2, len(points) - _TRIED)
-        if _pattern_of_lost(frames[half:], points[half:]) is None:
+        # Each part has a pattern of its own, as from 29.97 to 25 Hz.
+        width = min(_PART, len(points) // 2)
+        starts = np.linspace(0, len(points) - width, _PARTS).astype(int).tolist()
+        parts = [slice(start, start + width) for start in starts]
+        patterns = [_pattern_of_lost(frames[part], points[part]) for part in parts]
+        if patterns.count(None) > _PARTS // 2:
             return None
         raise BagError(
             f'{path}: a program that changed the rate to {1e9 / interval:.4g} Hz left out {noun}, '
