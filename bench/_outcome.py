@@ -17,7 +17,8 @@ from bench._cases import CASES, Case
 from bench._record import NEAR, quantities, rms, squared_error
 from bench._rigs import Recording, record
 from bench._spoil import Sent, ideal
-from kinpole_ros.messages import DiagnosticsMaker, Output, message_class, result_outputs
+from kinpole_ros.findings import ERROR, WARN, finding_of
+from kinpole_ros.messages import FINDING, DiagnosticsMaker, Output, result_outputs
 from kinpole_ros.planar import to_complex
 from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.estimate import Estimate
@@ -284,13 +285,12 @@ def _pooled(scores: dict[str, np.ndarray]) -> dict[str, float]:
 
 def _words(statuses: list[Any]) -> set[str]:
     """What diagnostics warn of and, of the markers, have counted or named; # is a number."""
-    found = set()
-    kinds = message_class('diagnostic_msgs/msg/DiagnosticStatus')
-    for status in statuses:
-        if status.level in (kinds.WARN, kinds.ERROR):
-            found |= {part for part in status.message.split('; ') if part.count(' ') > 2}
-    found = {part for part in found if not part.startswith(('fix:', 'undetermined:'))}
+    pairs = [pair for status in statuses for pair in status.values]
+    told = [finding_of(pair.value) for pair in pairs if pair.key.startswith(FINDING)]
+    found = {finding.sentence() for finding in told if finding.level in (WARN, ERROR)}
     for pair in statuses[0].values:
+        if pair.key.startswith(FINDING):
+            continue
         number = _NUMBER.fullmatch(pair.value)
         if pair.value != '0' and (number is None or pair.value.isdigit()):
             found.add(pair.key if number else f'{pair.key}: {pair.value}')

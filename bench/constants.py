@@ -89,7 +89,6 @@ _REASONS = {
     'summary.py': 'words of the summary',
     'thresholds.py': 'few frames, and changes of a body',
     'tick_evidence.py': 'stamps that are ticks',
-    'timed_frames.py': 'stamps that repeat',
     'timeline.py': 'stamps before the clock is known',
     'update.py': 'the time of updates',
 }

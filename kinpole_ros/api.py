@@ -21,6 +21,7 @@ from kinpole_ros.planar import to_plane
 from kinpole_ros.settings import Settings, load_settings, settings_from
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.reasons import KNOWN
 from kinpole_ros.tracking.tracker import Tracker
 from kinpole_ros.tracking.values import (
     Numbers,
@@ -414,7 +415,7 @@ def _losses(tracker: Tracker, estimates: list[Estimate]) -> Iterator[str]:
         if counts[key]:
             yield f'{counts[key]} {text}'
     for b, body in enumerate(tracker.bodies):
-        if all((estimate.missing[:, b] != '').all() for estimate in estimates):
+        if all(estimate.reason[:, b].all() for estimate in estimates):
             reason = 'too few frames for window and lag'
             if estimates:
                 reason = estimates[-1].missing[-1, b]
@@ -479,7 +480,7 @@ def _records(
 
 def _body_arrays(estimate: Estimate) -> dict[str, np.ndarray]:
     """Return the fields of all `BodyMotion`, (T, B, ...)."""
-    is_known = estimate.missing == ''
+    is_known = estimate.reason == KNOWN
     arrays = {
         'position': np.where(is_known[..., None], to_plane(estimate.origin(0)), np.nan),
         'angle': np.where(is_known, estimate.angle[0], np.nan),

@@ -185,10 +185,13 @@ def numbers(value: Any) -> Iterator[float]:
     if isinstance(value, float):
         yield value
     elif hasattr(value, 'point_step'):
-        # Of `state`: what is behind four fields of four bytes, in which three are numbers of these.
-        points = np.frombuffer(bytes(value.data), '<f8').reshape(value.width, -1)
-        yield from points[:, 2:].ravel().tolist()
-        yield from points.view('<f4')[:, :3].ravel().tolist()
+        # Of clouds all fields of floating-point numbers: FLOAT32 and FLOAT64.
+        data = np.frombuffer(bytes(value.data), np.uint8).reshape(value.width, -1)
+        floats = {7: '<f4', 8: '<f8'}
+        for field in value.fields:
+            if kind := floats.get(field.datatype):
+                own = data[:, field.offset : field.offset + np.dtype(kind).itemsize]
+                yield from own.copy().view(kind).ravel().tolist()
     elif isinstance(value, list | tuple | array | np.ndarray):
         for item in value:
             yield from numbers(item)
@@ -205,7 +208,7 @@ def figures(messages: Mapping[str, list[Any]]) -> dict[str, dict[int, np.ndarray
 
     A recorder also hears what the node sends to pages and, if it is early, its transitions.
     """
-    others = ('/truth/', '/transition_event', '/view')
+    others = ('/truth/', '/transition_event', '/view', '/rig')
     return {
         topic: {stamp_of(message): np.array(list(numbers(message))) for message in listed}
         for topic, listed in messages.items()

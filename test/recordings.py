@@ -12,8 +12,7 @@ from kinpole_ros.mechanism import BodyMotion, load_scene, marker_positions
 from kinpole_ros.settings import settings_from
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.reasons import PINNED as PINNED_REASON
-from kinpole_ros.tracking.reasons import SLOW_ICR
+from kinpole_ros.tracking.reasons import TABLE
 from kinpole_ros.tracking.tracker import Tracker
 from kinpole_ros.tracking.values import POLE_NAMES
 
@@ -138,7 +137,7 @@ def check(
                 error = np.abs(kappa.value[b] - true)
                 assert error < curvature * max(abs(true), 1 / size), (body, k)
             if not kappa.determined[b]:
-                reason = PINNED_REASON if estimate.pinned[b] else SLOW_ICR
+                reason = TABLE['ON_PIN' if estimate.pinned[b] else 'ICR_IN_NOISE'].text
                 assert estimate.reasons(b)['centrode_curvature'] == reason
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kinpole_ros.mechanism import load_scene
-from kinpole_ros.messages import DiagnosticsMaker, body_faults
+from kinpole_ros.messages import FINDING, DiagnosticsMaker
 from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.settings import Settings
@@ -98,7 +98,8 @@ def test_diagnostics_tell_where_noise_lasts_too_long_to_be_measured(
     noise = noise if cutoff is None else low_passed(noise, cutoff)
     tracker, estimate, _ = tracked(noise, given)
     status = DiagnosticsMaker('kinpole').make(10**18, tracker, estimate, 1.0, {}).status[1]
-    assert (body_faults.SMOOTHED in status.message) == warned
+    codes = [pair.key for pair in status.values if pair.key.startswith(FINDING)]
+    assert codes == [f'{FINDING}smoothed'] * warned
     assert (status.level == DiagnosticStatus.WARN) == warned
 
 

@@ -38,8 +38,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -1104,3 +1105,67 @@ def test_a_node_that_is_subscribed_looks_for_publishers_once_a_second(
         node.close_outputs()
         node.destroy_node()
         rclpy.try_shutdown()
+
+
+@pytest.mark.parametrize('override', [(), ('reliability:=best_effort',)])
+def test_markers_are_asked_for_as_reliably_as_all_publishers_offer(
+    override: tuple[str, ...],
+) -> None:
+    """And again when one joins or leaves, unless the user says how."""
+    words = [f'qos_overrides./markers.subscription.{word}' for word in override]
+    rclpy.init(args=['kinpole', '--ros-args', *itertools.chain(*(('-p', w) for w in words))])
+    node = KinpoleNode()
+
+    def asks_for(expected: ReliabilityPolicy) -> None:
+        deadline = time.monotonic() + LIMIT
+        while True:
+            node.source._update_due = 0.0
+            node.source.update()
+            found = [one.qos_profile.reliability for one in node.source.subscriptions]
+            if found == [expected]:
+                return
+            assert time.monotonic() < deadline, found
+
+    reliable, best_effort = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+    least = best_effort if override else reliable
+    try:
+        offers = [QoSProfile(depth=1, reliability=one) for one in (reliable, best_effort)]
+        node.create_publisher(ros_class(MarkerArray), '/markers', offers[0])
+        asks_for(least)
+        other = node.create_publisher(ros_class(MarkerArray), '/markers', offers[1])
+        asks_for(best_effort)
+        node.destroy_publisher(other)
+        asks_for(least)
+    finally:
+        node.close_outputs()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def test_a_late_subscriber_learns_from_the_rig_what_the_results_are(
+    peer: Peer, tmp_path: Path, by_place: Path
+) -> None:
+    """Also after a change of parameters, which is a new run."""
+    log = tmp_path / 'node.log'
+    with process(*node_words(by_place), log=log), peer.publisher(PointCloud2) as markers:
+        state = peer.hear('/kinpole/state', PointCloud2)
+        stamps = itertools.count(10**9, 10**7)
+        corners = np.array([[0.1, 0, 0], [0, 0.1, 0], [-0.1, 0, 0], [0, -0.1, 0]])
+        frames = (
+            to_message('point_cloud2', stamp, 'world', list('0123'), corners) for stamp in stamps
+        )
+        peer.feed(markers, frames, lambda: len(state) > 50, 'results')
+        qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        rigs: list[dict[str, Any]] = []
+        add = lambda message: rigs.append(json.loads(message.data))  # noqa: E731
+        peer.node.create_subscription(String, '/kinpole/rig', add, qos)
+        peer.until(lambda: rigs, 'what the node says of itself')
+        (body,) = rigs[0]['bodies']
+        assert (body['name'], rigs[0]['frame_id'], rigs[0]['plane']['name']) == (
+            *('rod', 'world', 'xy'),
+        )
+        assert body['size'] == pytest.approx(0.2) and list(body['markers']) == list('0123')
+        peer.set(lag=0.01)
+        peer.until(lambda: rigs[-1]['lag'] == 0.01, 'the new lag')
+        assert rigs[-1]['run'] > rigs[0]['run'] and rigs[-1]['bodies'][0]['size'] is None
+    assert not complaints(tmp_path / 'node.log')

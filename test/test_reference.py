@@ -188,7 +188,6 @@ def test_whatever_point_stands_for_a_body_the_figures_are_the_same() -> None:
         'angle': angle,
         **dict.fromkeys(('position_covariance', 'angle_covariance'), np.zeros((4, *shape))),
         **dict.fromkeys(('size', 'height', 'span', 'degree'), np.ones(shape[1:])),
-        'missing': np.full(shape[1:], '', object),
     }
     names = ('rod', 'other')
     one = Estimate.of_arrays(arrays, 'world', names)

@@ -31,6 +31,7 @@ from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.plane import plane_along
+from kinpole_ros.tracking.reasons import REASONS
 from kinpole_ros.tracking.registered import RegisteredQuantity
 from kinpole_ros.tracking.tracker import Tracker
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Vectors
@@ -42,10 +43,11 @@ BODIES = ('crank', 'coupler')
 # What a message about the ground frame of the markers says of it.
 FRAME = 'rig'
 STEP = 10_000_000
+NOT_SEEN = REASONS['NOT_SEEN']
 
 
 def estimate(
-    stamp: int = 5_000_000_000, order: int = 4, missing: tuple[str, ...] = ('', ''), spin: float = 1
+    stamp: int = 5_000_000_000, order: int = 4, missing: tuple[int, ...] = (0, 0), spin: float = 1
 ) -> Estimate:
     """Two bodies in general motion; `spin` 0 stops their turning."""
     generator = np.random.default_rng(3)
@@ -70,7 +72,7 @@ def estimate(
         'height': np.where(gone, np.nan, [0.25, -0.125]),
         'span': np.array([0.2, 0.2]),
         'degree': np.array([4.0, 4.0]),
-        'missing': np.array(missing),
+        'reason': np.array(missing, np.uint8),
     }
     return Estimate.of_arrays(arrays, FRAME, BODIES)
 
@@ -78,7 +80,7 @@ def estimate(
 def stacked(instants: Sequence[Estimate]) -> Estimate:
     """The instants of one estimate, from each as an estimate of its own."""
     axes = {
-        **dict.fromkeys(('stamp', 'size', 'height', 'span', 'degree', 'missing'), 0),
+        **dict.fromkeys(('stamp', 'size', 'height', 'span', 'degree', 'reason'), 0),
         **dict.fromkeys(('position', 'angle'), 1),
         **dict.fromkeys(('position_covariance', 'angle_covariance'), 2),
     }
@@ -375,7 +377,7 @@ def test_rows_say_the_least_order_they_need() -> None:
 
 
 def test_nothing_is_said_of_a_body_that_is_not_known() -> None:
-    now = estimate(missing=('', 'too few markers seen'))
+    now = estimate(missing=(0, NOT_SEEN))
     for topic, row in rows().items():
         message = row.build(now)
         if topic.startswith('coupler'):
@@ -397,7 +399,7 @@ def test_a_body_that_does_not_turn_has_rates_and_pose_but_no_poles() -> None:
 def test_markers_keep_their_names_and_are_deleted_when_gone() -> None:
     build = rows()['visualization'].build
     start = 5_000_000_000
-    ways: list[dict[str, Any]] = [{}, {}, {'missing': ('', 'gone')}, {'spin': 0}, {}]
+    ways: list[dict[str, Any]] = [{}, {}, {'missing': (0, NOT_SEEN)}, {'spin': 0}, {}]
     arrays = [build(estimate(start + 10 * STEP * k, **way)) for k, way in enumerate(ways)]
     names = [[(marker.ns, marker.id) for marker in array.markers] for array in arrays]
     assert len(set(names[0])) == len(names[0])
@@ -581,7 +583,7 @@ def test_an_undetermined_figure_has_no_deviation_either() -> None:
 
 @pytest.mark.parametrize('plane', [*PLANES, (0.0, -0.5, 0.8)])
 def test_frames_of_bodies_on_tf_are_where_odometry_has_them(plane: Any) -> None:
-    instants = [estimate(5_000_000_000), estimate(5_000_000_000 + STEP, missing=('', 'gone'))]
+    instants = [estimate(5_000_000_000), estimate(5_000_000_000 + STEP, missing=(0, NOT_SEEN))]
     table = {row.topic: row for row in result_outputs(BODIES, plane, frame_prefix='rig/')}
     when, data = table[TF].build(stacked(instants))
     assert when == [0, 0, 1]
@@ -639,7 +641,7 @@ def test_joints_have_the_angle_and_rate_of_one_body_against_the_other() -> None:
 def test_a_joint_with_a_body_that_is_gone_is_left_out() -> None:
     joints = {'pin': ('crank', 'coupler'), 'shaft': ('ground', 'crank')}
     table = {row.topic: row for row in result_outputs(BODIES, 'xy', None, joints)}
-    gone = [('', ''), ('', 'gone'), ('gone', 'gone'), ('', '')]
+    gone = [(0, 0), (0, NOT_SEEN), (NOT_SEEN, NOT_SEEN), (0, 0)]
     instants = [estimate(10**9 + STEP * k, missing=one) for k, one in enumerate(gone)]
     when, data = table['joint_states'].build(stacked(instants))
     assert when == [0, 1, 3]
@@ -721,7 +723,7 @@ def test_all_topics_at_once_say_what_each_says_by_itself() -> None:
     build = joint_build(table)
     tilted = plane_along((0.0, -0.5, 0.8))
     for frame_id, plane in (('rig', None), ('rig', tilted), ('a longer name', None)):
-        for ways in ([{}], [{}, {'spin': 0}, {'missing': ('', 'gone')}, {}]):
+        for ways in ([{}], [{}, {'spin': 0}, {'missing': (0, NOT_SEEN)}, {}]):
             block = stacked([estimate(10**9 + STEP * k, **way) for k, way in enumerate(ways)])
             block.frame_id, block.plane = frame_id, plane
             expected = [(k, data) for k, row in enumerate(table) for data in row.build(block)[1]]
@@ -741,7 +743,7 @@ def test_an_estimate_that_lacks_derivatives_or_bodies_is_refused() -> None:
 
 
 def test_many_instants_at_once_say_what_they_say_one_by_one() -> None:
-    ways: list[dict[str, Any]] = [{}, {}, {}, {'missing': ('', 'gone')}, {'spin': 0}]
+    ways: list[dict[str, Any]] = [{}, {}, {}, {'missing': (0, NOT_SEEN)}, {'spin': 0}]
     stamps = np.random.default_rng(1).choice([STEP // 4, STEP, 3 * STEP], 200).cumsum()
     instants = [
         estimate(5_000_000_000 + int(stamp), **ways[k // 7 % len(ways)])

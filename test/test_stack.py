@@ -111,7 +111,7 @@ def _part(estimate: Estimate, rows: Any) -> Estimate:
     """Some instants of an estimate, as one."""
     derivatives = ('position', 'angle', 'position_covariance', 'angle_covariance')
     arrays = {name: getattr(estimate, name)[..., rows, :] for name in derivatives}
-    for name in ('stamp', 'size', 'height', 'span', 'degree', 'missing'):
+    for name in ('stamp', 'size', 'height', 'span', 'degree', 'reason'):
         arrays[name] = getattr(estimate, name)[rows]
     return Estimate.of_arrays(arrays, estimate.frame_id, estimate.bodies, estimate.run)
 

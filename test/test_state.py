@@ -13,15 +13,21 @@ from test_results import FRAME, PLANES, estimate, placed, stacked
 from kinpole_ros import messages
 from kinpole_ros.bags import read_messages, replay
 from kinpole_ros.messages import STATE, Output, read_state, result_outputs, state_fields
-from kinpole_ros.messages._state import state
+from kinpole_ros.messages._state import read_state_blocks, reason_fields, state
 from kinpole_ros.settings import load_settings
 from kinpole_ros.tracking.plane import XY
+from kinpole_ros.tracking.reasons import KNOWN, REASONS
 from kinpole_ros.tracking.registered import RegisteredQuantity
 from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors
 
 ROOT = Path(__file__).parents[1]
 BODIES = ('crank', 'coupler', 'rocker')
-DTYPES = {PointField.FLOAT32: '<f4', PointField.FLOAT64: '<f8', PointField.UINT32: '<u4'}
+DTYPES = {
+    PointField.FLOAT32: '<f4',
+    PointField.FLOAT64: '<f8',
+    PointField.UINT32: '<u4',
+    PointField.UINT8: 'u1',
+}
 
 
 def points_of(cloud: Any) -> np.ndarray:
@@ -207,12 +213,13 @@ def test_fields_go_up_to_the_order_of_the_derivatives(order: int) -> None:
 
 
 def test_a_body_that_is_not_seen_is_zero_and_undetermined_and_one_that_rests_has_no_pole() -> None:
-    now = estimate(missing=('not seen', ''), spin=0)
+    now = estimate(missing=(REASONS['NOT_SEEN'], 0), spin=0)
     at, (data,) = output().build(stacked([now]))
     assert at == [0]
     points = points_of(deserialize_message(data, PointCloud2))
     assert points['determined'].tolist() == [0, 0b11111]
-    assert not any(points[name][0] for name in points.dtype.names or ())
+    numbers = [name for name in points.dtype.names or () if not name.endswith('_reason')]
+    assert not any(points[name][0] for name in numbers)
     assert points['position_x'][1] and not points['icr_x'][1]
 
 
@@ -232,24 +239,31 @@ def test_instants_at_once_are_those_one_by_one() -> None:
     assert together == alone
 
 
-@pytest.mark.parametrize('order', [2, 3, 4])
-def test_states_of_before_the_inflection_circle_are_read(order: int) -> None:
-    """Bags of results keep their use: all else is as it was."""
-    _, (data,) = output(order=order).build(stacked([estimate(order=order)]))
-    stamp, now = read_state(data)
+def test_states_of_before_the_reasons_are_refused_with_the_fix() -> None:
+    _, (data,) = output().build(stacked([estimate()]))
     cloud = deserialize_message(data, PointCloud2)
-    # Center with covariance, diameter with deviation.
-    added = 5 + 2
-    cloud.fields = cloud.fields[:-added]
-    rows = np.frombuffer(bytes(cloud.data), np.uint8).reshape(cloud.width, -1)[:, : -8 * added]
-    cloud.point_step, cloud.row_step = rows.shape[1], rows.size
-    cloud.data = rows.ravel().copy()
-    before, found = read_state(serialize_message(cloud))
-    assert before == stamp
-    assert set(now) - set(found) == {'inflection_circle', 'inflection_diameter'}
-    for name, quantity in found.items():
-        for part, expected in zip(quantity, now[name], strict=True):
-            np.testing.assert_array_equal(part, expected)
+    cloud.fields = [field for field in cloud.fields if not field.name.endswith('_reason')]
+    with pytest.raises(ValueError, match='again from the markers'):
+        read_state(serialize_message(cloud))
+
+
+@pytest.mark.parametrize('order', [1, 2, 3, 4])
+def test_reasons_are_those_of_the_estimate(order: int) -> None:
+    """A body that is not seen has one for all of it; one that rests has no rotation."""
+    instants = [estimate(missing=(REASONS['NOT_SEEN'], 0), spin=0, order=order)]
+    instants.append(estimate(5_010_000_000, order=order))
+    now = stacked(instants)
+    _, data = output(order=order).build(now)
+    (block,) = read_state_blocks(data)
+    assert block.stamps.tolist() == now.stamp.tolist()
+    assert [*block.reasons] == [*reason_fields(order)] == [*state_fields(order)]
+    np.testing.assert_array_equal(block.reasons['pose'], now.reason)
+    for name, codes in now.withheld().items():
+        np.testing.assert_array_equal(block.reasons[name], codes)
+    for name, quantity in block.quantities.items():
+        known = block.reasons.get(name, block.reasons['pose']) == KNOWN
+        np.testing.assert_array_equal(quantity.determined, known)
+    assert block.reasons['icr'][0].tolist() == [REASONS['NOT_SEEN'], REASONS['NO_ROTATION']]
 
 
 def registered() -> list[RegisteredQuantity]:

@@ -21,14 +21,17 @@ from kinpole_ros.bags._marker_frames import NODE_NAME, frame_blocks, input_topic
 from kinpole_ros.bags._repeated_frames import FEWEST_REPEATS, conversion_fault
 from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._tables import TABLES
+from kinpole_ros.findings import Finding
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.registered import RegisteredQuantity
 from kinpole_ros.tracking.rejection import HELD
 from kinpole_ros.tracking.space import updated
 from kinpole_ros.tracking.tracker import Tracker
 
 _SECOND = 1_000_000_000  # ns
+_RIG_TOPIC = f'/{NODE_NAME}/{messages.RIG}'
 # Topic, type, log times (ns) and messages, as `BagWriter.write_many` takes them.
 Column: TypeAlias = tuple[str, type, Sequence[int], Sequence[bytes]]
 
@@ -165,6 +168,7 @@ class _Replaying:
         self._registered = theory.quantities(tuple(settings.bodies)) if theory else []
         self._outputs = messages.outputs_of(settings, theory)
         compare = theory.comparison() if theory else None
+        self._rig = _RigColumn(self._registered)
         self._diagnostics = _PeriodicDiagnostics(
             messages.DiagnosticsMaker(NODE_NAME, compare, self._topic)
         )
@@ -210,13 +214,12 @@ class _Replaying:
             if isinstance(self._reader, messages.PoseReader):
                 outcome.pose_problem = self._reader.fault()
             elif drawings := self._reader.fault():
-                outcome.misnamed.append(drawings)
+                outcome.misnamed.append(Finding('source', values={'text': drawings}))
             self._check_frames()
         outcome.concatenated = _unlisted_files(self._bag)
         if self._positions is not None:
             outcome.scene_positions = self._positions.report()
-        _replayed.finish(outcome, self._tracker, self._converted())
-        return outcome
+        return _replayed.finish(outcome, self._tracker, self._converted())
 
     def _converted(self) -> str:
         """Say how frames repeat others, as of a film whose rate was changed; '' if they do not."""
@@ -229,6 +232,7 @@ class _Replaying:
 
     def _add_topics(self, writer: BagWriter) -> None:
         """Have all topics in the bag of results, also those without messages."""
+        writer.add_topic(_RIG_TOPIC, messages.String)
         for output in self._outputs:
             writer.add_topic(output.under(f'/{NODE_NAME}'), output.message_type)
         writer.add_topic('/diagnostics', messages.DiagnosticArray)
@@ -256,7 +260,9 @@ class _Replaying:
             _replayed.add_frames(self._outcome, part)
         parts: Iterable[MarkerFrames] = frames
         if writer is not None:
+            self._rig.begin(self._tracker)
             parts = self._diagnostics.split(frames, self._tracker)
+            parts = self._rig.watch(parts, self._tracker)
         order = self._settings.highest_order
         estimates = self._tracker.add_parts(parts, order, has_readers_of_events)
         if self._outcome.last - self._space_stamp >= _SECOND:
@@ -272,7 +278,8 @@ class _Replaying:
             result_columns(self._outputs, estimate, f'/{NODE_NAME}', log_times[estimate.due])
             for estimate in estimates
         ]
-        return [*chain(*columns), self._diagnostics.column(estimates, log_times)]
+        rig = self._rig.column(estimates, log_times)
+        return [rig, *chain(*columns), self._diagnostics.column(estimates, log_times)]
 
     def _check_frames(self) -> None:
         """Raise BagError if no message could be read, or none has poses of the bodies."""
@@ -300,6 +307,43 @@ def result_columns(
         instants, data = output.build(estimate)
         if data:
             yield output.under(prefix), output.message_type, log_times[instants].tolist(), data
+
+
+class _RigColumn:
+    """What a reader of the results has to know, first of all, and where it has changed."""
+
+    def __init__(self, registered: Sequence[RegisteredQuantity]) -> None:
+        self._registered = registered
+        self._changes = messages.RigChanges()
+        # Of this block: the number of the frame with which each holds, the run where it is new, 0
+        # else, and the message.
+        self._found: list[tuple[int, int, bytes]] = []
+
+    def begin(self, tracker: Tracker) -> None:
+        """Describe the tracker before the frames of a block."""
+        self._look(tracker, 0)
+
+    def watch(self, parts: Iterable[MarkerFrames], tracker: Tracker) -> Iterator[MarkerFrames]:
+        """Yield the parts, and describe the tracker after each."""
+        frames_before = 0
+        for frames in parts:
+            yield frames
+            frames_before += len(frames.stamps)
+            self._look(tracker, frames_before - 1)
+
+    def _look(self, tracker: Tracker, number: int) -> None:
+        new_run = 0 if self._changes.is_of(tracker.run) else tracker.run
+        data = self._changes.message(tracker, self._registered)
+        if data is not None:
+            self._found.append((number, new_run, data))
+
+    def column(self, estimates: list[Estimate], log_times: np.ndarray) -> Column:
+        """Return the messages of a block; those of a new run go before its first results."""
+        first = {one.run: int(one.due[0]) for one in reversed(estimates)}
+        numbers = [min(number, first.get(run, number)) for number, run, _ in self._found]
+        data = [data for _, _, data in self._found]
+        self._found = []
+        return _RIG_TOPIC, messages.String, log_times[numbers].tolist(), data
 
 
 class _PeriodicDiagnostics:

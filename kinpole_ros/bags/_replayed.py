@@ -1,19 +1,22 @@
 """The outcome of a replay, for the command line, batches and Python."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import compress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from kinpole_ros.bags._files import Truncated
+from kinpole_ros.findings import Finding
 from kinpole_ros.messages import faults
 from kinpole_ros.settings import Settings
+from kinpole_ros.tracking.clock import StampState
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.marker_rows import find_rows
 from kinpole_ros.tracking.outages import Outage
+from kinpole_ros.tracking.reasons import KNOWN
 from kinpole_ros.tracking.rejection import HELD
 from kinpole_ros.tracking.space import SpaceReport, updated
-from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.tracker import Tracker
 from kinpole_ros.tracking.values import MOST_PAIRED_BODIES, POLE_NAMES
 
@@ -25,10 +28,10 @@ _LATEST = 2**63 - 1  # ns; ROS has no later time
 _COUNTED = ('frames', 'unreadable', 'repeated', 'late', 'lost', 'resets', 'frame_changes')
 
 
-@dataclass
+@dataclass(frozen=True)
 class Replayed:
     """
-    The outcome of a replay, which the functions of this module fill.
+    The outcome of a replay.
 
     Attributes
     ----------
@@ -63,15 +66,16 @@ class Replayed:
     identities : tuple of str
         The markers in the last message.
     unknown : dict
-        The bodies that were never estimated, and why not at the last instant, '' without instants.
+        The bodies that were never estimated, and the code of why not at the last instant, KNOWN
+        without instants.
     concatenated : list of str
         The files that were read as one recording only because they are in one folder.
     scene_positions : PositionReport or None
         How far the joints are from the scene, if there is one.
     stamps : StampState or None
         How the stamps deviate from their clock; None where there are too few.
-    misnamed : list of str
-        Markers that are not those that their names say, and further remarks, a line each.
+    misnamed : list of Finding
+        Markers that are not those that their names say, and further remarks.
     pose_problem : str
         Poses that no message has, or that are stamped too late; '' if all is well.
     erring : dict
@@ -104,33 +108,57 @@ class Replayed:
     last: int = 0
     absent: dict[str, list[str]] = field(default_factory=dict)
     identities: tuple[str, ...] = ()
-    unknown: dict[str, str] = field(default_factory=dict)
+    unknown: dict[str, int] = field(default_factory=dict)
     concatenated: list[str] = field(default_factory=list)
     scene_positions: 'PositionReport | None' = None
     stamps: StampState | None = None
-    misnamed: list[str] = field(default_factory=list)
+    misnamed: list[Finding] = field(default_factory=list)
     pose_problem: str = ''
     erring: dict[str, dict[str, float]] = field(default_factory=dict)
     wrong: dict[str, int] = field(default_factory=dict)
     outages: dict[str, Outage] = field(default_factory=dict)
 
 
-def begin(settings: Settings, tracker: Tracker) -> Replayed:
-    """Return the outcome of a replay that has no frames yet."""
+@dataclass
+class ReplayedSoFar:
+    """
+    What a replay has found so far, as fields of `Replayed`.
+
+    `determined` has the numbers of instants at which poles are determined, by body and pole.
+    """
+
+    space: SpaceReport
+    determined: dict[str, dict[str, int]]
+    absent: dict[str, list[str]]
+    unknown: dict[str, int]
+    estimates: int = 0
+    problem: str = ''
+    empty: int = 0
+    truncated: Truncated | None = None
+    first: int = _LATEST
+    last: int = 0
+    identities: tuple[str, ...] = ()
+    concatenated: list[str] = field(default_factory=list)
+    scene_positions: 'PositionReport | None' = None
+    misnamed: list[Finding] = field(default_factory=list)
+    pose_problem: str = ''
+
+
+def begin(settings: Settings, tracker: Tracker) -> ReplayedSoFar:
+    """Return what a replay has found that has no frames yet."""
     absent = {body: list(names) for body, names in settings.bodies.items() if names}
     for body in settings.shapes if settings.marker_identity == 'shape' else ():
         absent.pop(body, None)
     poles = POLE_NAMES[: settings.highest_order]
-    return Replayed(
-        tracker.space(),
+    return ReplayedSoFar(
+        space=tracker.space(),
         determined={body: dict.fromkeys(poles, 0) for body in tracker.bodies},
-        first=_LATEST,
         absent=absent,
-        unknown=dict.fromkeys(tracker.bodies, ''),
+        unknown=dict.fromkeys(tracker.bodies, KNOWN),
     )
 
 
-def add_frames(outcome: Replayed, frames: MarkerFrames) -> None:
+def add_frames(outcome: ReplayedSoFar, frames: MarkerFrames) -> None:
     """Add frames (T,) before the tracker takes them."""
     outcome.first = min(outcome.first, int(frames.stamps.min()))
     outcome.last = max(outcome.last, int(frames.stamps.max()))
@@ -147,51 +175,56 @@ def add_frames(outcome: Replayed, frames: MarkerFrames) -> None:
         outcome.absent = {body: names for body, names in absent.items() if names}
 
 
-def add_estimate(outcome: Replayed, estimate: Estimate) -> None:
+def add_estimate(outcome: ReplayedSoFar, estimate: Estimate) -> None:
     """Add the estimates (T,) of consecutive instants."""
     outcome.estimates += len(estimate)
     for b, poles in enumerate(outcome.determined.values()):
         for order, pole in enumerate(poles, 1):
             poles[pole] += int(estimate.pole(order).determined[:, b].sum())
-    for body, reasons in zip(estimate.bodies, estimate.missing.T, strict=True):
-        if (reasons == '').any():
+    for body, reasons in zip(estimate.bodies, estimate.reason.T, strict=True):
+        if (reasons == KNOWN).any():
             outcome.unknown.pop(body, None)
         elif body in outcome.unknown:
-            outcome.unknown[body] = str(reasons[-1])
+            outcome.unknown[body] = int(reasons[-1])
 
 
-def finish(outcome: Replayed, tracker: Tracker, converted: str = '') -> None:
+def finish(outcome: ReplayedSoFar, tracker: Tracker, converted: str = '') -> Replayed:
     """
-    Add what the tracker knows at the end, and turn numbers of instants into shares.
+    Return the outcome, with what the tracker knows at the end.
 
     `converted` says why frames repeat others, if it is known.
     """
     bodies, counts = tracker.bodies, tracker.update_counts()
-    for name in _COUNTED:
-        setattr(outcome, name, counts[name])
-    # These came, but have no stamps.
-    outcome.lost = max(outcome.lost - outcome.empty, 0)
-    if not outcome.frames:
-        outcome.first = 0
-    for poles in outcome.determined.values():
-        for pole in poles:
-            poles[pole] /= max(outcome.estimates, 1)
-    outcome.noise = dict(zip(bodies, tracker.noise().tolist(), strict=True))
-    residuals = tracker.rigidity_residual().tolist()
-    outcome.rigidity_residual = dict(zip(bodies, residuals, strict=True))
-    outcome.causes = dict(zip(bodies, tracker.causes(), strict=True))
-    outcome.noise_underestimated = [*compress(bodies, tracker.noise_underestimated())]
-    outcome.space = updated(outcome.space, tracker.space())
-    outcome.stamps = tracker.stamp_state()
     told = {**counts, HELD: 0} if converted else counts
-    lines = [*faults.identity_lines(tracker, told), *([converted] if converted else [])]
-    outcome.misnamed = [*lines, *outcome.misnamed]
+    found = [*faults.identity_findings(tracker, told)]
+    if converted:
+        found.append(Finding('source', values={'text': converted}))
+    outcome.misnamed = [*found, *outcome.misnamed]
     if len(bodies) > MOST_PAIRED_BODIES:
-        outcome.misnamed.append(
-            f'relative rates and centers of pairs are left out: there are {len(bodies)} bodies, '
-            f'and pairs are measured of up to {MOST_PAIRED_BODIES}; fix: for these, name fewer '
-            'bodies'
-        )
-    outcome.erring = tracker.erring()
-    outcome.wrong = dict(zip(bodies, tracker.wrong().tolist(), strict=True))
-    outcome.outages = tracker.outages()
+        about = {'count': len(bodies), 'most': MOST_PAIRED_BODIES}
+        outcome.misnamed.append(Finding('unpaired', values=about))
+    estimates = max(outcome.estimates, 1)
+    shares = {
+        body: {pole: number / estimates for pole, number in poles.items()}
+        for body, poles in outcome.determined.items()
+    }
+
+    def by_body(values: Iterable[Any]) -> dict[str, Any]:
+        return dict(zip(bodies, values, strict=True))
+
+    at_end = {
+        'determined': shares,
+        'first': outcome.first if counts['frames'] else 0,
+        # Messages without markers came, but have no stamps.
+        'lost': max(counts['lost'] - outcome.empty, 0),
+        'noise': by_body(tracker.noise().tolist()),
+        'rigidity_residual': by_body(tracker.rigidity_residual().tolist()),
+        'causes': by_body(tracker.causes()),
+        'noise_underestimated': [*compress(bodies, tracker.noise_underestimated())],
+        'space': updated(outcome.space, tracker.space()),
+        'stamps': tracker.stamp_state(),
+        'erring': tracker.erring(),
+        'wrong': by_body(tracker.wrong().tolist()),
+        'outages': tracker.outages(),
+    }
+    return Replayed(**vars(outcome) | {name: counts[name] for name in _COUNTED} | at_end)

@@ -295,7 +295,6 @@ def _exact_arrays(scene: Scene, motion: Any) -> dict[str, np.ndarray]:
         'angle_covariance': covariance(np.abs(angle).max(axis=1)),
         'size': np.broadcast_to(size, shape),
         **dict.fromkeys(('height', 'span', 'degree'), np.zeros(shape)),
-        'missing': np.full(shape, '', object),
     }
 
 

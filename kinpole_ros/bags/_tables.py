@@ -1,4 +1,8 @@
-"""Results as tables, CSV or Parquet: a row for each instant, empty where undetermined."""
+"""
+Results as tables, CSV or Parquet: a row for each instant, empty where undetermined.
+
+The last columns say in words why a body, or a quantity of it, is undetermined.
+"""
 
 import csv
 from collections import Counter
@@ -14,6 +18,8 @@ from kinpole_ros.files import as_cell
 from kinpole_ros.packages import install_command
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.quantities import withheld_quantities
+from kinpole_ros.tracking.reasons import KNOWN, texts_of
 from kinpole_ros.tracking.registered import RegisteredQuantity
 from kinpole_ros.tracking.values import Numbers, Vectors, measured_pairs, quantity_names
 
@@ -67,6 +73,18 @@ def column_names(
     return names
 
 
+def reason_names(bodies: tuple[str, ...], order: int) -> list[str]:
+    """Return the names of the columns of reasons: of each body, and of its quantities."""
+    names = ['pose', *withheld_quantities(order).values()]
+    return [f'{body}_{name}_reason' for body in bodies for name in names]
+
+
+def reason_rows(estimate: Estimate) -> np.ndarray:
+    """Return the texts of `reason_names` at T instants, (T, columns), '' where all is known."""
+    codes = np.stack([estimate.reason, *estimate.withheld().values()], axis=-1)
+    return texts_of(codes.reshape(np.size(estimate.stamp), -1))
+
+
 def _up_to(order: int, registered: Sequence[RegisteredQuantity]) -> list[RegisteredQuantity]:
     return [quantity for quantity in registered if quantity.order <= order]
 
@@ -96,7 +114,7 @@ def table_rows(
     """Return the quantities of `column_names` at T instants, (T, columns); NaN if undetermined."""
     count = np.size(estimate.stamp)
     shape = (count, len(estimate.bodies))
-    is_known = np.reshape(np.asarray(estimate.missing), (*shape, 1)) == ''
+    is_known = np.reshape(np.asarray(estimate.reason), (*shape, 1)) == KNOWN
     origin = estimate.origin(0).reshape(shape)
     pose = np.stack((origin.real, origin.imag, estimate.angle[0].reshape(shape)), axis=-1)
     quantities = estimate.quantities(order).values()
@@ -152,12 +170,14 @@ def csv_table(
     names = column_names(tuple(settings.bodies), order, registered)
     with write_errors(named), open(path, 'w', newline='', encoding='utf-8') as file:
         table = csv.writer(file)
-        table.writerow(['t', *map(as_cell, names)])
+        reasons = reason_names(tuple(settings.bodies), order)
+        table.writerow(['t', *map(as_cell, [*names, *reasons])])
 
         def add(estimate: Estimate) -> None:
             rows = table_rows(estimate, order, registered)
             cells = rows.astype(object)
             cells[np.isnan(rows)] = None
+            cells = np.concatenate((cells, reason_rows(estimate)), axis=1)
             stamps = np.atleast_1d(estimate.stamp).tolist()
             times = [f'{stamp // 10**9}.{stamp % 10**9:09d}' for stamp in stamps]
             with write_errors(named):
@@ -190,9 +210,11 @@ def parquet_table(
             f'{named} needs pyarrow; fix: {install_command("parquet")}, or write a CSV table'
         ) from None
     names = ('t', *column_names(tuple(settings.bodies), order, registered))
+    reasons = reason_names(tuple(settings.bodies), order)
     columns = [('stamp', pyarrow.int64()), *((column, pyarrow.float64()) for column in names)]
+    columns += [(column, pyarrow.string()) for column in reasons]
     schema = pyarrow.schema(columns)
-    blocks: list[tuple[np.ndarray, np.ndarray]] = []
+    blocks: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     with (
         write_errors(named),
         open(path, 'wb') as file,
@@ -200,19 +222,21 @@ def parquet_table(
     ):
 
         def write_group() -> None:
-            stamps, rows = (np.concatenate(column) for column in zip(*blocks, strict=True))
+            stamps, rows, texts = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
             blocks.clear()
+            texts[texts == ''] = None
             arrays = [
                 pyarrow.array(column, from_pandas=True)
                 for column in (stamps, stamps * 1e-9, *rows.T)
             ]
+            arrays += [pyarrow.array(column, pyarrow.string()) for column in texts.T]
             with write_errors(named):
                 writer.write_table(pyarrow.table(arrays, schema=schema))
 
         def add(estimate: Estimate) -> None:
             rows = table_rows(estimate, order, registered)
-            blocks.append((np.atleast_1d(estimate.stamp), rows))
-            if sum(len(stamps) for stamps, _ in blocks) >= _GROUP_ROWS:
+            blocks.append((np.atleast_1d(estimate.stamp), rows, reason_rows(estimate)))
+            if sum(len(stamps) for stamps, *_ in blocks) >= _GROUP_ROWS:
                 write_group()
 
         yield add

@@ -1,35 +1,17 @@
-"""The warnings of a replay: each line says what is wrong and how to fix it."""
+"""The findings of a replay, and its warnings: each line says what is wrong and how to fix it."""
 
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
 
 from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.derivatives import FEWEST_SAMPLES
+from kinpole_ros.findings import Finding
 from kinpole_ros.messages import body_faults, faults
 from kinpole_ros.settings import Settings
-from kinpole_ros.tracking.rejection import OFF_PATH
+from kinpole_ros.tracking.reasons import REASONS, reason_of
 
 _FEW_REPEATED = 0.02  # of all frames: messages that a network sent twice
-_STAMP_FIX = 'see that the driver sets header.stamp to the time of capture'
-_NO_POSE = 'no pose of it came'
-# By the reasons that the tracker gives.
-_FIXES = {
-    'too few markers seen, or all at one place': (
-        'see that two of them, at distinct places in the plane, are in a frame at once and finite'
-    ),
-    _NO_POSE: 'see that its driver sees it, and that its orientation is a quaternion',
-    OFF_PATH: 'see that the tracker takes no other markers for it',
-    'the noise of its angle is too large': 'see to the driver: it is more than 0.15 rad',
-    'markers too close for their noise': (
-        'move them farther from each other, or set the parameter noise'
-    ),
-    'plane not known yet': (
-        'it is found when bodies have moved in two directions of it, by more than their noise, and '
-        'after 100 frames or more where they leave any plane; record such a motion, or set plane: '
-        '[x, y, z], its normal, as kinpole discover gives it'
-    ),
-    'window not full': f'raise the parameter window: it must hold {FEWEST_SAMPLES} frames with it',
-}
 
 
 def warnings_of(result: Replayed, settings: Settings) -> list[str]:
@@ -49,78 +31,61 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
         Lines on what makes its results fewer or worse.
 
     """
-    lines = []
+    return [finding.line() for finding in findings_of(result, settings)]
+
+
+def findings_of(result: Replayed, settings: Settings) -> Iterator[Finding]:
+    """Yield the findings of a replay, as `warnings_of` returns their words."""
     if result.unreadable:
-        lines.append(f'{result.unreadable} messages left out, the first: {result.problem}')
+        about = {'count': result.unreadable, 'problem': result.problem}
+        yield Finding('unreadable', values=about)
     files = result.concatenated
     if files and (result.resets or result.late):
-        lines.append(
-            f'{files[0]} to {files[-1]}, {len(files)} files, were read as '
-            'one recording, since the folder has no metadata.yaml to tell, but the stamps do not '
-            'run on; if they are several, give each file by itself'
-        )
+        about = {'first': files[0], 'last': files[-1], 'count': len(files)}
+        yield Finding('concatenated', values=about)
     if result.repeated > _FEW_REPEATED * result.frames and result.estimates:
-        lines.append(
-            f'{result.repeated} of {result.frames} messages have the stamp of the one before, and '
-            f'are left out; fix: {_STAMP_FIX}'
-        )
-    if result.stamps is not None and (fault := faults.jitter_fault(result.stamps, settings.stamps)):
-        lines.append(fault)
-    if result.frames:
-        absent = result.absent.items()
-        lines += [
-            body_faults.absent_markers_fault(body, names, result.identities)
-            for body, names in absent
-        ]
-    for body, reason in result.unknown.items():
-        is_explained = body in result.absent or (result.pose_problem and reason == _NO_POSE)
-        if reason and not is_explained:
-            fix = f'; {_FIXES[reason]}' if reason in _FIXES else ''
-            lines.append(f'{body} was never estimated: {reason}{fix}')
-    lines += result.misnamed + [result.pose_problem] * bool(result.pose_problem)
-    if tilt := faults.tilt_fault(result.space, settings.plane):
-        lines.append(tilt)
-    lines += _body_warnings(result, settings)
+        repeated = {'count': result.repeated, 'frames': result.frames}
+        yield Finding('repeated', values=repeated)
+    yield from faults.jitter_findings(result.stamps, settings.stamps)
+    for body, names in result.absent.items() if result.frames else ():
+        yield body_faults.absence_finding(body, names, result.identities)
+    for body, code in result.unknown.items():
+        is_pose_explained = result.pose_problem and code == REASONS['NO_POSE']
+        if code and body not in result.absent and not is_pose_explained:
+            text, fix = reason_of(code)
+            about = {'body': body, 'reason': text}
+            yield Finding('never_estimated', values=about, fix=fix)
+    yield from result.misnamed
+    if result.pose_problem:
+        yield Finding('source', values={'text': result.pose_problem})
+    yield from faults.tilt_findings(result.space, settings.plane)
+    yield from _body_findings(result, settings)
     # Without any results the last line says why.
     for body, outage in result.outages.items() if result.estimates else ():
-        name = f'{body}: ' if body else ''
-        count = f'; {outage.times} such times, this the longest' if outage.times > 1 else ''
-        lines.append(f'{name}{body_faults.outage_fault(body, outage.longest)}{count}')
+        yield body_faults.outage_finding(body, outage.longest, outage.times)
     if settings.scene and result.estimates:
         if result.scene_positions is not None:
-            lines += [f'scene {settings.scene}: {text}' for text in result.scene_positions.words]
+            for text in result.scene_positions.words:
+                yield Finding('scene', values={'scene': settings.scene, 'text': text})
         else:
-            lines.append(
-                f'the scene {settings.scene} was compared at no instant: bodies that its joints '
-                'connect were never all seen; mark more of them, or see to the view of the markers'
-            )
+            yield Finding('scene_not_compared', values={'scene': settings.scene})
     if not result.estimates and not result.pose_problem:
-        lines.append(_no_results(result, settings))
-    return lines
+        yield _no_results(result, settings)
 
 
-def _body_warnings(result: Replayed, settings: Settings) -> list[str]:
-    """Return what is wrong with the shapes, the noise and the poses of bodies."""
-    lines = []
+def _body_findings(result: Replayed, settings: Settings) -> Iterator[Finding]:
+    """Yield what is wrong with the shapes, the noise and the poses of bodies."""
     for b, (body, off) in enumerate(result.rigidity_residual.items()):
-        unit = body_faults.unit_fault(float(result.space.size[b]), settings.scale)
-        wrong = unit, body_faults.shape_fault(b, off, result.causes[body], result.space)
-        lines += [f'{body}: {text}' for text in wrong if text]
-    lines += [
-        f'{body}: {body_faults.SMOOTHED}'
-        for body in result.noise_underestimated
-        if not result.rigidity_residual[body]
-    ]
+        yield from body_faults.unit_findings(body, float(result.space.size[b]), settings.scale)
+        yield from body_faults.shape_findings(body, b, off, result.causes[body], result.space)
+    for body in result.noise_underestimated:
+        if not result.rigidity_residual[body]:
+            yield Finding('smoothed', body)
     for body, erring in result.erring.items():
-        lines += [
-            f'{body}: {fault}' for fault in body_faults.marker_faults(erring, result.noise[body])
-        ]
-    lines += [
-        f'{body}: {body_faults.wrong_pose_fault(count)}'
-        for body, count in result.wrong.items()
-        if count
-    ]
-    return lines
+        yield from body_faults.marker_findings(body, erring, result.noise[body])
+    for body, count in result.wrong.items():
+        if count:
+            yield Finding('wrong_poses', body, {'count': count})
 
 
 def assumed_body(markers: int, settings: Settings, bag: str | Path) -> str:
@@ -141,43 +106,37 @@ def assumed_body(markers: int, settings: Settings, bag: str | Path) -> str:
     str
         The assumption and how to change it, in one line; '' where bodies are named, or there is
         no more than one marker or pose.
+
     """
     if settings.bodies != Settings().bodies or markers < 2:
         return ''
-    (name,) = settings.bodies
-    return (
-        f'all {markers} markers are taken as one rigid body, "{name}", since no '
-        f'parameters name bodies; to track several: kinpole discover {shlex.quote(str(bag))} '
-        '--output rig.yaml, then the same command with --config rig.yaml'
-    )
+    (body,) = settings.bodies
+    about = {'count': markers, 'body': body, 'bag': shlex.quote(str(bag))}
+    return Finding('all_one_body', values=about).words()
 
 
-def _no_results(result: Replayed, settings: Settings) -> str:
-    """Say why there are no results."""
+def _no_results(result: Replayed, settings: Settings) -> Finding:
+    """Return why there are no results."""
     seconds = (result.last - result.first) / 1e9
     taken = result.frames - result.repeated - result.late
     if not result.frames:
-        reason, fix = 'the topic has no messages', 'record again, or name another --topic'
+        code = 'no_messages'
     elif result.repeated and result.repeated + 1 == result.frames:
-        reason, fix = 'all stamps are the same', _STAMP_FIX
+        code = 'no_time'
     elif result.late and taken == 1:
-        reason, fix = 'the stamps run backward', _STAMP_FIX
+        code = 'backward'
     elif result.resets:
-        reason = f'the stamps jump by more than the parameter window, {settings.window:g} s'
-        fix = 'raise it, or see to the stamps'
+        code = 'all_jumps'
     elif seconds <= settings.lag:
-        reason = (
-            f'a frame has one when it is {settings.lag:g} s old (the parameter lag), and there are '
-            f'{seconds:.3g} s'
-        )
-        fix = 'record longer, or see to the stamps'
-    elif taken < FEWEST_SAMPLES:
-        reason = f'they take {FEWEST_SAMPLES} frames, and there are {taken}'
-        fix = 'record longer, or see to the stamps'
+        code = 'within_lag'
     else:
-        reason = (
-            f'the parameter window, {settings.window:g} s, must hold {FEWEST_SAMPLES} frames, and '
-            f'they come every {seconds / max(taken - 1, 1):.3g} s'
-        )
-        fix = 'raise it, or see to the stamps'
-    return f'no results, since {reason}; {fix}'
+        code = 'few_frames' if taken < FEWEST_SAMPLES else 'short_window'
+    about = {
+        'window': settings.window,
+        'lag': settings.lag,
+        'seconds': seconds,
+        'needed': FEWEST_SAMPLES,
+        'count': taken,
+        'interval': seconds / max(taken - 1, 1),
+    }
+    return Finding(code, values=about)

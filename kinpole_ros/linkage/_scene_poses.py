@@ -16,6 +16,7 @@ from kinpole_ros.mechanism._constraints import Anchor, anchor_of, constraint_row
 from kinpole_ros.mechanism._equations import joint_at, part_sum
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.reasons import KNOWN
 from kinpole_ros.tracking.values import FramePoses
 
 # How each wheel stood at first, by the number of its joint.
@@ -68,10 +69,10 @@ def scene_poses(
     """
     if estimate.frame_poses is None:
         return None
-    arrays = estimate.shape, estimate.missing, *estimate.frame_poses
+    arrays = estimate.shape, estimate.reason, *estimate.frame_poses
     if not np.ndim(estimate.stamp):
         arrays = tuple(np.asarray(array)[None] for array in arrays)
-    shapes, missing = arrays[:2]
+    shapes, reasons = arrays[:2]
     measured = FramePoses(*arrays[2:])
     rows, bodies = [], []
     for body, match in matches.items():
@@ -83,7 +84,7 @@ def scene_poses(
         b = match.tracked
         frame_position, frame_angle = match.fit_frame(shapes[:, b])
         origin = frame_position - np.exp(1j * frame_angle) * part_sum(offset, values)[0]
-        seen = (measured.angle_information[:, b] > 0) & (missing[:, b] == '')
+        seen = (measured.angle_information[:, b] > 0) & (reasons[:, b] == KNOWN)
         seen &= np.isfinite(frame_angle)
         angle_cofactor = 1 / np.where(seen, measured.angle_information[:, b], 1.0)
         position_cofactor = 1 / np.where(seen, measured.position_information[:, b], 1.0)

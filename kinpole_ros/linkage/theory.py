@@ -21,7 +21,7 @@ from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.planar._poles import point_motion
 from kinpole_ros.settings import POSE_TYPES, ParameterError, Settings, of_poses
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.reasons import FARTHEST, SIGNIFICANT
+from kinpole_ros.tracking.reasons import FARTHEST, KNOWN, SIGNIFICANT
 from kinpole_ros.tracking.registered import RegisteredQuantity
 from kinpole_ros.tracking.values import Numbers, Vectors
 
@@ -208,7 +208,7 @@ def balance(theory: Theory, estimate: Estimate) -> Numbers:
         np.moveaxis(estimate.angle_covariance, -1, 2),
         SIGNIFICANT,
     )
-    is_estimated = [estimate.missing[..., theory.matches[body].tracked] == '' for body in needed]
+    is_estimated = [estimate.reason[..., theory.matches[body].tracked] == KNOWN for body in needed]
     determined = np.asarray(determined) & np.all(is_estimated, axis=0)
     return Numbers(np.asarray(value), np.asarray(variance), determined)
 
@@ -325,4 +325,6 @@ def _motion_of_points(
 
 def _known(theory: Theory, estimate: Estimate, value: Complex, matrix: Real) -> Vectors:
     is_finite = np.isfinite(value) & np.isfinite(matrix).all(axis=(-2, -1))
-    return Vectors(value, matrix, is_finite & (estimate.missing[:, theory.bodies_of_points] == ''))
+    return Vectors(
+        value, matrix, is_finite & (estimate.reason[:, theory.bodies_of_points] == KNOWN)
+    )

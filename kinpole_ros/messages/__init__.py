@@ -1,7 +1,7 @@
 """ROS messages to arrays and back: no other package handles the fields of a message."""
 
 from kinpole_ros.messages._detections import DETECTIONS, Detections, read_detections
-from kinpole_ros.messages._diagnostics import RECEIVED, RESTARTS, DiagnosticsMaker
+from kinpole_ros.messages._diagnostics import FINDING, DiagnosticsMaker
 from kinpole_ros.messages._drawing import COLORS, deletion_of_all
 from kinpole_ros.messages._events import read_event
 from kinpole_ros.messages._installed import installed_class
@@ -24,7 +24,15 @@ from kinpole_ros.messages._results import (
     outputs_of,
     result_outputs,
 )
-from kinpole_ros.messages._state import STATE, read_state, read_states, state_fields
+from kinpole_ros.messages._rig import RIG, RigChanges, plane_of_rig, read_rig, rig_of
+from kinpole_ros.messages._state import (
+    STATE,
+    StateBlock,
+    read_state,
+    read_state_blocks,
+    read_states,
+    state_fields,
+)
 from kinpole_ros.messages._tf_chains import chains_of, multiply_out
 from kinpole_ros.messages._types import (
     CAMERA_INFO,
@@ -37,6 +45,7 @@ from kinpole_ros.messages._types import (
     DiagnosticArray,
     MessageError,
     NoMarkersError,
+    PointCloud2,
     String,
     definition,
     deserialize_message,
@@ -56,13 +65,13 @@ __all__ = [
     'COMPRESSED_IMAGE',
     'DETECTIONS',
     'DRAWING',
+    'FINDING',
     'IMAGE',
     'INPUT_TYPES',
     'INPUT_TYPE_NAMES',
     'MARKER_TYPES',
     'PAGE_TOPICS',
-    'RECEIVED',
-    'RESTARTS',
+    'RIG',
     'ROS_TYPE_NAMES',
     'STATE',
     'TF',
@@ -74,7 +83,10 @@ __all__ = [
     'MessageError',
     'NoMarkersError',
     'Output',
+    'PointCloud2',
     'PoseReader',
+    'RigChanges',
+    'StateBlock',
     'String',
     'chains_of',
     'definition',
@@ -91,15 +103,19 @@ __all__ = [
     'multiply_out',
     'ns_to_stamp',
     'outputs_of',
+    'plane_of_rig',
     'poses_data',
     'quantity_lists',
     'read_detections',
     'read_event',
     'read_markers',
+    'read_rig',
     'read_state',
+    'read_state_blocks',
     'read_states',
     'reader_of',
     'result_outputs',
+    'rig_of',
     'serialize_message',
     'stamp_to_ns',
     'state_fields',

@@ -15,7 +15,7 @@ from kinpole_ros.messages._types import SECOND
 HEAD = 4  # bytes before the first field
 LITTLE = b'\x00\x01'  # the first two bytes of a little endian message
 TIME = struct.Struct('<iI')  # a stamp: s and ns
-_FLOAT64 = 8  # PointField.FLOAT64
+_SIZES = {1: 1, 2: 1, 8: 8}  # bytes: INT8, UINT8 and FLOAT64 of PointField; others in use have 4
 ALIGNMENT = 8  # bytes: no field is aligned to more
 
 
@@ -47,20 +47,18 @@ class Writer:
         """
         Write all between header and data of a PointCloud2 of one row of so many points.
 
-        `kinds` are the data types of its fields, of 4 or 8 bytes, one after the other. Returns the
-        size of the data in bytes.
+        `kinds` are the data types of its fields. Returns the size of the data in bytes.
         """
         self.pack('III', 1, points, len(kinds))
-        offset = 0
-        for name, kind in kinds.items():
+        offsets, size = field_offsets(kinds)
+        for (name, kind), offset in zip(kinds.items(), offsets, strict=True):
             self.string(name)
             self.pack('I', offset)
             self.data += bytes((kind,))
             self.pack('I', 1)
-            offset += 8 if kind == _FLOAT64 else 4
         self.data += b'\0'  # little endian
-        self.pack('III', offset, offset * points, offset * points)
-        return offset * points
+        self.pack('III', size, size * points, size * points)
+        return size * points
 
     def doubles(self, values: np.ndarray) -> None:
         if values.size:
@@ -73,3 +71,17 @@ def stamp_bytes(stamps: np.ndarray) -> np.ndarray:
     times = np.empty((len(stamps), 2), '<u4')
     times[:, 0], times[:, 1] = np.divmod(stamps, SECOND)
     return times.view(np.uint8)
+
+
+def field_offsets(kinds: Mapping[str, int]) -> tuple[list[int], int]:
+    """
+    Return where the fields of a point begin, and the size of a point, a multiple of 8, in bytes.
+
+    `kinds` are their data types; each begins at the next multiple of its size.
+    """
+    offsets, end = [], 0
+    for kind in kinds.values():
+        size = _SIZES.get(kind, 4)
+        offsets.append(end + -end % size)
+        end = offsets[-1] + size
+    return offsets, end + -end % 8

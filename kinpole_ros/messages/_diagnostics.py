@@ -7,9 +7,10 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
+from kinpole_ros.findings import OK, STALE, TABLE, WARN, Finding, all_words
 from kinpole_ros.messages import body_faults
 from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyValue, ns_to_stamp
-from kinpole_ros.messages.faults import Fault, input_faults, stamp_faults
+from kinpole_ros.messages.faults import input_findings, stamp_findings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.kennedy import distances_from_pins_line
 from kinpole_ros.tracking.outages import Outage
@@ -22,6 +23,8 @@ Comparison: TypeAlias = Callable[[Estimate], tuple[bool, str, dict[str, float]]]
 # Keys of the diagnostics of the input, by the names of the tracker's counts. Where RECEIVED begins
 # again from 0, or RESTARTS goes up, a node was started again.
 RECEIVED, RESTARTS = 'frames received', 'starts anew'
+# Keys of findings: this and the code.
+FINDING = 'finding '
 COUNT_KEYS = {
     'frames': RECEIVED,
     'repeated': 'frames with the stamp of the one before, left out',
@@ -60,7 +63,6 @@ class DiagnosticsMaker:
 
     def __init__(self, name: str, compare: Comparison | None = None, topic: str = '') -> None:
         self._name = name
-        self._nothing = f'no markers received on {topic}' if topic else 'no markers received'
         self._topic = topic
         self._compare = compare
         # At the last diagnostics: counts, outages by body, and frames with a wrong pose (B,).
@@ -99,11 +101,11 @@ class DiagnosticsMaker:
         since = {key: count - self._counts[key] for key, count in counts.items()}
         self._counts = counts.copy()
         outages = self._new_outages(tracker)
-        faults = input_faults(tracker, since, trouble, self._nothing)
-        faults += stamp_faults(tracker, since, stamps, seconds)
+        found = input_findings(tracker, since, trouble, self._topic)
+        found += stamp_findings(tracker, since, stamps, seconds)
         if '' in outages:
-            faults.append((DiagnosticStatus.WARN, body_faults.outage_fault('', outages[''].latest)))
-        input_status = _input_status(f'{self._name}: markers', tracker, since, seconds, faults)
+            found.append(body_faults.outage_finding('', outages[''].latest))
+        input_status = _input_status(f'{self._name}: markers', tracker, since, seconds, found)
         bodies = _bodies(self._name, tracker, self._wrong, outages)
         self._wrong = tracker.wrong()
         is_receiving = bool(since.get('frames'))
@@ -134,17 +136,17 @@ class DiagnosticsMaker:
         """Compare the bodies with Kennedy's theorem, and with the scene."""
         name = f'{self._name}: linkage'
         values: dict[str, object] = {}
-        found = zip(*now.pairs, *distances_from_pins_line(now), strict=True)
-        for j, i, distance, deviations in found:
+        rows = zip(*now.pairs, *distances_from_pins_line(now), strict=True)
+        for j, i, distance, deviations in rows:
             if np.isfinite(distance):
                 pair = f'{now.bodies[j]} wrt {now.bodies[i]}'
                 values[f'{pair}: center off the line of the pins (m)'] = float(distance)
                 values[f'{pair}: the same in deviations'] = float(deviations)
         if self._compare is None:
-            return _status(name, DiagnosticStatus.OK, 'no scene given', values)
+            return _status(name, OK, 'no scene given', values)
         is_off, message, figures = self._compare(now)
-        level = DiagnosticStatus.WARN if is_off else DiagnosticStatus.OK
-        return _status(name, level, message, values | figures)
+        found = [Finding('source', 'linkage', {'text': message})] if is_off else []
+        return _status(name, WARN if is_off else OK, message, values | figures, found)
 
 
 def _bodies(
@@ -167,24 +169,25 @@ def _bodies(
                 'noise of its position per axis (m)': noise[b],
                 'noise of its angle (rad)': float(angle_noise[b]),
             }
-        absence = ''
+        absence = None
         if body in absent:
-            absence = body_faults.absent_markers_fault(body, absent[body], tracker.identities)
-        unit = body_faults.unit_fault(float(space.size[b]), tracker.settings.scale)
-        shape = body_faults.shape_fault(b, residuals[b], causes[b], space)
-        warnings = body_faults.marker_faults(erring[body], noise[b])
+            absence = body_faults.absence_finding(body, absent[body], tracker.identities)
+        found = body_faults.unit_findings(body, float(space.size[b]), tracker.settings.scale)
+        found += body_faults.shape_findings(body, b, residuals[b], causes[b], space)
+        if smoothed[b] and not found:
+            found.append(Finding('smoothed', body))
+        warnings = body_faults.marker_findings(body, erring[body], noise[b])
         if new_wrong[b] > 0:
-            warnings.append(body_faults.wrong_pose_fault(int(new_wrong[b])))
+            warnings.append(Finding('wrong_poses', body, {'count': int(new_wrong[b])}))
         if body in outages:
-            warnings.append(body_faults.outage_fault(body, outages[body].latest))
+            warnings.append(body_faults.outage_finding(body, outages[body].latest))
         bodies.append(
             _Body(
                 number=b,
                 name=f'{name}: {body}',
                 absent=absence,
                 noises={key: value for key, value in noises.items() if np.isfinite(value)},
-                fault='; '.join(filter(None, (unit, shape))),
-                is_smoothed=bool(smoothed[b]),
+                found=found,
                 erring=erring[body],
                 wrong=int(wrong[b]),
                 warnings=warnings,
@@ -194,43 +197,45 @@ def _bodies(
 
 
 class _Body(NamedTuple):
-    """A body at the time of diagnostics: its noise in words, and its faults."""
+    """A body at the time of diagnostics: its noise in words, and what was found of it."""
 
     number: int
     name: str
-    absent: str
+    absent: Finding | None
     noises: dict[str, float]
-    fault: str
-    is_smoothed: bool
+    found: list[Finding]
     erring: Mapping[str, float]
     wrong: int
-    warnings: list[str]
+    warnings: list[Finding]
 
     def status(self, now: Estimate | None, is_receiving: bool, is_idle: bool) -> DiagnosticStatus:
         """Return the status of the body, with its estimate `now`, if any."""
         if is_receiving and self.absent:
-            return _status(self.name, DiagnosticStatus.WARN, self.absent, {})
+            return _status(self.name, WARN, self.absent.words(), {}, [self.absent])
         values: dict[str, object] = {**self.noises}
+        found: list[Finding] = []
         if not is_receiving:
-            level, message = DiagnosticStatus.STALE, 'no markers received'
+            level, message = STALE, TABLE['nothing'].sentence
         elif now is not None:
-            level, message = self._describe(now, values)
+            message, found = self._describe(now, values)
+            level = WARN if found else OK
         elif is_idle:
-            level = DiagnosticStatus.OK
+            level = OK
             message = 'ready: nobody subscribes to a result, so none is computed'
         else:
-            level, message = DiagnosticStatus.STALE, 'nothing known: too few frames yet'
+            level, message = STALE, 'nothing known: too few frames yet'
         for marker, deviation in self.erring.items():
             name = repr(marker[: body_faults.SHOWN_CHARACTERS])
             values[f'noise of marker {name}, which counts for less (m)'] = deviation
         if self.wrong:
             values['frames in which its pose was wrong, left out'] = self.wrong
-        if self.warnings and level != DiagnosticStatus.STALE:
-            level, message = DiagnosticStatus.WARN, '; '.join((message, *self.warnings))
-        return _status(self.name, level, message, values)
+        if self.warnings and level != STALE:
+            level, message = WARN, f'{message}; {all_words(self.warnings)}'
+            found = [*found, *self.warnings]
+        return _status(self.name, level, message, values, found)
 
-    def _describe(self, now: Estimate, values: dict[str, object]) -> Fault:
-        """Add the values of an estimate; return level and message."""
+    def _describe(self, now: Estimate, values: dict[str, object]) -> tuple[str, list[Finding]]:
+        """Add the values of an estimate; return its message and what was found."""
         b = self.number
         values['size (m)'] = float(now.size[b])
         if np.isfinite(now.degree[b]):
@@ -238,20 +243,19 @@ class _Body(NamedTuple):
             values['degree used for the angular velocity'] = float(now.degree[b])
         reasons = now.reasons(b)
         if 'all' in reasons:
-            message = '; '.join(filter(None, (reasons['all'], self.fault)))
-            return DiagnosticStatus.WARN, message
+            shapes = [one for one in self.found if one.code != 'smoothed']
+            missing = Finding('missing', now.bodies[b], {'reason': reasons['all']})
+            return all_words([missing, *shapes]), [missing, *shapes]
         motion = now.motion(b)
         values['motion'] = motion
         if motion == 'pinned':
             values['pin (m)'] = f'{now.pin[b].real:.6g}, {now.pin[b].imag:.6g}'
         for quantity, reason in reasons.items():
             values[f'{quantity} undetermined'] = reason
-        level, message = DiagnosticStatus.OK, 'tracking'
-        if self.fault or self.is_smoothed:
-            level, message = DiagnosticStatus.WARN, self.fault or body_faults.SMOOTHED
+        message = all_words(self.found) or 'tracking'
         if reasons:
             message += '; undetermined: ' + ', '.join(reasons)
-        return level, message
+        return message, self.found
 
 
 def _input_status(
@@ -259,12 +263,12 @@ def _input_status(
     tracker: Tracker,
     since: Mapping[str, int],
     seconds: float,
-    faults: list[Fault],
+    found: list[Finding],
 ) -> DiagnosticStatus:
-    """Return the status of the markers, the worst fault first."""
-    faults = sorted(faults, key=lambda fault: fault[0], reverse=True)
-    level = faults[0][0] if faults else DiagnosticStatus.OK
-    message = '; '.join(text for _, text in faults) or 'receiving markers'
+    """Return the status of the markers, the worst first."""
+    found = sorted(found, key=lambda finding: finding.level, reverse=True)
+    level = found[0].level if found else OK
+    message = all_words(found) or 'receiving markers'
     values: dict[str, object] = {
         'rate (Hz)': since.get('frames', 0) / seconds if seconds > 0 else 0.0,
         'frames in the window': tracker.samples,
@@ -289,12 +293,20 @@ def _input_status(
         }
     counts = tracker.update_counts()
     values |= {key: counts[name] for name, key in COUNT_KEYS.items()}
-    return _status(name, level, message, values)
+    return _status(name, level, message, values, found)
 
 
-def _status(name: str, level: int, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
+def _status(
+    name: str,
+    level: int,
+    message: str,
+    values: Mapping[str, object],
+    found: Sequence[Finding] = (),
+) -> DiagnosticStatus:
+    """Return a status; for programs, each finding is a value whose key begins with FINDING."""
     pairs = [
         KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float) else str(value))
         for key, value in values.items()
     ]
+    pairs += [KeyValue(key=f'{FINDING}{one.code}', value=one.as_json()) for one in found]
     return DiagnosticStatus(name=name, level=level, message=message, hardware_id='', values=pairs)

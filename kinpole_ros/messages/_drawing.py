@@ -17,6 +17,7 @@ from kinpole_ros.messages._rows import Build, Built
 from kinpole_ros.messages._types import Marker
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.plane import Plane
+from kinpole_ros.tracking.reasons import KNOWN
 from kinpole_ros.tracking.values import POLE_NAMES, Vectors, ellipse_axes, measured_pairs
 
 COLORS = ((0.12, 0.47, 0.71), (1.0, 0.5, 0.05), (0.17, 0.63, 0.17), (0.84, 0.15, 0.16))
@@ -136,7 +137,7 @@ def centrode(b: int, given: Plane, trails: Trails, frame: str | None) -> Build:
         trail = trails.until_last(estimate)[b]
         if schedule.is_idle(estimate) or not len(trail.stamps):
             return [], []
-        is_drawn = (estimate.missing[:, b] == '') & (estimate.stamp >= trail.stamps[0])
+        is_drawn = (estimate.reason[:, b] == KNOWN) & (estimate.stamp >= trail.stamps[0])
         due = schedule.due(estimate.stamp, is_drawn.nonzero()[0])
         if not due:
             return [], []
@@ -212,7 +213,7 @@ def drawing(bodies: tuple[str, ...], given: Plane, trails: Trails, highest: int)
         for k, t in enumerate(due):
             drawn: dict[str, _Drawn] = {}
             for b, body in enumerate(bodies):
-                if not estimate.missing[t, b]:
+                if estimate.reason[t, b] == KNOWN:
                     markers = _draw_body(estimate, (t, b), plane, turn, poles)
                     markers |= _draw_trail(estimate, (t, b), plane, last[b], slices[b][k])
                     drawn |= {f'{body}/{name}': one for name, one in markers.items()}

@@ -12,6 +12,7 @@ from kinpole_ros.core.bindings import Joints, Motion, address_of, library
 from kinpole_ros.messages._rows import Build, Built
 from kinpole_ros.settings import GROUND
 from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.reasons import KNOWN
 
 _MAX_AHEAD = 0.25  # of its window: how far from an instant a state is extrapolated
 # Bytes of a message without joints; of the name, the states and the memory for them of each.
@@ -108,7 +109,7 @@ def _without_empty(instants: np.ndarray, messages: list[bytes]) -> Built:
 
 def _reaches(estimate: Estimate) -> list[float]:
     """Return how far from each instant states are extrapolated, ns."""
-    spans = np.where(estimate.missing == '', estimate.span, 0.0)
+    spans = np.where(estimate.reason == KNOWN, estimate.span, 0.0)
     reaches: list[float] = (np.nan_to_num(spans).max(axis=1) * 1e9 * _MAX_AHEAD).tolist()
     return reaches
 

@@ -5,18 +5,20 @@ A sensor_msgs/PointCloud2 with one point for each body and one field for each nu
 message type of its own. It costs far less to make, send and read than the separate topics, which
 have the same numbers.
 
+A body has a code of why its pose, and each quantity, is undetermined: see tracking/reasons.py.
+
 Registered quantities of a body, as of the points that a scene names, are further fields, not rows:
 a field has a name, by which programs find it, and the rows stay those of the bodies.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from kinpole_ros.messages._cdr import Writer
+from kinpole_ros.messages._cdr import Writer, field_offsets
 from kinpole_ros.messages._rows import STATE_POINTS, Row, Rows
 from kinpole_ros.messages._types import (
     PointCloud2,
@@ -32,20 +34,40 @@ STATE = 'state'
 """The topic."""
 # The first fields, of 4 bytes; all others are float64. Viewers of clouds expect x, y and z, RViz as
 # float32.
-_FIRST_FIELDS = {
+_FIRST_FIELDS: dict[str, int] = {
     'x': PointField.FLOAT32,
     'y': PointField.FLOAT32,
     'z': PointField.FLOAT32,
     'determined': PointField.UINT32,
 }
-_FIRST_DOUBLES = len(_FIRST_FIELDS) // 2
+_FORMATS = {
+    PointField.UINT8: 'u1',
+    PointField.UINT32: '<u4',
+    PointField.FLOAT32: '<f4',
+    PointField.FLOAT64: '<f8',
+}
 # The last field of a registered quantity has this ending, and is 1 where it is determined: bits are
 # few, and there may be many points.
 _DETERMINED = '_determined'
 _POSE = ('position', 'angle', 'velocity')
+# The field of the code of a quantity, a byte, has this ending.
+_REASON = '_reason'
 # The bytes of the stamp in a message.
 _STAMP = slice(4, 12)
 Quantities: TypeAlias = dict[str, Numbers | Vectors]
+
+
+class StateBlock(NamedTuple):
+    """
+    Messages of the topic in a row that have one layout: `stamps` (T,), ns, and the rest (T, B).
+
+    `quantities` are as `read_state` returns them. `reasons` are codes (T, B) of `pose` and of each
+    of the quantities of `quantity_names`.
+    """
+
+    stamps: np.ndarray
+    quantities: Quantities
+    reasons: dict[str, np.ndarray]
 
 
 def state_fields(order: int, registered: Sequence[RegisteredQuantity] = ()) -> dict[str, list[str]]:
@@ -75,6 +97,58 @@ def state_fields(order: int, registered: Sequence[RegisteredQuantity] = ()) -> d
     return fields | {name: _added_fields(name, one.is_vector) for one, name in added}
 
 
+def reason_fields(order: int) -> dict[str, str]:
+    """
+    Return the fields of the codes of why quantities are undetermined, a byte each.
+
+    They follow the float64 fields of the quantities, and those of registered ones follow them.
+
+    Parameters
+    ----------
+    order : int
+        Highest derivative, 1 to 4.
+
+    Returns
+    -------
+    dict
+        The names of the fields by quantity, in the order of `state_fields`.
+    """
+    return {name: f'{name}{_REASON}' for name in state_fields(order)}
+
+
+def quantity_fields(
+    order: int, registered: Sequence[RegisteredQuantity] = ()
+) -> dict[str, dict[str, Any]]:
+    """
+    Return how each quantity of the topic is read, by its name.
+
+    Parameters
+    ----------
+    order, registered
+        As of `state_fields`.
+
+    Returns
+    -------
+    dict
+        Of each quantity `fields`, a value and its deviation, or x, y and the covariance; `bit`,
+        that of the field `determined`, or else `determined`, the field that is 1 where it is;
+        `reason`, the field of its code, None for a registered quantity.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    reasons = reason_fields(order)
+    for bit, (quantity, fields) in enumerate(state_fields(order, registered).items()):
+        if quantity not in reasons:
+            found[quantity] = {'fields': fields[:-1], 'determined': fields[-1], 'reason': None}
+            continue
+        verdict = {'bit': bit, 'reason': reasons[quantity]}
+        if quantity != 'pose':
+            found[quantity] = {'fields': fields, **verdict}
+            continue
+        for name, is_vector in zip(_POSE, (True, False, True), strict=True):
+            found[name] = {'fields': _fields_of(name, is_vector), **verdict}
+    return found
+
+
 def _added(
     order: int, registered: Sequence[RegisteredQuantity]
 ) -> list[tuple[RegisteredQuantity, str]]:
@@ -101,9 +175,12 @@ def state(given: Plane, order: int, registered: Sequence[RegisteredQuantity] = (
     `given` is the plane of estimates that have none.
     """
     names = [*chain(*state_fields(order, registered).values())]
-    row = Row(STATE_POINTS, 0, partial(_template, names), order)
+    first = sum(map(len, state_fields(order).values()))
+    kinds = dict.fromkeys(names[:first], PointField.FLOAT64)
+    kinds |= dict.fromkeys(reason_fields(order).values(), PointField.UINT8)
+    kinds |= dict.fromkeys(names[first:], PointField.FLOAT64)
+    row = Row(STATE_POINTS, 0, partial(_template, kinds), order)
     if added := _added(order, registered):
-        first = sum(map(len, state_fields(order).values()))
         fields = [_added_fields(name, one.is_vector)[0] for one, name in added]
         columns = [names.index(field) - first for field in fields]
         quantities = [(one, k) for (one, _), k in zip(added, columns, strict=True)]
@@ -133,11 +210,11 @@ def _added_values(
     return np.where(np.repeat(is_known, np.diff(starts), axis=-1), added, 0.0)
 
 
-def _template(names: Sequence[str], frame_id: str, bodies: int) -> tuple[bytes, int]:
+def _template(kinds: Mapping[str, int], frame_id: str, bodies: int) -> tuple[bytes, int]:
     """A message with zeros for stamp and points, and the bytes before the points."""
     writer = Writer()
     writer.header(0, frame_id)
-    size = writer.cloud_fields(_FIRST_FIELDS | dict.fromkeys(names, PointField.FLOAT64), bodies)
+    size = writer.cloud_fields({**_FIRST_FIELDS, **kinds}, bodies)
     is_dense = b'\1'  # no number is NaN
     return bytes(writer.data) + bytes(size) + is_dense, len(writer.data)
 
@@ -194,59 +271,69 @@ def read_states(messages: Iterable[bytes]) -> Iterator[tuple[np.ndarray, Quantit
     ValueError
         As `read_state`.
     """
+    return ((block.stamps, block.quantities) for block in read_state_blocks(messages))
+
+
+def read_state_blocks(messages: Iterable[bytes]) -> Iterator[StateBlock]:
+    """Yield messages of the topic `state` as `read_states`, with the codes of reasons."""
     alike: list[bytes] = []
-    fields: dict[str, list[str]] = {}
-    start = width = 0
-
-    def block() -> tuple[np.ndarray, Quantities]:
-        table = np.frombuffer(b''.join(alike), np.uint8).reshape(len(alike), -1)
-        order = '<' if alike[0][1] & 1 else '>'
-        seconds = table[:, _STAMP].copy().view(f'{order}i4')[:, 0].astype(np.int64)
-        fraction = table[:, _STAMP].copy().view(f'{order}u4')[:, 1].astype(np.int64)
-        doubles = _FIRST_DOUBLES + sum(map(len, fields.values()))
-        points = table[:, start : start + 8 * width * doubles].copy().view('<f8')
-        points = points.reshape(len(alike), width, doubles)
-        return seconds * 10**9 + fraction, _quantities_in(points, fields)
-
+    layout: _Layout | None = None
     for data in messages:
-        if alike and len(data) == len(alike[0]):
-            is_alike = data[:4] == alike[0][:4]
-            if is_alike and data[_STAMP.stop : start] == alike[0][_STAMP.stop : start]:
+        if layout is not None and len(data) == len(alike[0]):
+            behind = slice(_STAMP.stop, layout.start)
+            if data[:4] == alike[0][:4] and data[behind] == alike[0][behind]:
                 alike.append(data)
                 continue
-        if alike:
-            yield block()
-        cloud = deserialize_message(data, PointCloud2)
-        fields, width = _fields_in(cloud), cloud.width
-        # After its length, which tells zeros in it from those before.
-        length = len(cloud.data).to_bytes(4, 'little' if data[1] & 1 else 'big')
-        start = data.index(length + bytes(cloud.data)) + len(length)
-        alike = [data]
-    if alike:
-        yield block()
+        if layout is not None:
+            yield _read_alike(alike, layout)
+        layout, alike = _layout_of(deserialize_message(data, PointCloud2)), [data]
+    if layout is not None:
+        yield _read_alike(alike, layout)
 
 
-def _fields_in(cloud: Any) -> dict[str, list[str]]:
-    """Return the fields of a message by quantity; ValueError for a cloud of another topic."""
+class _Layout(NamedTuple):
+    """
+    Where the numbers of a message are.
+
+    The points begin at byte `start`, and there are `width` of them. `quantities` are the names of
+    the float64 fields of each quantity, and those before `added` have a bit and a reason.
+    """
+
+    start: int
+    width: int
+    point: np.dtype
+    quantities: dict[str, list[str]]
+    added: int
+
+
+def _layout_of(cloud: Any) -> _Layout:
+    """Return the layout of a message; ValueError for a cloud of another topic."""
     names = [field.name for field in cloud.fields]
-    possible = [state_fields(order) for order in range(1, 5)]
-    # Of bags of versions without the inflection circle, which is last.
-    possible += [dict(list(fields.items())[:-2]) for fields in possible[1:]]
-    for fields in possible:
-        known = [*_FIRST_FIELDS, *chain(*fields.values())]
+    for order in range(1, 5):
+        fields = state_fields(order)
+        known = [*_FIRST_FIELDS, *chain(*fields.values()), *reason_fields(order).values()]
         if names[: len(known)] == known:
             break
     else:
-        raise ValueError('its fields are not those of a topic `state`')
+        raise ValueError(
+            'its fields are not those of a topic `state` of this version; fix: make the results '
+            'again from the markers'
+        )
+    own_count = len(fields)
     for name, own in _added_in(names[len(known) :]):
         is_quantity = own in (_added_fields(name, False), _added_fields(name, True))
         if not is_quantity or name in (*_POSE, *fields):
             raise ValueError(f'its fields of {name} are not those of a topic `state`')
         fields[name] = own
-    doubles = _FIRST_DOUBLES + len(names) - len(_FIRST_FIELDS)
-    if cloud.is_bigendian or len(cloud.data) != 8 * doubles * cloud.width:
+    kinds = _FIRST_FIELDS | dict.fromkeys(chain(*fields.values()), PointField.FLOAT64)
+    kinds = {name: kinds.get(name, PointField.UINT8) for name in names}
+    offsets, size = field_offsets(kinds)
+    if cloud.is_bigendian or len(cloud.data) != size * cloud.width:
         raise ValueError(f'it has {len(cloud.data)} bytes of data for {cloud.width} bodies')
-    return fields
+    formats = [_FORMATS[kind] for kind in kinds.values()]
+    point = np.dtype({'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': size})
+    _, start = _template(kinds, cloud.header.frame_id, 0)
+    return _Layout(start, cloud.width, point, fields, own_count)
 
 
 def _added_in(names: list[str]) -> Iterator[tuple[str, list[str]]]:
@@ -258,23 +345,34 @@ def _added_in(names: list[str]) -> Iterator[tuple[str, list[str]]]:
             first = k
 
 
-def _quantities_in(points: np.ndarray, fields: dict[str, list[str]]) -> Quantities:
-    """Return the quantities (...) in the numbers (..., doubles) of points."""
-    if not np.isfinite(points[..., _FIRST_DOUBLES:]).all():
+def _read_alike(messages: Sequence[bytes], layout: _Layout) -> StateBlock:
+    """Read messages of one layout."""
+    table = np.frombuffer(b''.join(messages), np.uint8).reshape(len(messages), -1)
+    order = '<' if messages[0][1] & 1 else '>'
+    seconds = table[:, _STAMP].copy().view(f'{order}i4')[:, 0].astype(np.int64)
+    fraction = table[:, _STAMP].copy().view(f'{order}u4')[:, 1].astype(np.int64)
+    size = layout.width * layout.point.itemsize
+    points = table[:, layout.start : layout.start + size].copy().view(layout.point)
+    points = points.reshape(len(messages), layout.width)
+    fields = layout.quantities
+    if not all(np.isfinite(points[name]).all() for name in chain(*fields.values())):
         raise ValueError('not all of its numbers are finite')
-    bits = points.view('<u4')[..., len(_FIRST_FIELDS) - 1]
-    names = chain(*fields.values())
-    column = dict(zip(names, np.moveaxis(points, -1, 0)[_FIRST_DOUBLES:], strict=True))
     quantities: Quantities = {}
     for bit, quantity in enumerate(fields):
-        own = column.get(f'{quantity}{_DETERMINED}')
-        determined = bits >> bit & 1 == 1 if own is None else own != 0
+        if bit < layout.added:
+            determined = points['determined'] >> bit & 1 == 1
+        else:
+            determined = points[f'{quantity}{_DETERMINED}'] != 0
         for name in _POSE if quantity == 'pose' else (quantity,):
-            if name in column:
-                variance = column[f'{name}_deviation'] ** 2
-                quantities[name] = Numbers(column[name], variance, determined)
-                continue
-            x, y, xx, xy, yy = (column[field] for field in _fields_of(name, True))
-            covariance = np.stack([xx, xy, xy, yy], axis=-1).reshape(*xx.shape, 2, 2)
-            quantities[name] = Vectors(x + 1j * y, covariance, determined)
-    return quantities
+            quantities[name] = _quantity_in(points, name, determined)
+    reasons = {name: points[f'{name}{_REASON}'] for name in list(fields)[: layout.added]}
+    return StateBlock(seconds * 10**9 + fraction, quantities, reasons)
+
+
+def _quantity_in(points: np.ndarray, name: str, determined: np.ndarray) -> Numbers | Vectors:
+    """Return a quantity (...) in points (...)."""
+    if name in (points.dtype.names or ()):
+        return Numbers(points[name], points[f'{name}_deviation'] ** 2, determined)
+    x, y, xx, xy, yy = (points[field] for field in _fields_of(name, True))
+    covariance = np.stack([xx, xy, xy, yy], axis=-1).reshape(*xx.shape, 2, 2)
+    return Vectors(x + 1j * y, covariance, determined)

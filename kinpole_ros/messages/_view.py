@@ -18,7 +18,7 @@ from kinpole_ros.messages._rows import Build, Built
 from kinpole_ros.messages._state import STATE
 from kinpole_ros.messages._types import PointCloud2, String, serialize_message, type_name
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.plane import Plane, as_parameter
+from kinpole_ros.tracking.plane import Plane, plane_axes
 from kinpole_ros.tracking.values import Numbers, Vectors, ellipse_axes, sigma_along
 
 VIEW = 'view'
@@ -67,9 +67,7 @@ def view_of(estimate: Estimate, default_plane: Plane) -> dict[str, Any]:
             body |= {quantity: value for quantity, value in of_body.items() if value is not None}
         bodies.append(body)
     plane = estimate.plane or default_plane
-    along = list(plane.name[:2])
-    if plane.axes is None:
-        along = [f'along {as_parameter(axis)}' for axis in plane.basis[:2]]
+    along = list(plane_axes(plane))
     return {
         'stamp': int(estimate.stamp),
         'along': along,
@@ -83,7 +81,7 @@ def _pose(estimate: Estimate, b: int) -> dict[str, Any]:
     """Return pose, velocity, size and outline of a body; nothing where they are not determined."""
     position, velocity = (complex(estimate.origin(order)[b]) for order in (0, 1))
     pose = position.real, position.imag, float(estimate.angle[0, b]), velocity.real, velocity.imag
-    if estimate.missing[b] or not math.isfinite(sum(pose)):
+    if estimate.reason[b] or not math.isfinite(sum(pose)):
         return {}
     size, shape = float(estimate.size[b]), estimate.shape[b]
     values = _rounded(*pose, size if 0 < size < math.inf else 0.0)

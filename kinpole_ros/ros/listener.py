@@ -21,6 +21,7 @@ from kinpole_ros.bags import BagError
 from kinpole_ros.messages import (
     DRAWING,
     PAGE_TOPICS,
+    RIG,
     ROS_TYPE_NAMES,
     MessageError,
     installed_class,
@@ -29,6 +30,7 @@ from kinpole_ros.messages import (
 from kinpole_ros.ros.executor import start_ros
 from kinpole_ros.ros.player import bag_errors, own_context, with_slash
 from kinpole_ros.ros.private import PreparedWait, take
+from kinpole_ros.ros.publishers import LATCHED
 from kinpole_ros.ros.source import (
     MAX_MESSAGE_BYTES,
     SUBSCRIPTION_DEPTH,
@@ -178,9 +180,10 @@ class Watcher:
         for name in self._subscriptions.keys() - topics.keys():
             self._node.destroy_subscription(self._subscriptions.pop(name))
             del self.newest[name]
-        qos = QoSProfile(depth=_RESULT_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+        latest = QoSProfile(depth=_RESULT_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         no_events = SubscriptionEventCallbacks(use_default_callbacks=False)
         for name in topics.keys() - self._subscriptions.keys():
+            qos = LATCHED if name.endswith(f'/{RIG}') else latest
             self.newest[name] = deque(maxlen=_RESULT_DEPTH)
             self._subscriptions[name] = self._node.create_subscription(
                 installed_class(topics[name]),

@@ -25,19 +25,22 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock as ClockMessage
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from kinpole_ros.messages import (
+    RIG,
     TF,
     DiagnosticsMaker,
     MessageError,
+    RigChanges,
     live_outputs,
     serialize_message,
 )
 from kinpole_ros.ros.executor import make_executor, reason_of, start_ros
 from kinpole_ros.ros.parameters import ParameterNode, qos_overrides_without_effect
 from kinpole_ros.ros.private import RCLError, wrap_service
-from kinpole_ros.ros.publishers import NO_EVENTS, ResultPublishers
+from kinpole_ros.ros.publishers import LATCHED, NO_EVENTS, ResultPublishers
 from kinpole_ros.ros.source import MarkerSource, publishers_of
 from kinpole_ros.settings import ParameterError, Settings
 from kinpole_ros.tracking.estimate import Estimate
@@ -77,6 +80,9 @@ class KinpoleNode(ParameterNode):
         self._noted: set[str] = set()
         self._last_diagnostics = self._steady.now()
         self._status_publisher: Any = None
+        self._rig_publisher: Any = None
+        # A node that is started again goes on with later numbers of runs.
+        self._rig = RigChanges(int(time.time()))
         # With a steady clock timers run though simulated time stands still. The second one runs in
         # every state, so that no wait is endless.
         self._diagnostics_timer = self.create_timer(
@@ -135,6 +141,16 @@ class KinpoleNode(ParameterNode):
         self.source.restart(self.settings)
         self._latest = None
         self._stamps = []
+        self._publish_rig()
+
+    def _publish_rig(self) -> None:
+        """Publish what a subscriber has to know, if it has changed."""
+        if self._rig_publisher is None:
+            return
+        registered = self.theory.quantities(self._tracker.bodies) if self.theory else ()
+        data = self._rig.message(self._tracker, registered)
+        if data is not None:
+            self._rig_publisher.publish(data)
 
     def _relearn(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Learn shapes, noise and pins again: markers were moved on their bodies."""
@@ -151,6 +167,11 @@ class KinpoleNode(ParameterNode):
         self._status_publisher = self.create_publisher(
             DiagnosticArray, '/diagnostics', 10, event_callbacks=NO_EVENTS
         )
+        self._rig_publisher = self.create_publisher(
+            String, f'~/{RIG}', LATCHED, event_callbacks=NO_EVENTS
+        )
+        self._rig = RigChanges(int(time.time()))
+        self._publish_rig()
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -187,9 +208,9 @@ class KinpoleNode(ParameterNode):
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Destroy the publishers."""
         self.close_outputs()
-        if self._status_publisher is not None:
-            self.destroy_publisher(self._status_publisher)
-            self._status_publisher = None
+        for publisher in filter(None, (self._status_publisher, self._rig_publisher)):
+            self.destroy_publisher(publisher)
+        self._status_publisher = self._rig_publisher = None
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -240,6 +261,8 @@ class KinpoleNode(ParameterNode):
             self._stamps.extend(frames.stamps.tolist())
             for estimate in self._tracker.add(frames, order, needs_events):
                 self._latest = last = estimate
+                if not self._rig.is_of(estimate.run):
+                    self._publish_rig()
                 self.results.publish(estimate)
         if displays and last is not None:
             self.results.publish_displays(displays, last, now)
@@ -274,6 +297,7 @@ class KinpoleNode(ParameterNode):
         )
         self._stamps, self._latest = [], None
         self._status_publisher.publish(serialize_message(array))
+        self._publish_rig()
 
     def _note_duplicate_publishers(self) -> None:
         """Note other nodes that publish the same results."""

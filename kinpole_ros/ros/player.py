@@ -25,6 +25,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 
 from kinpole_ros.bags import BagError, BagMessage, message_class, read_messages, topics
 from kinpole_ros.messages import (
+    RIG,
     deserialize_message,
     installed_class,
     serialize_message,
@@ -32,6 +33,7 @@ from kinpole_ros.messages import (
 )
 from kinpole_ros.ros.executor import check_domain, reason_of
 from kinpole_ros.ros.private import RCLError
+from kinpole_ros.ros.publishers import LATCHED
 
 _POLL_INTERVAL = 0.01  # s, while waiting for subscribers
 _ACKNOWLEDGMENT_WAIT = Duration(seconds=0.1)
@@ -140,7 +142,8 @@ def _make_publishers(
             node.get_logger().warning(f'{name} is not played: {error}')
             continue
         try:
-            publishers[name] = node.create_publisher(cls, name, QoSProfile(depth=_DEPTH))
+            qos = LATCHED if name.endswith(f'/{RIG}') else QoSProfile(depth=_DEPTH)
+            publishers[name] = node.create_publisher(cls, name, qos)
         except NameValidationException as error:
             reason = ' '.join(str(error).rstrip(' ^\n').split())
             raise BagError(f'{bag}: {reason}; name other topics with --topic') from None

@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from kinpole_ros.messages import (
     DRAWING,
@@ -24,6 +25,8 @@ from kinpole_ros.tracking.estimate import Estimate
 _DEPTH = 2000
 # The callbacks of rclpy only log, and cost 6 us a publisher in each wait.
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
+# Of a topic whose last message a subscriber needs whenever it comes.
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _ACKNOWLEDGMENT_WAIT = 0.1  # s; ms suffice, but a reader of Fast DDS may acknowledge after 3 s
 _Row: TypeAlias = tuple[Output, Any]  # a topic and its publisher
 

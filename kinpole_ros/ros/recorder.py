@@ -1,6 +1,6 @@
 """Record topics into a bag: a small `ros2 bag record` for rclpy without a ROS installation."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,18 +9,13 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import (
-    DurabilityPolicy,
-    QoSCompatibility,
-    QoSProfile,
-    ReliabilityPolicy,
-    qos_check_compatible,
-)
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.subscription import Subscription
 
 from kinpole_ros.bags import RECORDER, BagError, BagWriter
 from kinpole_ros.messages import installed_class
 from kinpole_ros.ros.executor import make_executor, start_ros
+from kinpole_ros.ros.offered_qos import strictest_qos
 from kinpole_ros.ros.player import bag_errors, with_slash
 from kinpole_ros.ros.private import received_at, take
 
@@ -127,8 +122,7 @@ class Recorder(Node):
             except LookupError as error:
                 self.get_logger().warning(f'{name} is not recorded: {error}')
                 continue
-            offers = [o.qos_profile for o in published if o.topic_type == kind]
-            self._subscribe(name, kind, _least_of(offers))
+            self._subscribe(name, kind, strictest_qos(published, kind, _DEPTH))
         # The event of an incompatible publisher may come after it is gone.
         for recorded in list(self._recorded):
             if recorded.subscription in self._incompatible:
@@ -149,18 +143,17 @@ class Recorder(Node):
         subscription = recorded.subscription
         name, requested = subscription.topic_name, subscription.qos_profile
         published = self.get_publishers_info_by_topic(name)
-        offers = [o.qos_profile for o in published if o.topic_type == recorded.kind]
-        lower = [
-            o for o in offers if qos_check_compatible(o, requested)[0] == QoSCompatibility.ERROR
-        ]
-        if not lower:  # not in the graph yet, or gone again
+        qos = strictest_qos(published, recorded.kind, _DEPTH)
+        # Publishers that are gone had offered enough.
+        is_lower = qos_check_compatible(qos, requested)[0] == QoSCompatibility.ERROR
+        if not is_lower:  # not in the graph yet, or gone again
             return
         self.get_logger().info(f'{name} is recorded with less QoS from now on, as offered')
         self.take_messages()
         self._incompatible.remove(subscription)
         self._recorded.remove(recorded)
         self.destroy_subscription(subscription)
-        self._subscribe(name, recorded.kind, _least_of([requested, *lower]))
+        self._subscribe(name, recorded.kind, qos)
 
     def _note_other_types(self, name: str, types: set[str]) -> None:
         if new := types - self._types[name]:
@@ -179,13 +172,3 @@ class Recorder(Node):
             self.messages += 1
 
         return save
-
-
-def _least_of(offers: Sequence[QoSProfile]) -> QoSProfile:
-    """Return the strictest QoS that all of the publishers offer."""
-    qos = QoSProfile(depth=_DEPTH)
-    if any(o.reliability == ReliabilityPolicy.BEST_EFFORT for o in offers):
-        qos.reliability = ReliabilityPolicy.BEST_EFFORT
-    if all(o.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers):
-        qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
-    return qos

@@ -8,7 +8,7 @@ import sys
 from dataclasses import replace
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from kinpole_ros.messages import TF, live_outputs
+from kinpole_ros.messages import RIG, TF, live_outputs
 from kinpole_ros.ros.parameters import checked_theory
 from kinpole_ros.settings import ParameterError, Settings, load_settings
 
@@ -28,7 +28,7 @@ _SERVICES = (
     'set_parameters',
     'set_parameters_atomically',
 )
-_PUBLISHED = ('/diagnostics', '/parameter_events', '/rosout', '~/transition_event')
+_PUBLISHED = ('/diagnostics', '/parameter_events', '/rosout', '~/transition_event', f'~/{RIG}')
 
 
 def permitted(settings: Settings) -> dict[str, list[str]]:

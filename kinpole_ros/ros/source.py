@@ -12,7 +12,6 @@ from rclpy.qos import (
     QoSCompatibility,
     QoSPolicyKind,
     QoSProfile,
-    ReliabilityPolicy,
     qos_check_compatible,
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -28,6 +27,7 @@ from kinpole_ros.messages import (
     installed_class,
     reader_of,
 )
+from kinpole_ros.ros.offered_qos import strictest_qos
 from kinpole_ros.ros.private import has_known_node, received_at, sequence_number, take
 from kinpole_ros.settings import ParameterError, Settings
 from kinpole_ros.tracking.frame import MarkerFrames
@@ -71,6 +71,9 @@ class MarkerSource:
         self._kind = ''
         self._update_due = 0.0
         self._depth, self._largest_size = SUBSCRIPTION_DEPTH, 0
+        # Parameters of the user are there before the first subscription declares its own.
+        reliability = f'qos_overrides.{self.topic}.subscription.reliability'
+        self._is_reliability_given = node.has_parameter(reliability)
         # Since when all messages are taken late, and the CPU time of the node then, s; None while
         # they are in time.
         self._behind_since: tuple[float, float] | None = None
@@ -145,14 +148,13 @@ class MarkerSource:
         self._note('type', fault)
         if kinds and self._kind not in kinds:
             self.close()
-            self._subscribe(kinds[0])
+            self._subscribe(kinds[0], offers)
             self._publishers = seen
-        elif self.is_subscribed and (
-            self._highest_depth() < self._depth == self._subscription.qos_profile.depth
-        ):
-            # A depth that the user has set stays.
+        elif self.is_subscribed and self._is_other_qos_due(offers):
+            while waiting := [*take(self._subscription, 1)]:
+                self._on_markers(*waiting[0])
             self._unsubscribe()
-            self._subscribe(self._kind)
+            self._subscribe(self._kind, offers)
         if self.is_subscribed:
             self._update_due = time.monotonic() + _UPDATE_INTERVAL
         if is_replaced and self._kind:
@@ -184,13 +186,28 @@ class MarkerSource:
             depth //= 2
         return depth
 
-    def _subscribe(self, kind: str) -> None:
+    def _is_other_qos_due(self, offers: Sequence[TopicEndpointInfo]) -> bool:
+        """Whether the depth is too high, or the publishers offer another reliability."""
+        used = self._subscription.qos_profile
+        if self._highest_depth() < self._depth == used.depth:
+            # A depth that the user has set stays.
+            return True
+        kind = INPUT_TYPE_NAMES[self._kind]
+        is_offered = any(offer.topic_type == kind for offer in offers)
+        offered = strictest_qos(offers, kind, self._depth).reliability
+        return is_offered and not self._is_reliability_given and used.reliability != offered
+
+    def _subscribe(self, kind: str, offers: Sequence[TopicEndpointInfo]) -> None:
         # First, as it may not go with the parameters.
         self._reader = reader_of(kind, self._settings)
-        # As most drivers publish; a frame that is late is not worth waiting for.
         self._depth = self._highest_depth()
-        qos = QoSProfile(depth=self._depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-        policies = [QoSPolicyKind.HISTORY, QoSPolicyKind.RELIABILITY]
+        # Reliable where it is offered: then no frame is lost in a stall. Frames of before are not
+        # asked for.
+        offered = strictest_qos(offers, INPUT_TYPE_NAMES[kind], self._depth)
+        qos = QoSProfile(depth=self._depth, reliability=offered.reliability)
+        policies = [QoSPolicyKind.HISTORY]
+        if self._is_reliability_given:
+            policies.append(QoSPolicyKind.RELIABILITY)
         if self._depth == SUBSCRIPTION_DEPTH:
             policies.append(QoSPolicyKind.DEPTH)
         overrides = f'qos_overrides.{self.topic}.subscription'

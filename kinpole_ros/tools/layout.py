@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.bags import NODE_NAME, BagError, in_place_of, read_messages, topics
+from kinpole_ros.bags import NODE_NAME, BagError, in_place_of, read_messages
 from kinpole_ros.linkage.theory import load_theory
-from kinpole_ros.messages import COLORS, DRAWING, outputs_of, type_name
+from kinpole_ros.messages import COLORS, DRAWING, RIG, outputs_of, read_rig, type_name
 from kinpole_ros.settings import Settings, load_settings
 from kinpole_ros.tools.record import result_bag
 from kinpole_ros.tracking.plane import XY, plane_of
@@ -91,24 +91,17 @@ def topics_of(config: str | None) -> RigTopics:
 
 
 def _topics_of_bag(bag: str) -> RigTopics:
-    kinds = topics(bag)
-    nodes = result_bag.bodies_by_node(kinds)
-    if not nodes:
-        raise BagError(f'{bag} holds no results; make them first: kinpole replay {bag} --output R')
-    node = min(nodes)
-    bodies = nodes[node]
-    axis, frame, joints = 'z', '', []
-    for message in read_messages(bag, [f'{node}/{body}/odom' for body in bodies]):
-        odometry = result_bag.decode(message.type_name, message.data)
-        frame = odometry.header.frame_id
-        axis = _nearest_axis(
-            result_bag.plane_of_motion(np.array([result_bag.odometry_row(odometry)])).normal
-        )
-        break
-    for message in read_messages(bag, [node + _JOINTS]):
-        joints = list(result_bag.decode(message.type_name, message.data).name)
-        break
-    return RigTopics(node, kinds, bodies, joints, axis, frame)
+    kinds, (node, *_) = result_bag.require_results(bag)
+    rig: dict[str, Any] | None = None
+    for message in read_messages(bag, [f'{node}/{RIG}']):
+        rig = read_rig(message.data)
+        if rig['plane'] is not None and rig['frame_id']:
+            break
+    if rig is None:
+        raise BagError(f'{bag}: no message on {node}/{RIG}; fix: record it with the results')
+    axis = 'z' if rig['plane'] is None else _nearest_axis(np.array(rig['plane']['normal']))
+    bodies = [body['name'] for body in rig['bodies']]
+    return RigTopics(node, kinds, bodies, list(rig['joints']), axis, rig['frame_id'])
 
 
 def _nearest_axis(normal: np.ndarray) -> str:

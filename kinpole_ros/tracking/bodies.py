@@ -29,7 +29,7 @@ _CAUSES = {
     'placement': {'shape', 'frames', 'relative'},
     'fitting': {
         *('shape', 'frames', 'relative', 'fits', 'misfit', 'noise', 'least_noise'),
-        *('angle_noise', 'pose_middle', 'hub'),
+        *('angle_noise', 'pose_middle'),
     },
     'are_measured': {'angle_noise'},
 }
@@ -72,7 +72,6 @@ class Fitting(NamedTuple):
 
     size: Real
     middle: Complex
-    reference: Complex
     mature: np.ndarray
     error: Real
     fit_noise: Real
@@ -216,19 +215,16 @@ class Bodies:
         spread = placement.spread
         size = 2 * np.sqrt(spread / np.maximum(placement.learned_count, 1))
         limits = marker_limits(mature, self.misfit, self.error, spread, size, self.relative)
-        middle, reference, factor = placement.factors.mean, self.hub, np.ones((2, self.count))
+        middle, factor = placement.factors.mean, np.ones((2, self.count))
         if self.are_measured:
             # Distance from their mean of markers with such noise.
             arm = self.noise / self.angle_noise
             middle, size = self.pose_middle, 2 * arm
             factor = np.stack((arm**2, arm**2 / (arm**2 + np.abs(middle) ** 2)))
             factor = np.where(np.isnan(factor), 1.0, factor)
-            # The derivatives assume independent errors of position and angle: so at the middle.
-            reference = np.where(self.hub == 0, middle, self.hub)
         return Fitting(
             size=size,
             middle=middle,
-            reference=reference,
             mature=mature,
             error=self.error,
             fit_noise=np.where(self.noise > 0, self.noise, 1.0),
@@ -236,6 +232,14 @@ class Bodies:
             reason=reasons_of(self.noise, spread, self.angle_noise),
             **limits._asdict(),
         )
+
+    @cached_property
+    def reference(self) -> Complex:
+        """Points (B,) whose positions are derived, in the frames of the bodies, m."""
+        if not self.are_measured:
+            return self.hub
+        # The derivatives assume independent errors of position and angle: so at the middle.
+        return np.where(self.hub == 0, self.fitting.middle, self.hub)
 
     @property
     def error(self) -> Real:

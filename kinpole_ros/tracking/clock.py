@@ -83,6 +83,23 @@ class Clock(NamedTuple):
         return np.asarray((since - self.phase + self.margin) / self.interval)
 
 
+class StampState(NamedTuple):
+    """
+    How stamps lie on the estimated clock.
+
+    `interval`, `jitter` (rms) and `largest` lateness are in s. `regularized` is whether frames are
+    taken to be at the ticks of the clock. `nats` is the evidence of the motion for that, negative
+    if it is for the stamps. `costs` is whether the jitter moves markers by more than their noise.
+    """
+
+    interval: float
+    jitter: float
+    largest: float
+    regularized: bool
+    nats: float
+    costs: bool
+
+
 def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.ndarray]:
     """
     Estimate the clock of the stamps of frames, and count the frames.

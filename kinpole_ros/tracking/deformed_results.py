@@ -4,9 +4,9 @@ import numpy as np
 
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.deformation import ResultWindow, deformation_covariance, hold_hidden
+from kinpole_ros.tracking.estimate import Results
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.rejection import REASONS
-from kinpole_ros.tracking.result_arrays import Results
+from kinpole_ros.tracking.reasons import REASONS
 
 
 def add_deformation(results: Results, first: int, bodies: Bodies, history: History) -> None:

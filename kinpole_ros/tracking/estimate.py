@@ -6,14 +6,16 @@ computed from them when they are first asked for. A quantity that does not excee
 undetermined, for a reason that is named.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from ctypes import addressof
 from functools import cached_property, partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from kinpole_ros import planar
-from kinpole_ros.core.bindings import Motion
+from kinpole_ros.core.bindings import Motion, pass_new_array
+from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.quantities import (
@@ -28,16 +30,17 @@ from kinpole_ros.tracking.quantities import (
     compute_quantity,
     motion_of,
     relative_centers,
+    withheld_quantities,
 )
 from kinpole_ros.tracking.reasons import (
-    FARTHEST,
+    KNOWN,
+    REASONS,
     SIGNIFICANT,
-    STRAIGHT,
+    reasons_of_poses,
     stands_out,
-    why_no_motion_of_icr,
-    why_no_poles,
+    texts_of,
 )
-from kinpole_ros.tracking.result_layout import INSTANT_AXIS
+from kinpole_ros.tracking.result_layout import FILLED, INSTANT_AXIS, ArrayPart, layout_of
 from kinpole_ros.tracking.values import (
     POLE_NAMES,
     RATE_NAMES,
@@ -50,6 +53,77 @@ from kinpole_ros.tracking.values import (
 
 _Arrays = TypeVar('_Arrays', bound=Vectors | Numbers | FramePoses)
 _Computed = TypeVar('_Computed')
+
+
+class Results(NamedTuple):
+    """
+    The results of up to so many instants, of bodies with some markers, as follow.c fills them.
+
+    Attributes
+    ----------
+    fields : (n,) int64
+        Those of `Results` of frames.h: the number of instants that there is memory for, how many
+        have results, the fewest samples of a window, how many results are of deformed bodies, and
+        where the arrays begin.
+    layout : dict of str to Part
+        Where each array is in the buffer.
+    buffer : ndarray
+        All arrays, from `address` on.
+    of_motion : (m,) int64
+        Where the arrays of `Motion` are in the buffer.
+    instants, orders, bodies : int
+        Sizes of the arrays.
+
+    """
+
+    fields: np.ndarray
+    layout: dict[str, ArrayPart]
+    buffer: np.ndarray
+    address: int
+    of_motion: np.ndarray
+    instants: int
+    orders: int
+    bodies: int
+
+    @property
+    def filled(self) -> int:
+        """How many instants have results."""
+        return int(self.fields[FILLED])
+
+    def array(self, name: str) -> np.ndarray:
+        """Return an array, of all instants that there is memory for."""
+        shape, dtype, offset = self.layout[name]
+        return np.ndarray(shape, dtype, self.buffer, offset)
+
+    def column(self, name: str) -> np.ndarray:
+        """Return an array, of the instants that have results."""
+        array, count = self.array(name), self.filled
+        if count == self.instants:
+            return array
+        return array[(slice(None),) * INSTANT_AXIS.get(name, 0) + (slice(count),)]
+
+    def motion(self) -> Motion:
+        """Return the motion of the instants that have results."""
+        count = self.filled
+        numbers = count * self.bodies, self.instants * self.bodies, self.orders
+        fields = np.empty(len(numbers) + len(self.of_motion), np.int64)
+        fields[: len(numbers)] = numbers
+        np.add(self.of_motion, self.address, out=fields[len(numbers) :])
+        motion = Motion.from_buffer(fields)
+        motion.shape, motion.owners = (count, self.bodies), [self.buffer]
+        return motion
+
+
+def new_results(instants: int, orders: int, bodies: int, markers: int) -> Results:
+    """Return memory for the results of so many instants, with derivatives of so many `orders`."""
+    layout, offsets, of_motion, size = layout_of(instants, orders, bodies, markers)
+    numbers = instants, 0, FEWEST_SAMPLES, 0
+    fields = np.empty(len(numbers) + len(offsets), np.int64)
+    fields[: len(numbers)] = numbers
+    buffer = np.empty(size, np.uint8)
+    address = addressof(pass_new_array(buffer))
+    np.add(offsets, address, out=fields[len(numbers) :])
+    return Results(fields, layout, buffer, address, of_motion, instants, orders, bodies)
 
 
 def _column(name: str) -> Any:
@@ -85,8 +159,9 @@ class Estimate:
     span, degree : (T, B) float
         How long the samples of the angular velocity take, s, and by how many parameters less one
         they are described.
-    missing : (T, B) str
-        Why nothing is known of a body, '' if it is known. Its arrays are NaN.
+    reason : (T, B) uint8
+        The code of why nothing is known of a body, KNOWN if it is known: see reasons.py. Its
+        arrays are NaN.
     pin, pin_variance : (T, B)
         The fixed point a body was found to turn about, complex, m, and the variance of one of its
         coordinates, m^2. NaN for a body on no pin.
@@ -113,7 +188,7 @@ class Estimate:
     height: np.ndarray = _column('height')
     span: np.ndarray = _column('span')
     degree: np.ndarray = _column('degree')
-    missing: np.ndarray = _column('missing')
+    reason: np.ndarray = _column('reason')
     pin: np.ndarray = _column('pin')
     pin_variance: np.ndarray = _column('pin_variance')
     shape: np.ndarray = _column('shape')
@@ -151,7 +226,8 @@ class Estimate:
         """
         Return an estimate of arrays by their names.
 
-        Pins, shapes and references may be left out: then no body has any.
+        Pins, shapes and references may be left out: then no body has any. So may reasons: then all
+        bodies are known.
         """
         shape, stamp = np.shape(arrays['position'])[1:], np.asarray(arrays['stamp'])
         defaults = {
@@ -160,6 +236,7 @@ class Estimate:
             'shape': np.empty((*shape, 0), complex),
             'due': np.arange(stamp.size).reshape(stamp.shape),
             'reference': np.zeros(shape, complex),
+            'reason': np.full(shape, KNOWN, np.uint8),
         }
         return cls((defaults | dict(arrays)).__getitem__, frame_id, bodies, run, plane)
 
@@ -187,6 +264,11 @@ class Estimate:
             if isinstance(quantity, Vectors | Numbers):
                 vars(one)[name] = _at(instant, quantity)
         return one
+
+    @property
+    def missing(self) -> np.ndarray:
+        """Why nothing is known of a body (T, B), in words; '' if it is known."""
+        return texts_of(self.reason)
 
     @cached_property
     def pinned(self) -> np.ndarray:
@@ -241,7 +323,7 @@ class Estimate:
 
         Empty if nothing is known of the body.
         """
-        if self.missing[body]:
+        if self.reason[body]:
             return ''
         if stands_out(np.abs(self.angle), self.angle_covariance)[body]:
             return 'pinned' if self.pinned[body] else 'general'
@@ -252,25 +334,25 @@ class Estimate:
     @cached_property
     def icr_velocity(self) -> Vectors:
         """Velocity of the ICR along both centrodes (m/s)."""
-        value, spread, flags = compute_quantity(VELOCITY, self.compiled_motion)
+        value, spread, flags, _ = compute_quantity(VELOCITY, self.compiled_motion)
         return Vectors(value, spread, (flags & DETERMINED) > 0)
 
     @cached_property
     def centrode_curvature(self) -> Numbers:
         """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
-        value, spread, flags = compute_quantity(CURVATURE, self.compiled_motion)
+        value, spread, flags, _ = compute_quantity(CURVATURE, self.compiled_motion)
         return Numbers(value.real, spread[..., 0, 0], (flags & DETERMINED) > 0)
 
     @cached_property
     def inflection_circle(self) -> Vectors:
         """Center of the inflection circle (m); undetermined where the ICR stands still."""
-        value, spread, flags = compute_quantity(CIRCLE_CENTER, self.compiled_motion)
+        value, spread, flags, _ = compute_quantity(CIRCLE_CENTER, self.compiled_motion)
         return Vectors(value, spread, (flags & DETERMINED) > 0)
 
     @cached_property
     def inflection_diameter(self) -> Numbers:
         """Diameter of the inflection circle (m); undetermined where the ICR stands still."""
-        value, spread, flags = compute_quantity(CIRCLE_DIAMETER, self.compiled_motion)
+        value, spread, flags, _ = compute_quantity(CIRCLE_DIAMETER, self.compiled_motion)
         return Numbers(value.real, spread[..., 0, 0], (flags & DETERMINED) > 0)
 
     @cached_property
@@ -333,35 +415,21 @@ class Estimate:
         return Vectors(value, spread, flags > 0)
 
     def reasons(self, body: int) -> dict[str, str]:
-        """Return why quantities of a body at one instant are undetermined, by name."""
-        if self.missing[body]:
+        """Return why quantities of a body at one instant are undetermined, by name, in words."""
+        if self.reason[body]:
             return {'all': str(self.missing[body])}
-        reasons = {name: str(why[body]) for name, why in self.withheld().items()}
-        return {name: why for name, why in reasons.items() if why}
+        codes = {name: code[body] for name, code in self.withheld().items()}
+        return {name: str(texts_of(code)) for name, code in codes.items() if code}
 
     def withheld(self) -> dict[str, np.ndarray]:
         """
-        Return why each quantity (T, B) is undetermined, '' where it is determined.
+        Return the code (T, B) of why each quantity is undetermined, KNOWN where it is determined.
 
         The quantities are the poles, the curvature of the centrode and the inflection circle, up to
-        the order. A reason in `missing` holds for all of them.
+        the order. A `reason` of the body holds for all of them.
         """
-        poles = [self.pole(order) for order in range(1, self.order + 1)]
-        reasons = dict(
-            zip(POLE_NAMES, why_no_poles(poles, self.position[0], self.size), strict=False)
-        )
-        quantities = self.quantities(self.order)
-        for name in ('centrode_curvature', 'inflection_circle'):
-            if name in quantities:
-                about = self.pole(1).determined, self.pinned, self.icr_moves
-                reasons[name] = why_no_motion_of_icr(*about, quantities[name].determined)
-        if 'inflection_circle' in reasons:
-            with np.errstate(invalid='ignore'):
-                far = np.abs(self.inflection_circle.value - self.position[0]) > FARTHEST * self.size
-            reasons['inflection_circle'][far & self.icr_moves] = STRAIGHT
-        return {
-            name: np.where(self.missing == '', why, self.missing) for name, why in reasons.items()
-        }
+        motion, names = self.compiled_motion, withheld_quantities(self.order)
+        return {name: compute_quantity(what, motion)[3] for what, name in names.items()}
 
 
 def _origin(order: int, estimate: Estimate) -> np.ndarray:
@@ -381,10 +449,60 @@ def _rate(order: int, estimate: Estimate) -> Numbers:
 
 def _pole(order: int, estimate: Estimate) -> Vectors:
     """Return a pole, with pins, or without for FREE + its order."""
-    value, spread, flags = compute_quantity(order, estimate.compiled_motion)
+    value, spread, flags, _ = compute_quantity(order, estimate.compiled_motion)
     return Vectors(value, spread, flags > 0)
 
 
 def _at(instant: int, arrays: _Arrays) -> _Arrays:
     """One instant of arrays (T, ...)."""
     return type(arrays)(*(array[instant] for array in arrays))
+
+
+def estimate_of(
+    parts: Sequence[tuple[Results, np.ndarray]],
+    frame_id: str,
+    bodies: tuple[str, ...],
+    run: int,
+    plane: Plane | None,
+    are_measured: bool,
+    events: tuple[BodyEvent, ...] = (),
+) -> Estimate:
+    """
+    Return results, of one instant after the other, as one estimate.
+
+    Each of the `parts` is with the numbers of the frames of which `due` counts.
+    """
+    results = [part for part, _ in parts]
+    for part, numbers in parts:
+        due, reason = part.column('due'), part.column('reason')
+        due[:] = numbers[due]
+        if plane is None:
+            reason[:] = REASONS['PLANE_UNKNOWN']
+        elif are_measured:
+            reason[:] = reasons_of_poses(reason)
+
+    def stored(name: str) -> np.ndarray:
+        axis = INSTANT_AXIS.get(name, 0)
+        return np.concatenate([part.column(name) for part in results], axis)
+
+    if len(results) == 1:
+        stored = results[0].column
+
+    def column(name: str) -> np.ndarray:
+        return stored('freedom') - 1 if name == 'degree' else stored(name)
+
+    def frame_poses() -> FramePoses:
+        turned, placed = stored('information').swapaxes(0, 1)
+        return FramePoses(
+            angle=stored('frame_angle'),
+            position=stored('frame_position'),
+            angle_information=turned,
+            position_information=placed,
+            middle=stored('middle'),
+            noise=stored('noise'),
+        )
+
+    estimate = Estimate(column, frame_id, bodies, run, plane, frame_poses, events)
+    if len(results) == 1:
+        estimate.compiled_motion = results[0].motion()
+    return estimate

@@ -28,11 +28,6 @@ class MarkerFrames(NamedTuple):
     points: np.ndarray
     axes: np.ndarray | None = None
 
-    @property
-    def has_poses(self) -> bool:
-        """Whether rows are poses."""
-        return self.axes is not None
-
 
 def part_of(frames: MarkerFrames, part: slice | np.ndarray) -> MarkerFrames:
     """Some of the frames."""

@@ -51,6 +51,8 @@ class PlacedFrames(NamedTuple):
         Markers in the frame of the message, m, of poses or while the plane is not known.
     tilts : (T, B) complex or None
         Tilts of poses, see `tilts_of`; None for markers, and while the plane is not known.
+    size : int
+        Number of rows of the message.
     is_nameless : bool
         Whether the names are indices, which may change at any time.
 
@@ -61,12 +63,8 @@ class PlacedFrames(NamedTuple):
     heights: np.ndarray
     in_space: np.ndarray | None
     tilts: np.ndarray | None
+    size: int
     is_nameless: bool
-
-    @property
-    def size(self) -> int:
-        """Number of rows of the message."""
-        return self.frames.points.shape[1]
 
     @property
     def identities(self) -> tuple[str, ...]:

@@ -140,11 +140,12 @@ class MarkerAssignment:
         if in_space is not None and self.plane is not None:
             tilts = tilts_of(in_space, self.plane, self._upside_down)
         is_nameless = layout.is_numbered and not self.names_come
-        return PlacedFrames(frames, flat, heights, in_space, tilts, is_nameless)
+        size = points.shape[1]
+        return PlacedFrames(frames, flat, heights, in_space, tilts, size, is_nameless)
 
     def layout_of(self, placed: PlacedFrames) -> FrameLayout:
         """Return the layout of frames, by what is known of names now."""
-        return self._layout_of(placed.identities)
+        return self._layout_of(placed.frames.identities)
 
     def assign_again(self, placed: PlacedFrames, first: int) -> None:
         """Place the frames from `first` on again, by what is known of names now."""

@@ -122,6 +122,13 @@ def plane_along(normal: Sequence[float] | np.ndarray) -> Plane:
     return Plane(basis, None)
 
 
+def plane_axes(plane: Plane) -> tuple[str, str]:
+    """Return the names of the first two axes of a plane, for the axes of drawings."""
+    if plane.axes is not None:
+        return plane.name[:1], plane.name[1:2]
+    return f'along {as_parameter(plane.basis[0])}', f'along {as_parameter(plane.basis[1])}'
+
+
 def upward(normal: np.ndarray) -> np.ndarray:
     """That of the two normals (3,) of a plane that is nearer to +z; to +y, then +x, for a tie."""
     for column in (2, 1, 0):

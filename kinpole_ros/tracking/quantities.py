@@ -14,6 +14,7 @@ from kinpole_ros.core.bindings import (
     pass_new_array,
 )
 from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.tracking.values import POLE_NAMES
 
 # What is computed: see codes.h. Poles have their order, 1 to 4, and FREE is added for a pole by the
 # motion alone, whatever is known of pins.
@@ -29,6 +30,20 @@ _FLAGS = codes_of('QUANTITY_FLAGS')
 DETERMINED, MOVES = _FLAGS['DETERMINED'], _FLAGS['MOVES']
 
 
+def withheld_quantities(order: int) -> dict[int, str]:
+    """
+    Return the quantities that may be undetermined though the pose is known, and their names.
+
+    They are those up to the derivative of `order` that have a reason of their own.
+    """
+    wanted = dict(enumerate(POLE_NAMES[:order], 1))
+    if order >= 3:
+        wanted[CURVATURE] = 'centrode_curvature'
+    if order >= 2:
+        wanted[CIRCLE_CENTER] = 'inflection_circle'
+    return wanted
+
+
 def motion_of(*arrays: np.ndarray) -> Motion:
     """
     Return derivatives of bodies at instants, of any shape (...), as `Motion` of motion.h.
@@ -40,7 +55,8 @@ def motion_of(*arrays: np.ndarray) -> Motion:
         complex, m/s^k, and float, rad/s^k. Their covariances (K, K, ...) between the orders, of one
         coordinate. Diameters of the bodies (...), m. The pin (...) that each body turns about,
         complex, m, NaN for none, and the variance (...) of one of its coordinates, m^2. Reference,
-        height and stamp (...) as in `Estimate`: messages need them, no quantity does.
+        height and stamp (...) as in `Estimate`: messages need them, no quantity does. Why bodies
+        have no motion (...), of REASONS; without it all have one.
 
     Returns
     -------
@@ -70,9 +86,9 @@ def motion_of(*arrays: np.ndarray) -> Motion:
     return motion
 
 
-def compute_quantity(quantity: int, motion: Motion) -> tuple[Complex, Real, np.ndarray]:
+def compute_quantity(quantity: int, motion: Motion) -> tuple[Complex, Real, np.ndarray, np.ndarray]:
     """
-    Compute a quantity with its covariance.
+    Compute a quantity with its covariance, and why it is undetermined.
 
     Parameters
     ----------
@@ -89,6 +105,8 @@ def compute_quantity(quantity: int, motion: Motion) -> tuple[Complex, Real, np.n
         Its covariance; the variance of a real one is its first element.
     flags : (...) uint8
         DETERMINED and MOVES.
+    reasons : (...) uint8
+        Numbers of REASONS.
 
     Raises
     ------
@@ -99,7 +117,7 @@ def compute_quantity(quantity: int, motion: Motion) -> tuple[Complex, Real, np.n
     needed = _NEEDED.get(quantity, quantity % FREE)
     if not 1 <= needed < motion.orders <= SIZES['HIGHEST'] + 1:
         raise ValueError(f'expected derivatives up to order {needed}, got {motion.orders - 1}')
-    arrays = _empty(motion.shape)
+    arrays = *_empty(motion.shape), np.empty(motion.shape, np.uint8)
     library.kinpole_quantities(quantity, byref(motion), *map(pass_new_array, arrays))
     return arrays
 
@@ -118,7 +136,7 @@ def relative_centers(motion: Motion, pairs: np.ndarray) -> tuple[Complex, Real, 
     Returns
     -------
     tuple
-        Arrays (..., P) as those of `compute_quantity`.
+        Arrays (..., P) as those of `compute_quantity`, without reasons.
 
     """
     *shape, bodies = motion.shape

@@ -43,6 +43,7 @@ import numpy as np
 
 from kinpole_ros.core.bindings import codes_of
 from kinpole_ros.planar._plane import Real
+from kinpole_ros.tracking.reasons import REASONS
 from kinpole_ros.tracking.thresholds import ROUNDED
 
 # What is counted of markers that are not used as they came, by verdict.
@@ -92,28 +93,10 @@ NEAR = 0.01
 # A frame later than so many intervals follows a gap.
 GAP = 2.5
 
-# What is unusual of a body in a frame, and why it has no result: see codes.h.
+# What is unusual of a body in a frame: see codes.h.
 UNUSUAL = codes_of('UNUSUAL_BITS')
-REASONS = codes_of('REASONS')
 MAY_REPEAT, NO_POSE_REPEATS, NO_MARKER_REPEATS = codes_of('REPETITIONS').values()
 ODD, NAME_DOUBTFUL = UNUSUAL['ODD'], UNUSUAL['NAME_DOUBTFUL']
-
-OFF_PATH = 'its pose is far off its path, and may be wrong'
-_TEXTS = {
-    'KNOWN': '',
-    'NOT_FULL': 'window not full',
-    'TOO_NOISY': 'markers too close for their noise',
-    'NOISE_UNKNOWN': 'noise not known yet',
-    'NOT_SEEN': 'too few markers seen, or all at one place',
-    'OFF_PATH': OFF_PATH,
-}
-_TEXTS_OF_POSES = {
-    'TOO_NOISY': 'the noise of its angle is too large',
-    'NOT_SEEN': 'no pose of it came',
-}
-# Why a body has no result, by the numbers of C, of markers and of poses.
-REASONS_OF_MARKERS = np.array([_TEXTS[name] for name in REASONS], object)
-REASONS_OF_POSES = np.array([(_TEXTS | _TEXTS_OF_POSES)[name] for name in REASONS], object)
 
 
 class MarkerLimits(NamedTuple):
@@ -202,16 +185,6 @@ class Arrivals(NamedTuple):
     late: int
     repeated: int
     last: LastFrame
-
-
-def are_steady(last: LastFrame, stamps: np.ndarray, window: int) -> bool:
-    """Return whether each of the next stamps, ns, follows those before by a window at most."""
-    if not 0 < int(stamps[0]) - last.newest <= window:
-        return False
-    if len(stamps) == 1:
-        return True
-    steps = stamps[1:] - stamps[:-1]
-    return bool(np.minimum.reduce(steps) > 0 and np.maximum.reduce(steps) <= window)
 
 
 def judge_arrivals(

@@ -17,9 +17,9 @@ from kinpole_ros.core.bindings import (
 from kinpole_ros.derivatives import finish_call, new_call
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.estimate import Results, new_results
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.rejection import FAR, GAP, NEAR, NEWEST_FACTOR
-from kinpole_ros.tracking.result_arrays import Results, new_results
 from kinpole_ros.tracking.thresholds import N_SIGMA
 
 # Why the compiled loop ends: see codes.h.
@@ -94,8 +94,11 @@ class Step:
     def bind(self, bodies: Bodies, history: History) -> None:
         """Use these arrays, after an update of the bodies or growth of the history."""
         known, self._history = self.known, history
+        # Tables for windows that came since the last update may take too much memory.
+        finish_call(self._call, 0)
         known.bodies, known.width = bodies.shape.shape
         fields = bodies.placement._asdict() | bodies.fitting._asdict() | vars(bodies)
+        fields['reference'] = bodies.reference
         for name in BodyArrays.elements:
             known.bind(name, np.ascontiguousarray(fields[name]))
         self.bind_history()
@@ -153,7 +156,8 @@ class Step:
         call.orders, call.instants = results.orders, 1
         result_fields = pass_new_array(results.fields)
         code = library.kinpole_follow(self._frames, call, result_fields)
-        finish_call(call, code)
+        if code < 0:
+            finish_call(call, code)
         history.end = columns.end
         return bool(code == UNUSUAL)
 

@@ -4,13 +4,13 @@ from collections import Counter
 
 import numpy as np
 
+from kinpole_ros.tracking.clock import StampState
 from kinpole_ros.tracking.deformation import TISSUE
 from kinpole_ros.tracking.names import Matcher
 from kinpole_ros.tracking.outages import Outage, named_outages
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.space import SpaceReport
 from kinpole_ros.tracking.state import State
-from kinpole_ros.tracking.timeline import StampState
 from kinpole_ros.tracking.update import count_new_frames
 
 # Residuals beyond this share of the body size are of markers on other bodies: tissue moves less.
@@ -61,6 +61,33 @@ class TrackerSummary:
     def identities(self) -> tuple[str, ...]:
         """Identities of the markers in the last message."""
         return () if self.state.placed is None else self.state.placed.identities
+
+    @property
+    def run(self) -> int:
+        """Another number for each start, with other frames of the bodies."""
+        return self.state.run
+
+    @property
+    def has_markers(self) -> bool:
+        """Whether bodies are known by markers, not by poses."""
+        return not self.state.bodies.are_measured
+
+    @property
+    def markers(self) -> list[list[str]]:
+        """Names of the markers of each body."""
+        return self.state.assignment.markers
+
+    def places(self) -> np.ndarray:
+        """Return the places (B, n) of the markers in the frames of bodies, m, NaN if unknown."""
+        return self.state.bodies.placement.places
+
+    def sizes(self) -> np.ndarray:
+        """Return the diameters (B,) of the bodies, m; 0 if unknown."""
+        return self.state.bodies.fitting.size
+
+    def pins(self) -> np.ndarray:
+        """Return the fixed point (B,) about which each body turns, in the plane, m; NaN: none."""
+        return self.state.bodies.pin
 
     def space(self) -> SpaceReport:
         """Return the tilt of the motion against the plane, and how far it leaves the plane."""

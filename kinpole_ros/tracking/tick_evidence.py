@@ -35,6 +35,18 @@ class TickEvidence(NamedTuple):
     speed: float = 0.0
     says_ticks: bool = False
 
+    def denies_grid(self, stamps: str) -> bool:
+        """
+        Return whether the motion denies that the stamps are on the grid of a timer.
+
+        Else they are even, and frames were lost, which regularly happens to a body that is hidden
+        once a turn. Both explain the stamps. Those of a file, or of a driver, are true unless the
+        parameter `stamps` says, or the motion says, that they are not.
+        """
+        if stamps == 'arrival':
+            return self.nats < -DECISIVE_NATS
+        return not self.says_ticks
+
 
 def add_evidence(
     before: TickEvidence,

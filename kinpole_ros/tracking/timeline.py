@@ -6,7 +6,6 @@ clock of the machine.
 """
 
 from collections import Counter
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from kinpole_ros.tracking.clock import (
     HALF_LIFE,
     MEMORY,
     Clock,
+    StampState,
     clock_of,
     count_frames,
     count_until_slip,
@@ -28,39 +28,18 @@ from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.frame_counter import FrameCounter
 from kinpole_ros.tracking.frame_intervals import UNSETTLED, lost_between
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.rejection import LastFrame, are_steady, judge_arrivals
+from kinpole_ros.tracking.rejection import LastFrame, judge_arrivals
 from kinpole_ros.tracking.thresholds import MIN_SAMPLES
 from kinpole_ros.tracking.tick_evidence import FEWEST_WEIGHED, SIDE, TickEvidence, add_evidence
-from kinpole_ros.tracking.timed_frames import (
-    MIN_STEP,
-    TimedFrames,
-    increasing,
-    split_certain,
-    times_at_stamps,
-)
+from kinpole_ros.tracking.timed_frames import TimedFrames, split_certain
 
+# ns. The least time between two frames.
+_MIN_STEP = 1000
 # A frame may be late by this share of the window before the clock is known.
 _MAX_INITIAL_LATENESS = 1 / 4
 # The rate is the same if the counts of this share of the frames agree with those before.
 _SAME_RATE_SHARE = 0.9
 _NO_COUNTS = np.zeros(0, np.int64)
-
-
-class StampState(NamedTuple):
-    """
-    How stamps lie on the estimated clock.
-
-    `interval`, `jitter` (rms) and `largest` lateness are in s. `regularized` is whether frames are
-    taken to be at the ticks of the clock. `nats` is the evidence of the motion for that, negative
-    if it is for the stamps. `costs` is whether the jitter moves markers by more than their noise.
-    """
-
-    interval: float
-    jitter: float
-    largest: float
-    regularized: bool
-    nats: float
-    costs: bool
 
 
 class Timeline:
@@ -151,7 +130,7 @@ class Timeline:
             return np.zeros(0, int), 0, False
         if self._last is None:
             self._last = LastFrame(int(stamps[0]) - 1, int(stamps[0]) - 1, None)
-        if are_steady(self._last, stamps, self._settings.window_ns):
+        if _are_steady(self._last, stamps, self._settings.window_ns):
             self._last = LastFrame(int(stamps[-1]), int(stamps[-1]), points[count - 1].copy())
             self._append(stamps, np.ones(count, bool))
             return np.arange(count), count, False
@@ -213,11 +192,11 @@ class Timeline:
         """
         if self._counter is None and not self._waiting:
             counts = np.zeros(len(numbers), np.int64)
-            times = times_at_stamps([frames.stamps], history, self.at_ticks)
+            times = _times_at_stamps([frames.stamps], history, self.at_ticks)
             return [TimedFrames(frames, times, counts, numbers)]
         parts = [*self._waiting, frames]
         if self._counter is None:
-            times = times_at_stamps([part.stamps for part in parts], history, self.at_ticks)
+            times = _times_at_stamps([part.stamps for part in parts], history, self.at_ticks)
             counts = np.zeros(len(times), np.int64)
             numbers = np.concatenate((np.repeat(numbers[:1], len(times) - len(numbers)), numbers))
         else:
@@ -264,7 +243,7 @@ class Timeline:
                 self._counter.noise = float(np.fmax.reduce(noise)) / self._settings.scale
         elif was_at_ticks:
             self._counter = None
-            history['time'][...] = increasing(history['stamp'])
+            history['time'][...] = _increasing(history['stamp'])
 
     def _estimate_clock(self, history: History, noise: Real) -> np.ndarray:
         """Estimate the clock; return the counts (n,) of the newest frames of the history."""
@@ -282,7 +261,7 @@ class Timeline:
         counted = is_used.nonzero()[0]
         counted = counted[: len(counted) - uncounted]
         self._weigh_motion(history, clock, counts[counted], noise)
-        if clock.is_on_grid and self._denies_grid():
+        if clock.is_on_grid and self._evidence.denies_grid(self._settings.stamps):
             clock, counts = even_clock(stamps, clock) or (clock, counts)
         self._appended = [(stamps, is_used)]
         self._count_lost_at_update(clock, kept, counts)
@@ -325,18 +304,6 @@ class Timeline:
             self._evidence, history, counts, number, interval, half_life, noise
         )
 
-    def _denies_grid(self) -> bool:
-        """
-        Whether the motion denies that the stamps are on the grid of a timer.
-
-        Else they are even, and frames were lost, which regularly happens to a body that is hidden
-        once a turn. Both explain the stamps. Those of a file, or of a driver, are true unless it is
-        said, or the motion says, that they are not.
-        """
-        if self._settings.stamps == 'arrival':
-            return self._evidence.nats < -DECISIVE_NATS
-        return not self._evidence.says_ticks
-
     def _are_at_ticks(self) -> bool:
         """Whether frames are taken to be at ticks from now on."""
         clock = self.clock
@@ -366,9 +333,9 @@ class Timeline:
         history['tick'][first:] = counts
         history['time'][first:] = self._times_of(counts)
         # Earlier frames had another rate: they are at their stamps, less the mean lateness.
-        before = increasing(history['stamp'][:first] - round(clock.lateness))
+        before = _increasing(history['stamp'][:first] - round(clock.lateness))
         if first < len(history):
-            latest = history['time'][first] - MIN_STEP * np.arange(first, 0, -1)
+            latest = history['time'][first] - _MIN_STEP * np.arange(first, 0, -1)
             before = np.minimum(before, latest)
         history['time'][:first] = before
 
@@ -396,3 +363,36 @@ class Timeline:
         waiting = [self._counter.count_frames(p.stamps, p.points)[0] for p in self._waiting]
         self._waiting_counts = np.concatenate([_NO_COUNTS, *waiting])
         return counts
+
+
+def _are_steady(last: LastFrame, stamps: np.ndarray, window: int) -> bool:
+    """Whether each of the next stamps, ns, follows those before by a window at most."""
+    if not 0 < int(stamps[0]) - last.newest <= window:
+        return False
+    if len(stamps) == 1:
+        return True
+    steps = stamps[1:] - stamps[:-1]
+    return bool(np.minimum.reduce(steps) > 0 and np.maximum.reduce(steps) <= window)
+
+
+def _times_at_stamps(parts: list[np.ndarray], history: History, may_repeat: bool) -> np.ndarray:
+    """Times (T,), ns, of the next frames, by parts of their stamps, which may repeat or not."""
+    before = int(parts[0][0]) - _MIN_STEP
+    if history.end > history.first:
+        before = int(history.columns['time'][history.end - 1])
+    times = []
+    for stamps in parts:
+        increase = stamps[0] > before
+        if len(stamps) > 1:
+            increase = increase and not (stamps[1:] <= stamps[:-1]).any()
+        if may_repeat or not increase:
+            stamps = _increasing(np.concatenate(((before,), stamps)))[1:]
+        times.append(stamps)
+        before = int(stamps[-1])
+    return np.concatenate(times) if times[1:] else times[0]
+
+
+def _increasing(stamps: np.ndarray) -> np.ndarray:
+    """Return times (T,) that increase, from stamps that may not."""
+    least = _MIN_STEP * np.arange(len(stamps))
+    return np.asarray(np.maximum.accumulate(stamps - least) + least)

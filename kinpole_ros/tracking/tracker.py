@@ -13,13 +13,12 @@ from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.before_plane import keep_frame, take_again
 from kinpole_ros.tracking.correction import correct_next
 from kinpole_ros.tracking.deformed_results import add_deformation
-from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.estimate import Estimate, Results, estimate_of
 from kinpole_ros.tracking.events import FRAMES_BEHIND, BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import note_gap
 from kinpole_ros.tracking.placed_frames import PlacedFrames
 from kinpole_ros.tracking.rejection import EXCHANGED
-from kinpole_ros.tracking.result_arrays import Results, estimate_of
 from kinpole_ros.tracking.result_layout import DEFORMED, FILLED
 from kinpole_ros.tracking.state import new_totals, start, widen
 from kinpole_ros.tracking.summary import TrackerSummary
@@ -33,7 +32,7 @@ class Tracker(TrackerSummary):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self._frame_id = ''
+        self.frame_id = ''
         self._results: list[tuple[Results, np.ndarray]] = []
         self._events: list[BodyEvent] = []
         self._events_needed = False
@@ -102,8 +101,8 @@ class Tracker(TrackerSummary):
         for frames in parts:
             if not len(frames.stamps):
                 continue
-            is_other = frames.has_poses != self.state.bodies.are_measured
-            if frames.frame_id != self._frame_id or is_other:
+            is_other = (frames.axes is not None) != self.state.bodies.are_measured
+            if frames.frame_id != self.frame_id or is_other:
                 estimates += self._change_frame(frames)
             estimates += self._accept(frames, number, order)
             number += len(frames.stamps)
@@ -115,9 +114,9 @@ class Tracker(TrackerSummary):
         estimates = self._flush_results()
         used = len(state.history) > 0
         state.totals.counts['frame_changes'] += used
-        self._frame_id = frames.frame_id
-        if used or frames.has_poses != state.bodies.are_measured:
-            self._start(frames.has_poses)
+        self.frame_id = frames.frame_id
+        if used or (frames.axes is not None) != state.bodies.are_measured:
+            self._start(frames.axes is not None)
         return estimates
 
     def _accept(self, frames: MarkerFrames, number: int, order: int | None) -> list[Estimate]:
@@ -252,7 +251,7 @@ class Tracker(TrackerSummary):
         events, self._events = self._events, []
         estimate = estimate_of(
             results,
-            self._frame_id,
+            self.frame_id,
             self.bodies,
             run=self.state.run,
             plane=self.state.assignment.plane,

@@ -3,7 +3,7 @@
 import csv
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from visualization_msgs.msg import MarkerArray
 from kinpole_ros.bags import (
     BagError,
     BagWriter,
+    _replayed,
     definition,
     read_messages,
     replay,
@@ -527,7 +528,7 @@ def test_the_order_limits_the_topics_and_not_the_figures(
     rows = result_outputs(tuple(FOUR_BAR.bodies), 'xy', highest=order)
     wanted = {row.under('/kinpole') for row in rows}
     full = noisy_figures
-    assert set(messages) - {'/diagnostics'} == wanted & {*full, TF}
+    assert set(messages) - {'/diagnostics', '/kinpole/rig'} == wanted & {*full, TF}
     # These have more poles, the more there are.
     for topic in ('/kinpole/visualization', '/kinpole/state'):
         wanted.remove(topic)
@@ -609,7 +610,7 @@ def test_topics_without_a_message_are_there_to_be_asked_for(simulated: Bag, tmp_
     bag = still(tmp_path / 'in.mcap', lambda t: 0j)
     replay(bag, ONE_BODY, tmp_path / 'out.mcap')
     results = {row.under('/kinpole') for row in result_outputs(('body',), 'xy')}
-    assert set(topics_of(tmp_path / 'out.mcap')) == results | {'/diagnostics'}
+    assert set(topics_of(tmp_path / 'out.mcap')) == results | {'/diagnostics', '/kinpole/rig'}
 
 
 def test_a_body_out_of_sight_is_left_out_beside_one_that_is_not(
@@ -868,3 +869,21 @@ def test_half_of_the_stamps_repeated_is_a_warning_with_its_fix(tmp_path):
     settings = settings_from({'window': 0.3, 'lag': 0.1})
     lines = warnings_of(replay(path, settings), settings)
     assert '30 of 60 messages have the stamp of the one before, and are left out' in lines[0]
+
+
+def test_the_outcome_of_a_replay_is_made_once_and_has_shares() -> None:
+    settings = settings_from({'window': 0.3, 'lag': 0.1})
+    tracker = Tracker(settings)
+    so_far = _replayed.begin(settings, tracker)
+    turn = np.exp(0.05j * np.arange(200))[:, None] * [0.1, 0.1j, -0.1]
+    points = np.stack((turn.real, turn.imag, 0 * turn.real), axis=-1)
+    frames = MarkerFrames(10**9 + 5_000_000 * np.arange(200), 'world', ('a', 'b', 'c'), points)
+    _replayed.add_frames(so_far, frames)
+    for estimate in tracker.add(frames, settings.highest_order):
+        _replayed.add_estimate(so_far, estimate)
+    found = so_far.determined['body']['icr']
+    outcome = _replayed.finish(so_far, tracker)
+    assert 0 < found == round(outcome.determined['body']['icr'] * outcome.estimates)
+    assert (outcome.frames, outcome.first, outcome.unknown) == (200, 10**9, {})
+    with pytest.raises(FrozenInstanceError):
+        outcome.frames = 0  # type: ignore[misc]

@@ -15,6 +15,8 @@ from kinpole_ros.bags import BagError, replay
 from kinpole_ros.bags._tables import TABLES, column_names, csv_table, parquet_table, table_rows
 from kinpole_ros.settings import Settings
 from kinpole_ros.tools.cli import main
+from kinpole_ros.tracking.quantities import withheld_quantities
+from kinpole_ros.tracking.reasons import KNOWN, REASONS
 from kinpole_ros.tracking.values import Numbers, Vectors, quantity_names
 
 Simulated = Callable[..., Path]
@@ -30,7 +32,8 @@ class Known:
         self.bodies, self.events = bodies, ()
         self.instants_of_events = list
         self.stamp = np.arange(instants) * 1_000_000 + 1_700_000_000_123_456_789
-        self.missing = np.where(draw.random(shape) < 0.2, 'no markers', '')
+        self.reason = np.where(draw.random(shape) < 0.2, REASONS['NOT_SEEN'], KNOWN)
+        self.withheld = lambda: dict.fromkeys(withheld_quantities(4).values(), self.reason)
         self.position = draw.standard_normal((5, *shape)) * 1e-3 + 1j
         self.angle = draw.standard_normal((5, *shape))
         self.origin = lambda order: self.position[order]
@@ -76,7 +79,7 @@ def test_a_block_of_instants_makes_the_rows_of_its_instants(tmp_path: Path) -> N
     for k, row in enumerate(rows):
         assert row['t'] == f'1700000000.{123_456_789 + k * 1_000_000:09d}'
         for b, body in enumerate('abc'):
-            place, there = known.position[0, k, b], known.missing[k, b] == ''
+            place, there = known.position[0, k, b], known.reason[k, b] == KNOWN
             expected = [place.real, place.imag, known.angle[0, k, b]]
             cells = [row[f'{body}_{name}'] for name in ('x', 'y', 'angle')]
             assert cells == ([repr(float(v)) for v in expected] if there else ['', '', ''])
@@ -137,7 +140,8 @@ def test_parquet_and_csv_hold_the_same_figures(simulated: Simulated, tmp_path: P
         assert [value is None for value in found] == [cell == '' for cell in cells]
         empty += found.count(None)
         if name != 't':
-            assert [repr(v) for v in found if v is not None] == [c for c in cells if c]
+            same = str if name.endswith('_reason') else repr
+            assert [same(v) for v in found if v is not None] == [c for c in cells if c]
     assert empty > 100
     stamps = [int(row['t'].replace('.', '')) for row in rows]
     assert table['stamp'].to_pylist() == stamps

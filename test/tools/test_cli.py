@@ -723,7 +723,7 @@ def test_a_body_known_at_no_instant_is_told_with_status_2(
             message = to_message('point_cloud2', stamp, 'world', names, points[: len(names)])
             writer.write('/markers', message, stamp)
     line = refusal(kinpole('replay', bag))
-    assert 'body was never estimated: too few markers seen, or all at one place; see' in line
+    assert 'body was never estimated: too few markers seen, or all at one place; fix: see' in line
 
 
 def test_files_of_a_folder_that_do_not_run_on_are_told_to_be_read_as_one(
@@ -756,19 +756,25 @@ def test_files_of_a_folder_that_do_not_run_on_are_told_to_be_read_as_one(
         ([], 'the topic has no messages'),
         (
             range(10**9, 2 * 10**9, 10**8),
-            'the parameter window, 0.3 s, must hold 7 frames, and they come every 0.1 s; raise it',
+            'must hold 7 frames, and they come every 0.1 s; fix: raise it',
         ),
-        ([0] * 30, 'all stamps are the same; see that the driver sets header.stamp'),
-        (range(0, 30 * 10**9, 10**9), 'jump by more than the parameter window, 0.3 s; raise it'),
+        ([0] * 30, 'all stamps are the same; fix: see that the driver sets header.stamp'),
+        (
+            range(0, 30 * 10**9, 10**9),
+            'jump by more than the parameter window, 0.3 s; fix: raise it',
+        ),
         (
             range(0, 5 * 10**6, 10**6),
             'when it is 0.1 s old (the parameter lag), and there are 0.004 s',
         ),
         (
             range(0, 24 * 10**7, 4 * 10**7),
-            'they take 7 frames, and there are 6; record longer',
+            'they take 7 frames, and there are 6; fix: record longer',
         ),
-        (range(12 * 10**8, 10**9, -(10**7)), 'the stamps run backward; see that the driver sets'),
+        (
+            range(12 * 10**8, 10**9, -(10**7)),
+            'the stamps run backward; fix: see that the driver sets',
+        ),
     ],
 )
 def test_why_there_are_no_results_is_told(
@@ -815,7 +821,7 @@ def test_a_bag_cut_off_gives_the_results_of_all_before_the_cut(
     assert len(found[odom]) == left - 10
     last = stamp_of(found[odom][-1])
     for topic, listed in expected.items():
-        if topic != '/diagnostics':
+        if topic not in ('/diagnostics', '/kinpole/rig'):
             kept = [m for m in listed if stamp_of(m) <= last]
             same = found.get(topic, [])
             assert [*map(stamp_of, same)] == [*map(stamp_of, kept)], topic

@@ -1,6 +1,7 @@
 """Reports: the figures in the page are those of the replay."""
 
 import copy
+import json
 import os
 import re
 from pathlib import Path
@@ -20,11 +21,11 @@ from kinpole_ros.bags import (
 )
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene
-from kinpole_ros.messages import RECEIVED, RESTARTS, DiagnosticArray
-from kinpole_ros.messages._types import DiagnosticStatus, KeyValue, Odometry
+from kinpole_ros.messages import String, read_rig, serialize_message
+from kinpole_ros.messages._types import Odometry
 from kinpole_ros.settings import Settings, load_settings
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tools.record.diagnostics_log import DiagnosticsLog
+from kinpole_ros.tools.record.result_bag import read_record
 from kinpole_ros.tools.report import _record_page, report, settings_for
 from kinpole_ros.tools.report._collector import Collector, theory_rates
 from kinpole_ros.tracking.values import RATE_NAMES
@@ -160,9 +161,11 @@ def test_report_of_results_is_that_of_their_markers(four_bar_page, tmp_path) -> 
         parts = [[pair['icr'][half] for half in 'ab'] for pair in (one, other)]
         spread = [np.hypot(*np.array(part, float)) for part in parts]
         np.testing.assert_allclose(*spread, rtol=0.1)
-    # As its diagnostics said.
     with pytest.raises(BagError, match='give the bag of markers'):
         report(results, output, settings_for(settings, 'four_bar'))
+    for one, other in zip(shown['bodies'], expected['bodies'], strict=True):
+        assert one['missing'] == other['missing'] and one['withheld'] == other['withheld']
+        assert one['size'] == pytest.approx(other['size'], rel=0.01)
     reasons = {reason for _, _, reason in shown['bodies'][1]['withheld']['isp']}
     assert 'lost in its noise' in reasons
 
@@ -171,25 +174,31 @@ def _complex(points: list[list[float]]) -> np.ndarray:
     return np.array([complex(*point) for point in points])
 
 
-@pytest.mark.parametrize(
-    'counts, expected',
-    [
-        ([(10, 0), (20, 0)], False),
-        ([(10, 0), (20, 1)], True),
-        # Told to relearn.
-        ([(10, 0), (5, 0)], True),
-    ],
-)
-def test_outlines_drawn_last_are_of_a_bag_in_which_nothing_was_learned_anew(
-    counts, expected
-) -> None:
-    log = DiagnosticsLog()
-    for received, restarts in counts:
-        told = {RECEIVED: received, f'{RESTARTS} after a jump of the stamps': restarts}
-        values = [KeyValue(key=key, value=str(value)) for key, value in told.items()]
-        status = DiagnosticStatus(name='kinpole: markers', values=values)
-        log.add(DiagnosticArray(status=[status]))
-    assert log.restarted == expected
+def test_each_run_of_a_node_has_its_outlines(tmp_path) -> None:
+    """A node that starts anew defines new frames of its bodies."""
+    results, twice = tmp_path / 'results.mcap', tmp_path / 'twice.mcap'
+    replay(BAG, load_settings(ROOT / 'config' / 'four_bar.yaml'), results)
+    messages = list(read_messages(results, ['/kinpole/rig', '/kinpole/state']))
+    with BagWriter(twice) as writer:
+        for run in (1, 2):
+            for message in messages:
+                data = message.data
+                if message.topic.endswith('/rig'):
+                    rig = read_rig(data) | {'run': run}
+                    data = serialize_message(String(data=json.dumps(rig)))
+                elif run == 2:
+                    data = (
+                        data[:4]
+                        + (int.from_bytes(data[4:8], 'little') + 100).to_bytes(4, 'little')
+                        + data[8:]
+                    )
+                log_time = message.log_time + (run - 1) * 100 * 10**9
+                writer.write_raw(message.topic, message.type_name, data, log_time)
+    record = read_record(twice)
+    half = len(record.stamp) // 2
+    for body, outlines in record.outlines.items():
+        (first, one), (second, other) = outlines
+        assert (first, second) == (0, half) and np.array_equal(one, other), body
 
 
 def test_markers_beside_the_odometry_of_a_robot_are_replayed(tmp_path) -> None:

@@ -12,7 +12,7 @@ from kinpole_ros.tracking.tracker import Tracker
 
 COLUMNS = (
     *('stamp', 'angle', 'position', 'reference', 'angle_covariance', 'position_covariance'),
-    *('size', 'height', 'span', 'degree', 'missing', 'pin', 'pin_variance'),
+    *('size', 'height', 'span', 'degree', 'reason', 'pin', 'pin_variance'),
 )
 INSTANT_AXIS = {'angle': 1, 'position': 1, 'angle_covariance': 2, 'position_covariance': 2}
 

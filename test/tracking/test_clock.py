@@ -487,7 +487,7 @@ def test_a_stamp_is_not_later_than_by_its_rounding():
     points, _ = turned(places, 24)
     tracker, *_ = track(START + np.rint(times * 1e3).astype(np.int64) * 1_000_000, points)
     assert tracker.stamp_state().interval == pytest.approx(1 / 24, rel=1e-3)
-    assert tracker.counts['lost'] == 9
+    assert tracker.update_counts()['lost'] == 9
 
 
 @pytest.mark.parametrize('kind', ['uniform', '0.001', 'rounded'])

@@ -7,7 +7,7 @@ import pytest
 
 from kinpole_ros import planar
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.reasons import PINNED, SLOW_ICR
+from kinpole_ros.tracking.reasons import REASONS, TABLE
 
 COUNT, ORDER = 7, 3
 
@@ -26,7 +26,6 @@ def estimate() -> Estimate:
         'position_covariance': covariances[0],
         'angle_covariance': covariances[1],
         **dict.fromkeys(('size', 'height', 'span', 'degree'), np.ones((1, COUNT))),
-        'missing': np.full((1, COUNT), '', object),
     }
     return Estimate.of_arrays(arrays, 'map', tuple(f'body {b}' for b in range(COUNT)))
 
@@ -121,7 +120,6 @@ def one_body(
         'position_covariance': covariance,
         'angle_covariance': of_angle,
         **dict.fromkeys(('size', 'height', 'span', 'degree'), np.full((1, 1), 2.0)),
-        'missing': np.full((1, 1), '', object),
     }
     return Estimate.of_arrays(arrays | rest, 'map', ('link',))
 
@@ -132,7 +130,7 @@ def one_body(
         ({'rate': 3.9e-3}, 'still'),
         ({'rate': 4.1e-3}, 'general'),
         ({'rate': 4.1e-3, 'pin': np.zeros((1, 1), complex)}, 'pinned'),
-        ({'rate': 1.0, 'missing': np.full((1, 1), 'markers unseen', object)}, ''),
+        ({'rate': 1.0, 'reason': np.full((1, 1), REASONS['NOT_SEEN'])}, ''),
         # Of two axes: the square root of two.
         ({'velocity': 3.9e-3 + 3.9e-3j}, 'still'),
         ({'velocity': 4.1e-3 + 4.1e-3j}, 'translating'),
@@ -154,9 +152,9 @@ def test_a_body_does_what_stands_out_of_its_noise(given: dict[str, Any], motion:
         ({'velocity': 1, 'rate': 1, 'sigmas': {2: 1.0}}, 'iap', 'lost in its noise'),
         ({'velocity': 1, 'rate': 1}, 'centrode_curvature', None),
         ({'velocity': 1, 'rate': 1, 'sigmas': {3: 2.0}}, 'centrode_curvature', None),
-        ({'rate': 1}, 'centrode_curvature', SLOW_ICR),
-        ({'rate': 1, 'pin': np.zeros((1, 1), complex)}, 'centrode_curvature', PINNED),
-        ({'velocity': 1}, 'centrode_curvature', None),
+        ({'rate': 1}, 'centrode_curvature', TABLE['ICR_IN_NOISE'].text),
+        ({'rate': 1, 'pin': np.zeros((1, 1), complex)}, 'centrode_curvature', TABLE['ON_PIN'].text),
+        ({'velocity': 1}, 'centrode_curvature', 'no rotation'),
     ],
 )
 def test_what_is_undetermined_has_its_reason(

@@ -13,6 +13,7 @@ from recordings import START
 
 from kinpole_ros.bags import BagWriter, warnings_of
 from kinpole_ros.bags import replay as replay_bag
+from kinpole_ros.findings import all_words
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import DiagnosticsMaker, body_faults, result_outputs
 from kinpole_ros.messages._types import DiagnosticStatus
@@ -380,7 +381,7 @@ def test_markers_in_mm_are_named_and_scaled_give_the_same() -> None:
 def test_a_body_of_an_odd_size_is_likely_in_another_unit(
     size: float, scale: float, words: str
 ) -> None:
-    text = body_faults.unit_fault(size, scale)
+    text = all_words(body_faults.unit_findings('rod', size, scale))
     assert words in text
     assert bool(words) == bool(text)
 

@@ -20,6 +20,7 @@ from kinpole_ros.tracking.quantities import (
     motion_of,
     relative_centers,
 )
+from kinpole_ros.tracking.reasons import FARTHEST, KNOWN, REASONS
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -169,8 +170,9 @@ def test_compiled_as_numpy(quantity: str, noise: float) -> None:
                 m.angle[1:, :, 1] = 0.0
                 for array in m:
                     array[..., 2] = np.nan
-            value, spread, flags = compute_quantity(what, motion_of(*m))
+            value, spread, flags, reasons = compute_quantity(what, motion_of(*m))
             expected = of_numpy(what, m)
+            assert np.array_equal(reasons == KNOWN, expected.determined)
             assert_equal(value, expected.value)
             if what in (CURVATURE, CIRCLE_DIAMETER):
                 spread = spread[..., :1, :1] * np.ones((2, 2))
@@ -187,6 +189,34 @@ def test_compiled_as_numpy(quantity: str, noise: float) -> None:
                 assert_equal(spread, expected.spread)
             assert np.array_equal(flags & DETERMINED, expected.determined)
             assert np.array_equal((flags & MOVES) > 0, expected.moves)
+
+
+def test_reasons_follow_from_what_is_determined() -> None:
+    """They are looked up here by numpy, in the order in which they go before each other."""
+    m = motion(4, (400, 3), 0.3)
+    m.angle[1:, :50, 1] = 0.0
+    reason = np.zeros(m.size.shape, np.uint8)
+    reason[:, 2] = REASONS['NOT_SEEN']
+    compiled = motion_of(*m)
+    compiled.bind('reason', reason)
+    icr = compute_quantity(1, compiled)
+    assert {*np.unique(icr[3])} >= {KNOWN, REASONS['NO_ROTATION'], REASONS['NOT_SEEN']}
+    has_icr, pinned = icr[2] > 0, np.isfinite(m.pin)
+    moves = compute_quantity(VELOCITY, compiled)[2] & MOVES > 0
+    for order in (1, 2, 3, 4):
+        value, _, flags, codes = compute_quantity(order, compiled)
+        with np.errstate(invalid='ignore'):
+            far = np.abs(value - m.position[0]) > FARTHEST * m.size
+        expected = np.where(has_icr, REASONS['IN_NOISE'], REASONS['NO_ROTATION'])
+        expected = np.where(far & ~pinned, REASONS['AT_INFINITY'], expected)
+        expected = np.where(flags > 0, KNOWN, expected)
+        assert np.array_equal(codes, np.where(reason, reason, expected))
+    _, _, flags, codes = compute_quantity(CURVATURE, compiled)
+    expected = np.where(pinned, REASONS['ON_PIN'], REASONS['ICR_IN_NOISE'])
+    expected = np.where(has_icr, expected, icr[3])
+    expected = np.where(moves, REASONS['IN_NOISE'], expected)
+    expected = np.where(flags & DETERMINED, KNOWN, expected)
+    assert np.array_equal(codes, np.where(reason, reason, expected))
 
 
 @pytest.mark.parametrize('quantity', QUANTITIES)

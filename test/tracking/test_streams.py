@@ -502,7 +502,7 @@ faults = st.builds(
 def everything(found: list[Estimate]) -> dict[str, np.ndarray]:
     """All arrays that estimates hold, with the instants first."""
     arrays = {}
-    of_instants = 'stamp', 'missing', 'size', 'height', 'span', 'degree', 'pin', 'pin_variance'
+    of_instants = 'stamp', 'reason', 'size', 'height', 'span', 'degree', 'pin', 'pin_variance'
     of_orders = 'position', 'angle', 'position_covariance', 'angle_covariance'
     for name in (*of_instants, *of_orders, 'shape'):
         axis = 0 if name in ('stamp', 'shape') else -2
@@ -580,7 +580,7 @@ def test_any_partition_of_any_stream_gives_the_same(
             continue
         one = everything(expected)
         for name, array in everything(other).items():
-            if name in ('stamp', 'missing'):
+            if name in ('stamp', 'reason'):
                 np.testing.assert_array_equal(array, one[name])
             elif name in ('angle', 'position'):
                 # Of what is lost in noise rounding is no more than of that noise.

@@ -48,14 +48,25 @@ enum { TABLE_ORDERS(DECLARE_CODE) };
 
 enum { UNUSUAL_BITS(DECLARE_CODE) };
 
-/* Why a body has no result; larger numbers go first. The texts are in rejection.py. */
+/* Why a body has no result, up to PLANE_UNKNOWN, of which the larger go first up to OFF_PATH; and
+   why a quantity of a body with a pose is undetermined. The texts are in reasons.py, and programs
+   read these numbers in the topic `state`: a number is never used again for something else. */
 #define REASONS(CODE)      \
     CODE(KNOWN, 0)         \
     CODE(NOT_FULL, 1)      \
     CODE(TOO_NOISY, 2)     \
     CODE(NOISE_UNKNOWN, 3) \
     CODE(NOT_SEEN, 4)      \
-    CODE(OFF_PATH, 5)
+    CODE(OFF_PATH, 5)      \
+    CODE(ANGLE_NOISY, 6)   \
+    CODE(NO_POSE, 7)       \
+    CODE(PLANE_UNKNOWN, 8) \
+    CODE(IN_NOISE, 9)      \
+    CODE(NO_ROTATION, 10)  \
+    CODE(AT_INFINITY, 11)  \
+    CODE(ON_PIN, 12)       \
+    CODE(ICR_IN_NOISE, 13) \
+    CODE(STRAIGHT, 14)
 
 enum { REASONS(DECLARE_CODE) };
 

@@ -66,14 +66,14 @@ API void kinpole_read_messages(const MessageLayout *layout, const unsigned char 
     VALUE(long long, body, "the body, or that with respect to which `other` is")      \
     VALUE(long long, other, "the second body of a pair")                              \
     VALUE(long long, is_deviation, "1 for the standard deviation of the quantity")    \
-    VALUE(long long, added_count, "A: numbers of each body behind its quantities")    \
+    VALUE(long long, added_count, "A: numbers of each body behind its reasons")    \
     VALUE(long long, head, "bytes before the doubles of the message")                 \
     VALUE(long long, message_bytes, "length of a message")                            \
     ARRAY(const unsigned char, template, "(message_bytes)", "the message with zeros") \
     ARRAY(const Number, value, "(T)", "the quantity, if it is GIVEN")                 \
     ARRAY(const double, covariance, "(T, 2, 2)", "its covariance")                    \
     ARRAY(const Flag, determined, "(T)", "whether it is determined")                  \
-    ARRAY(const double, added, "(T, B, A)", "numbers behind the quantities of a body, in `state`")
+    ARRAY(const double, added, "(T, B, A)", "numbers behind the reasons of a body, in `state`")
 
 typedef STRUCT(ROW_FIELDS) Row;
 

@@ -24,15 +24,16 @@
     ARRAY(const double, pin_variance, "(T, B)", "m^2: variance of a coordinate of the pin")      \
     ARRAY(const Number, reference, "(T, B)", "m: point of this position, in its frame")          \
     ARRAY(const double, height, "(T, B)", "m: mean height of the markers seen")                  \
-    ARRAY(const long long, stamp, "(T)", "ns: the instant, a stamp")
+    ARRAY(const long long, stamp, "(T)", "ns: the instant, a stamp")                             \
+    ARRAY(const unsigned char, reason, "(T, B)", "REASONS: why there is no result; NULL: none")
 
 typedef STRUCT(MOTION_FIELDS) Motion;
 
 /* Computes a quantity of QUANTITIES of all poses. Writes `values` (T, B), m, m/s, 1/m or rad/s^k,
-   their `covariances` (T, B, 2, 2), and `flags` (T, B), QUANTITY_FLAGS. The covariance of a real
-   quantity is its variance, in the first element. */
+   their `covariances` (T, B, 2, 2), `flags` (T, B), QUANTITY_FLAGS, and `reasons` (T, B), REASONS.
+   The covariance of a real quantity is its variance, in the first element. */
 API void kinpole_quantities(int quantity, const Motion *m, Number *values, double *covariances,
-                            unsigned char *flags);
+                            unsigned char *flags, unsigned char *reasons);
 /* Computes the instant center of body j with respect to body i, for `number` pairs (2, P): all j,
    then all i. Writes `values` (T, P), m, `covariances` (T, P, 2, 2), and `flags` (T, P). */
 API void kinpole_relative_centers(const Motion *m, long long bodies, const long long *pairs,

@@ -166,6 +166,13 @@ motion_at(const Motion *m, long long t, int highest, Number *z, double *rate)
         z[k] = m->position[k * m->stride + t], rate[k] = m->angle[k * m->stride + t];
 }
 
+/* Whether a point is as good as at infinity. */
+static int
+is_far(const Motion *m, long long t, Number point)
+{
+    return cabs(point - m->position[t]) > FARTHEST * m->size[t];
+}
+
 /* The pole of an order, m, as it follows from the motion. It is determined if the rotation
    coefficient exceeds SIGNIFICANT standard deviations, and the pole is near. */
 static Quantity
@@ -182,6 +189,8 @@ free_pole(const Motion *m, long long t, int order)
     add_moments(m->angle_covariance + t, m->orders, m->stride, order, turn.by_angle, noise);
     int turns = cabs(turn.value) > SIGNIFICANT * sqrt(noise[0] + noise[2]);
     q.flags = turns && is_near(m, t, q.value) && is_known(&q) ? DETERMINED : 0;
+    if (!q.flags)
+        q.reason = is_far(m, t, q.value) ? AT_INFINITY : order > 1 ? IN_NOISE : NO_ROTATION;
     return q;
 }
 
@@ -191,15 +200,22 @@ static Quantity
 pole_at(const Motion *m, long long t, int order)
 {
     Quantity q = free_pole(m, t, order);
-    if (!isfinite(creal(m->pin[t])))
+    if (!isfinite(creal(m->pin[t]))) {
+        /* A body without an ICR does not turn, whatever else is in its noise. */
+        if (q.reason == IN_NOISE && !free_pole(m, t, 1).flags)
+            q.reason = NO_ROTATION;
         return q;
+    }
     q.value = m->pin[t];
     q.spread[0] = q.spread[2] = m->pin_variance[t], q.spread[1] = 0.0;
+    q.reason = NO_ROTATION;
     for (int k = 1; k <= order; k++) {
         double variance = m->angle_covariance[(k * m->orders + k) * m->stride + t];
         if (fabs(m->angle[k * m->stride + t]) > SIGNIFICANT * sqrt(variance))
             q.flags = DETERMINED;
     }
+    if (q.flags)
+        q.reason = KNOWN;
     return q;
 }
 
@@ -222,7 +238,21 @@ velocity_at(const Motion *m, long long t)
     double speed = cabs(q.value), least = STILL * fabs(m->angle[m->stride + t]) * m->size[t];
     if (is_near(m, t, icr.value) && speed > MOVING * deviation_of(&q) && speed > least)
         q.flags |= MOVES;
+    q.reason = q.flags & DETERMINED ? KNOWN : icr.reason ? icr.reason : IN_NOISE;
     return q;
+}
+
+/* Why a quantity that follows from the motion of the ICR is undetermined: a velocity within its
+   noise does not show a pin, but all poses together do. */
+static int
+why_no_curvature(const Motion *m, long long t, const Quantity *velocity)
+{
+    if (velocity->flags & MOVES)
+        return IN_NOISE;
+    /* Without an ICR its velocity has the reason of that. */
+    if (velocity->reason)
+        return velocity->reason;
+    return isfinite(creal(m->pin[t])) ? ON_PIN : ICR_IN_NOISE;
 }
 
 /* The curvature of the fixed centrode, 1/m, determined where the ICR is seen to move. */
@@ -248,6 +278,7 @@ curvature_at(const Motion *m, long long t)
     q.flags = u.flags & MOVES;
     if (u.flags & MOVES && turns && isfinite(creal(q.value)) && isfinite(variance))
         q.flags |= DETERMINED;
+    q.reason = q.flags & DETERMINED ? KNOWN : why_no_curvature(m, t, &u);
     q.spread[0] = variance;
     return q;
 }
@@ -276,6 +307,9 @@ circle_at(const Motion *m, long long t, int quantity)
     q.flags = u.flags & MOVES;
     if (u.flags == (DETERMINED | MOVES) && is_near(m, t, center.value) && is_known(&q))
         q.flags |= DETERMINED;
+    if (!(q.flags & DETERMINED))
+        q.reason = u.flags & MOVES && is_far(m, t, center.value) ? STRAIGHT
+                                                                : why_no_curvature(m, t, &u);
     return q;
 }
 
@@ -294,11 +328,18 @@ kinpole_rate(const Motion *m, long long t, int order)
     q.value = m->angle[order * m->stride + t];
     q.spread[0] = m->angle_covariance[order * (m->orders + 1) * m->stride + t];
     q.flags = isfinite(creal(q.value)) ? DETERMINED : 0;
+    q.reason = q.flags ? KNOWN : IN_NOISE;
     return q;
 }
 
-Quantity
-kinpole_quantity(const Motion *m, long long t, int quantity)
+int
+kinpole_missing(const Motion *m, long long t)
+{
+    return m->reason ? m->reason[t] : KNOWN;
+}
+
+static Quantity
+quantity_of_known(const Motion *m, long long t, int quantity)
 {
     switch (quantity) {
     case POLE_1: case POLE_2: case POLE_3: case POLE_4:
@@ -314,8 +355,17 @@ kinpole_quantity(const Motion *m, long long t, int quantity)
     case RATE_1: case RATE_2: case RATE_3: case RATE_4:
         return kinpole_rate(m, t, quantity - RATE);
     default:
-        return (Quantity){NAN, {NAN, NAN, NAN}, 0};
+        return (Quantity){NAN, {NAN, NAN, NAN}, 0, IN_NOISE};
     }
+}
+
+Quantity
+kinpole_quantity(const Motion *m, long long t, int quantity)
+{
+    Quantity q = quantity_of_known(m, t, quantity);
+    if (kinpole_missing(m, t))
+        q.reason = kinpole_missing(m, t);
+    return q;
 }
 
 Quantity
@@ -363,11 +413,12 @@ store(const Quantity *q, long long at, Number *values, double *covariances, unsi
 
 void
 kinpole_quantities(int quantity, const Motion *m, Number *values, double *covariances,
-                   unsigned char *flags)
+                   unsigned char *flags, unsigned char *reasons)
 {
     for (long long t = 0; t < m->poses; t++) {
         Quantity q = kinpole_quantity(m, t, quantity);
         store(&q, t, values, covariances, flags);
+        reasons[t] = (unsigned char)q.reason;
     }
 }
 

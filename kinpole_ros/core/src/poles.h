@@ -8,15 +8,17 @@
 #include "../include/motion.h"
 
 /* A quantity of one pose, a body at an instant: its value, m, m/s, 1/m or rad/s^k; its covariance
-   xx, xy and yy, or its variance alone; and QUANTITY_FLAGS. */
+   xx, xy and yy, or its variance alone; QUANTITY_FLAGS; and of REASONS why it is undetermined. */
 typedef struct {
     Number value;
     double spread[3];
-    int flags;
+    int flags, reason;
 } Quantity;
 
 /* Whether pose `t` of a motion has a finite rate and velocity, so anything is known of it. */
 int kinpole_is_known(const Motion *m, long long t);
+/* Of REASONS why nothing is known of pose `t`. */
+int kinpole_missing(const Motion *m, long long t);
 /* The derivative of an order of the angle of pose `t`, rad/s^k, determined where it is finite. */
 Quantity kinpole_rate(const Motion *m, long long t, int order);
 /* The quantity of pose `t` with this code of QUANTITIES, up to RATE_4; NaN for another code. */

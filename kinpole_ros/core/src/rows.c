@@ -40,7 +40,7 @@ quantity_of(const Task *task)
     case GIVEN: {
         const double *spread = row->covariance + 4 * task->t;
         int flags = row->determined[task->t] ? DETERMINED : 0;
-        return (Quantity){row->value[task->t], {spread[0], spread[1], spread[3]}, flags};
+        return (Quantity){row->value[task->t], {spread[0], spread[1], spread[3]}, flags, KNOWN};
     }
     case RELATIVE_RATE:
         return kinpole_relative_rate(m, other, task->at);
@@ -252,11 +252,29 @@ fill_state_pose(const Pose *pose, double angle, StatePoint *point)
     point->velocity = state_vector(pose->velocity, cells[0][0], cells[0][1], cells[1][1]);
 }
 
-/* Writes the quantity with this code of the pose `at` to `out`, zeros if it is undetermined, and
-   returns where it ends. Sets `bit` of `determined` if it is, and moves to the next bit. */
+/* Room for the reasons of the pose and of all 12 quantities of a body: a multiple of 8. */
+enum { STATE_REASONS = 16 };
+
+/* Which quantities of a body are determined, by bits, and why the others are not: the pose, and
+   then the `count` - 1 that were written. */
+typedef struct {
+    unsigned determined;
+    int count;
+    unsigned char reasons[STATE_REASONS];
+} Verdicts;
+
+/* Appends whether a quantity is determined, and its code of REASONS. */
+static void
+add_verdict(Verdicts *verdicts, int is_determined, int reason)
+{
+    verdicts->determined |= (unsigned)(is_determined != 0) << verdicts->count;
+    verdicts->reasons[verdicts->count++] = (unsigned char)reason;
+}
+
+/* Writes a quantity of a body, zeros if it is undetermined, and returns where it ends. */
 static unsigned char *
-write_state_quantity(const Task *task, long long at, int quantity, unsigned *bit,
-                     unsigned *determined, unsigned char *out)
+write_state_quantity(const Task *task, long long at, int quantity, Verdicts *verdicts,
+                     unsigned char *out)
 {
     Quantity q = kinpole_quantity(task->motion, at, quantity);
     StateVector vector = {0};
@@ -265,9 +283,8 @@ write_state_quantity(const Task *task, long long at, int quantity, unsigned *bit
     if (q.flags & DETERMINED) {
         vector = state_vector(q.value, q.spread[0], q.spread[1], q.spread[2]);
         scalar = (StateScalar){creal(q.value), root_of(q.spread[0])};
-        *determined |= *bit;
     }
-    *bit *= 2;
+    add_verdict(verdicts, q.flags & DETERMINED, q.reason);
     size_t size = is_scalar ? sizeof scalar : sizeof vector;
     memcpy(out, is_scalar ? (const void *)&scalar : &vector, size);
     return out + size;
@@ -280,27 +297,33 @@ write_state_point(const Task *task, long long at, int order, unsigned char *out)
 {
     StatePoint point = {0};
     unsigned char *next = out + sizeof point;
-    unsigned bit = 2;
+    Verdicts verdicts = {0};
     double origin[3] = {0.0}, most = 3.4028234663852886e38;
     Pose pose;
-    if (read_pose(task->motion, at, &pose)) {
-        point.determined = 1;
+    int has_pose = read_pose(task->motion, at, &pose);
+    add_verdict(&verdicts, has_pose, kinpole_missing(task->motion, at));
+    if (has_pose) {
         in_space(task->plane, pose.origin, task->motion->height[at], origin);
         fill_state_pose(&pose, task->motion->angle[at], &point);
     }
     for (int c = 0; c < 3; c++)
         point.place[c] = (float)fmin(fmax(origin[c], -most), most);
     for (int k = 1; k <= order; k++)
-        next = write_state_quantity(task, at, RATE + k, &bit, &point.determined, next);
+        next = write_state_quantity(task, at, RATE + k, &verdicts, next);
     for (int k = 1; k <= order; k++)
-        next = write_state_quantity(task, at, k, &bit, &point.determined, next);
+        next = write_state_quantity(task, at, k, &verdicts, next);
     if (order >= 2)
-        next = write_state_quantity(task, at, VELOCITY, &bit, &point.determined, next);
+        next = write_state_quantity(task, at, VELOCITY, &verdicts, next);
     if (order >= 3)
-        next = write_state_quantity(task, at, CURVATURE, &bit, &point.determined, next);
+        next = write_state_quantity(task, at, CURVATURE, &verdicts, next);
     for (int k = CIRCLE_CENTER; order >= 2 && k <= CIRCLE_DIAMETER; k++)
-        next = write_state_quantity(task, at, k, &bit, &point.determined, next);
+        next = write_state_quantity(task, at, k, &verdicts, next);
+    point.determined = verdicts.determined;
     memcpy(out, &point, sizeof point);
+    /* Doubles follow, at a multiple of their size. */
+    size_t size = (verdicts.count + sizeof(double) - 1) / sizeof(double) * sizeof(double);
+    memcpy(next, verdicts.reasons, size);
+    next += size;
     long long count = task->row->added_count;
     if (count > 0)
         memcpy(next, task->row->added + at * count, count * sizeof *task->row->added);

@@ -52,14 +52,15 @@ def plot(
 
 
 def _draw(figure: Any, bag: str, record: MotionRecord, exact: dict[str, dict[str, Series]]) -> None:
-    bodies, joints = record.bodies[:_MOST_BODIES], joints_of(record)
+    seen = [b for b in record.bodies if np.isfinite(record.columns[b, 'position']).any()]
+    bodies, joints = seen[:_MOST_BODIES], joints_of(record)
     figure.set_size_inches(_WIDTH, 1.5 + _ROW_HEIGHT * len(bodies))
     known = [np.isfinite(record.columns[body, 'position']) for body in bodies]
     start, end = record.stamp[np.any(known, axis=0)][[0, -1]].tolist()
     scopes = [_instant.scope_of(record, body) for body in bodies]
     k = _instant.instant_of(scopes, (start + end) // 2)
     instant = int(record.stamp[k])
-    lost, omitted = record.lost, ', '.join(record.bodies[_MOST_BODIES:])
+    lost, omitted = record.lost, ', '.join(seen[_MOST_BODIES:])
     figure.suptitle(
         f'{bag}: {", ".join(bodies)}'
         + (f' (not drawn: {omitted})' if omitted else '')

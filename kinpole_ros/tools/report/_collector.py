@@ -9,6 +9,7 @@ from kinpole_ros.mechanism import LinkageError
 from kinpole_ros.tools.record.lost import lost_count
 from kinpole_ros.tools.record.record import Columns, MotionRecord
 from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.reasons import KNOWN, texts_of
 from kinpole_ros.tracking.values import RATE_NAMES, known_arrays, measured_pairs
 
 
@@ -76,7 +77,7 @@ def _estimate_columns(estimate: Estimate) -> Columns:
     arrays = known_arrays(quantities)
     with np.errstate(invalid='ignore'):
         for b, body in enumerate(estimate.bodies):
-            columns[body, 'missing'] = estimate.missing[:, b].astype(object)
+            columns[body, 'missing'] = estimate.missing[:, b]
             columns[body, 'position'] = estimate.origin(0)[:, b]
             columns[body, 'position_sigma'] = np.sqrt(estimate.position_covariance[0, 0, :, b])
             columns[body, 'velocity'] = estimate.origin(1)[:, b]
@@ -87,8 +88,8 @@ def _estimate_columns(estimate: Estimate) -> Columns:
             for name, values in arrays.items():
                 columns[body, name] = values[:, b]
             for name, reason in reasons.items():
-                withheld = np.where(estimate.missing[:, b] == '', reason[:, b], '')
-                columns[body, f'{name}_withheld'] = withheld.astype(object)
+                withheld = np.where(estimate.reason[:, b] == KNOWN, reason[:, b], KNOWN)
+                columns[body, f'{name}_withheld'] = texts_of(withheld)
         for name, values in known_arrays({'icr': estimate.relative_icr}).items():
             for k, (i, j) in enumerate(measured_pairs(len(estimate.bodies))):
                 columns[(estimate.bodies[j], estimate.bodies[i]), name] = values[:, k]

@@ -9,8 +9,19 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from kinpole_ros.messages import String, deserialize_message, quantity_lists, read_state
-from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES
+import numpy as np
+
+from kinpole_ros.messages import (
+    String,
+    deserialize_message,
+    plane_of_rig,
+    quantity_lists,
+    read_state_blocks,
+)
+from kinpole_ros.tracking.plane import plane_axes
+from kinpole_ros.tracking.quantities import withheld_quantities
+from kinpole_ros.tracking.reasons import texts_of
+from kinpole_ros.tracking.values import POLE_NAMES, RATE_NAMES, Numbers, Vectors
 
 _POSE = ('x', 'y', 'angle', 'vx', 'vy')
 # The number of values of a quantity; a point has its coordinates and its ellipse.
@@ -40,7 +51,7 @@ class Frame(NamedTuple):
 
     `bodies` and `pairs` are as a page takes them, None where nothing is determined. By body,
     `sizes` are in m, and `outlines` are markers (n, 2) in its frame, m. `reasons` say for each body
-    why quantities are not determined, '' for all of them; None if the node does not say it.
+    why quantities are not determined, '' for all of them.
     """
 
     stamp: int
@@ -50,7 +61,7 @@ class Frame(NamedTuple):
     pairs: list[list[float] | None]
     sizes: dict[str, float]
     outlines: dict[str, list[list[float]]]
-    reasons: list[dict[str, str] | None]
+    reasons: list[dict[str, str]]
 
     def as_json(self, seconds: float, published: int) -> str:
         """Return the frame as a page takes it; `published` is in ns."""
@@ -92,24 +103,29 @@ def frame_of_view(data: bytes) -> Frame:
             [_quantity(pair['icr'], _POINT) for pair in message['pairs']],
             {str(body['name']): _numbers([body['size']], 1)[0] for body in visible},
             {str(body['name']): [_numbers(z, 2) for z in body['outline']] for body in visible},
-            [_reasons(body.get('reasons')) for body in bodies],
+            [_reasons(body['reasons']) for body in bodies],
         )
     except (KeyError, TypeError, RecursionError, OverflowError) as error:
         raise ValueError(f'no figures for a page ({error!r})') from None
 
 
-def frame_of_state(data: bytes, names: Sequence[str]) -> Frame:
+def frame_of_state(data: bytes, rig: Mapping[str, Any] | None) -> Frame:
     """
-    Return the frame in a message `state`, whose bodies have the first of these names.
+    Return the frame in a message `state`, of a node that says on the topic `rig` what it is.
 
-    It has no outlines, pairs and reasons. Raises ValueError for anything else.
+    It has no pairs. Raises ValueError for anything else.
     """
     _check_bytes(data)
-    stamp, quantities = read_state(data)
+    if rig is None:
+        raise ValueError('no message `rig` has named its bodies yet')
+    ((_, all_quantities, codes),) = blocks = list(read_state_blocks([data]))
+    stamp = int(blocks[0].stamps[0])
+    quantities = {name: _first(one) for name, one in all_quantities.items()}
     position, angle, velocity = (quantities.pop(name) for name in ('position', 'angle', 'velocity'))
-    bodies = tuple(names[: len(position.value)])
-    if len(bodies) < len(position.value):
-        raise ValueError('no diagnostics have named its bodies yet')
+    known = rig['bodies']
+    bodies = tuple(body['name'] for body in known)
+    if len(bodies) != len(position.value):
+        raise ValueError(f'it has {len(position.value)} bodies, and `rig` names {len(bodies)}')
     if len(bodies) > _MOST_BODIES:
         raise ValueError(f'it has {len(bodies)} bodies; a page shows {_MOST_BODIES} at most')
     z, u = position.value, velocity.value
@@ -122,8 +138,30 @@ def frame_of_state(data: bytes, names: Sequence[str]) -> Frame:
         frames.append(
             pose | {name: lists.get(name, nothing)[b] for name in _SIZES} if determined else None
         )
-    rig = Rig(bodies, tuple(name for name in _SIZES if name in lists), ())
-    return Frame(stamp, ('x', 'y'), rig, frames, [], {}, {}, [None] * len(bodies))
+    shown = 'pose', *withheld_quantities(4).values()
+    texts = {name: texts_of(codes[name][0]) for name in shown if name in codes}
+    along, seen = plane_axes(plane_of_rig(rig)), [body for body in known if body['size']]
+    return Frame(
+        stamp,
+        along,
+        Rig(bodies, tuple(name for name in _SIZES if name in lists), ()),
+        frames,
+        [],
+        {body['name']: body['size'] for body in seen},
+        {body['name']: body['outline'] for body in seen},
+        [_reasons_of(texts, b) for b in range(len(bodies))],
+    )
+
+
+def _first(quantity: Numbers | Vectors) -> Any:
+    return type(quantity)(*(part[0] for part in quantity))
+
+
+def _reasons_of(texts: Mapping[str, np.ndarray], b: int) -> dict[str, str]:
+    """Return the reasons of a body, '' for that of its pose, which is one for all."""
+    if texts['pose'][b]:
+        return {'': str(texts['pose'][b])}
+    return {name: str(own[b]) for name, own in texts.items() if own[b]}
 
 
 def _check_bytes(data: bytes) -> None:
@@ -131,9 +169,7 @@ def _check_bytes(data: bytes) -> None:
         raise ValueError(f'it has {len(data)} bytes; a page takes {_MOST_BYTES} at most')
 
 
-def _reasons(value: Any) -> dict[str, str] | None:
-    if value is None:
-        return None
+def _reasons(value: Any) -> dict[str, str]:
     if not isinstance(value, dict):
         raise ValueError(f'{value} in place of reasons')
     return {'' if name == 'all' else str(name): str(reason) for name, reason in value.items()}

@@ -9,8 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinpole_ros.messages import PAGE_TOPICS, STATE, DiagnosticArray, type_name
-from kinpole_ros.tools.record.diagnostics_log import parse_status
+from kinpole_ros.messages import (
+    PAGE_TOPICS,
+    RIG,
+    STATE,
+    DiagnosticArray,
+    String,
+    read_rig,
+    type_name,
+)
+from kinpole_ros.tools.record.diagnostics_log import DiagnosticsLog
 from kinpole_ros.tools.record.record import MotionRecord, joints_of
 from kinpole_ros.tools.record.result_bag import decode
 from kinpole_ros.tools.view._frames import Frame, Rig, frame_of_state, frame_of_view
@@ -31,20 +39,19 @@ _DIAGNOSTICS = '/diagnostics'
 
 
 class RigState:
-    """The state of a rig for a page: outlines, joints, reasons and warnings."""
+    """The state of a rig for a page: outlines, joints and warnings."""
 
     def __init__(self, node: str, topic: str) -> None:
         self.node = node
         # The name of the topic that is shown, below the node.
         self.topic = topic
-        # As in the diagnostics, in order.
-        self.body_names: list[str] = []
+        # What the node says of itself on its topic `rig`.
+        self.description: dict[str, Any] | None = None
         # None until there are results.
         self.rig: Rig | None = None
         self.notes: list[str] = []
         # An error since the last event was sent.
         self.trouble = ''
-        self._withheld: dict[str, dict[str, str]] = {}
         self._rate = 0.0  # of frames, Hz
         self._clear()
 
@@ -70,17 +77,12 @@ class RigState:
         statuses = [s for s in decode(kind, data).status if s.name.startswith(prefix)]
         if not statuses:
             return
-        self.notes, self._withheld = [], {}
-        # The first is the input; after the bodies there may be one of the linkage.
-        self.body_names = [parse_status(status)[0] for status in statuses[1:]]
+        log = DiagnosticsLog()
         for status in statuses:
-            subject, level, text, reasons = parse_status(status)
+            log.add_status(status)
             values = {pair.key: pair.value for pair in status.values}
             self._rate = float(values.get('rate (Hz)', self._rate))
-            if level:
-                reasons[''] = text
-                self.notes.append(f'{subject}: {text}')
-            self._withheld[subject] = reasons
+        self.notes = list(log.notes)
 
     def as_json(self, rig: Rig, silence: float, other_nodes: Sequence[str]) -> str:
         """Return the state as a page takes it, after some seconds of `silence`."""
@@ -94,7 +96,6 @@ class RigState:
                     'name': body,
                     'size': self._sizes.get(body) or None,
                     'outline': self._outlines.get(body) or None,
-                    'withheld': self._withheld.get(body, {}),
                 }
                 for body in rig.bodies
             ],
@@ -195,6 +196,7 @@ class Live:
         if state is not None:
             state.topic = nodes.get(state.node, state.topic)
             topics[f'{state.node}/{state.topic}'] = PAGE_TOPICS[state.topic]
+            topics[f'{state.node}/{RIG}'] = type_name(String)
         self._watcher.want(topics)
         if state is None or state.rig is None:
             self._feed.put(RIG_EVENT, json.dumps({'waiting': self._waiting_text(state)}))
@@ -226,6 +228,9 @@ class Live:
         while newest[_DIAGNOSTICS]:
             data = newest[_DIAGNOSTICS].popleft().data
             state.add_diagnostics(type_name(DiagnosticArray), data)
+        rigs = newest[f'{state.node}/{RIG}']
+        while rigs:
+            state.description = read_rig(rigs.popleft().data)
         arrived = newest[f'{state.node}/{state.topic}']
         if not arrived:
             return
@@ -233,7 +238,7 @@ class Live:
         data, published = arrived.pop()
         arrived.clear()
         if state.topic == STATE:
-            frame = frame_of_state(data, state.body_names)
+            frame = frame_of_state(data, state.description)
         else:
             frame = frame_of_view(data)
         is_new_rig = frame.rig != state.rig

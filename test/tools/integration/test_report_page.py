@@ -18,7 +18,7 @@ from kinpole_ros.bags import (
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.settings import Settings, load_settings
 from kinpole_ros.tools.report import _record_page, report
-from kinpole_ros.tracking.reasons import SLOW_ICR
+from kinpole_ros.tracking.reasons import TABLE
 
 
 @pytest.fixture(scope='module')
@@ -80,7 +80,7 @@ def test_page_shows_the_linkage_its_curves_and_the_figures_at_the_cursor(opened)
     strips = page.locator('[data-name=withheld]')
     strips.scroll_into_view_if_needed()
     assert 'pinned: the ICR stands still' in strips.inner_text()
-    assert SLOW_ICR in strips.inner_text()
+    assert TABLE['ICR_IN_NOISE'].text in strips.inner_text()
     # Two whole strips, of the crank and nearly of the rocker, each of curvature and circle: first
     # not known, then on a pin.
     width = strips.bounding_box()['width'] - 58 - 92

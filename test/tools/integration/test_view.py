@@ -399,22 +399,23 @@ def test_a_bag_of_results_is_shown_by_its_topic_state(replayed) -> None:
     bag, estimates = replayed
     watcher = Scripted(topic=STATE)
     live, told = live_of(watcher)
-    (state, *_), (diagnostics, *_) = (
+    (state, *_), (rig, *_) = (
         [message.data for message in read_messages(bag, [topic])][-1:]
-        for topic in (f'/kinpole/{STATE}', '/diagnostics')
+        for topic in (f'/kinpole/{STATE}', '/kinpole/rig')
     )
     watcher.newest[f'/kinpole/{STATE}'].append(Arrived(state, 0))
     live.step()
-    step_until(live, lambda: 'no diagnostics have named' in told.rigs[-1].get('waiting', ''))
+    step_until(live, lambda: 'no message `rig` has named' in told.rigs[-1].get('waiting', ''))
     assert told.frames == []
-    watcher.newest['/diagnostics'].append(Arrived(diagnostics, 0))
+    watcher.newest['/kinpole/rig'].append(Arrived(rig, 0))
     watcher.newest[f'/kinpole/{STATE}'].append(Arrived(state, 0))
     live.step()
     assert [body['name'] for body in told.rigs[-1]['bodies']] == ['crank', 'coupler', 'rocker']
     (frame,) = told.frames
     said = view_of(estimates[-1][-1], XY)
     expected = frame_of_view(message(said))
-    assert frame['reasons'] == [None] * 3
+    assert frame['reasons'] == expected.reasons
+    assert all(body['outline'] and body['size'] for body in told.rigs[-1]['bodies'])
     for body, other in zip(frame['bodies'], expected.bodies, strict=True):
         assert other is not None
         assert body.keys() == other.keys()

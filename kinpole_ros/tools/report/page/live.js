@@ -67,11 +67,8 @@ function watch() {
     const { about, joints, notes, along } = rig;
     Object.assign(data, { about, joints, notes, along });
     showAbout(data);
-    for (const { name, size, outline, withheld } of rig.bodies) {
-      const body = data.byName[name];
-      Object.assign(body, { size, outlines: outline ? [[0, outline]] : [] });
-      // Reasons in frames are newer than those of the diagnostics, once a second.
-      if (!body.framesHaveReasons) setReasons(body, withheld);
+    for (const { name, size, outline } of rig.bodies) {
+      Object.assign(data.byName[name], { size, outlines: outline ? [[0, outline]] : [] });
     }
     drawNotes(byId('notes'), data);
     actions.stage.updateMotion();
@@ -91,10 +88,7 @@ function watch() {
   function onFrame(frame) {
     if (!data) return;
     appendFrame(data, frame);
-    data.bodies.forEach((body, b) => {
-      body.framesHaveReasons = Boolean(frame.reasons[b]);
-      if (body.framesHaveReasons) setReasons(body, frame.reasons[b]);
-    });
+    data.bodies.forEach((body, b) => setReasons(body, frame.reasons[b]));
     const { page, stage, redraw } = actions;
     const length = Math.min(SPAN, page.range[1] - page.range[0]) || SPAN;
     page.range = [data.end - length, data.end];
