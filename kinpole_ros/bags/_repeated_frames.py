@@ -9,7 +9,7 @@ along their paths, and noise moves them across as well. From 30 to 24 Hz each fi
 left out, and the stamps of the others are made even: the motion shows that alike.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from itertools import chain
 from typing import NamedTuple
@@ -17,6 +17,13 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
+from kinpole_ros.bags._path_errors import (
+    largest_size,
+    median_size,
+    path_errors,
+    rms_size,
+    stamp_error,
+)
 from kinpole_ros.tracking.frame import MarkerFrames
 
 # Of the steps before and after: so little is noise, and no motion. Even pictures are found with
@@ -34,11 +41,10 @@ _COLUMNS = 20  # or points, that are looked at
 _BLOCK = 1 << 18  # values in memory at a time
 _MOST_PARTS = 12  # frames of a pattern, as 12 from 25 to 60 Hz
 _NEAR_RATIO = 0.25  # of itself: so far is the share of repeats from a pattern, where some are slow
-_NEAR = 2  # frames from a repeat, where its stamps are tested
 _OFF = 0.05  # of a step: stamps that are more off, along the path alone, are wrong
-_ALONG = 3.0  # times the noise across the path
 _ONE_FRAME = 1.3  # as the line through few of them is not the best one
 _TRIED = 300  # frames by which a pattern of missing ones is found: time only
+_PART, _PARTS = 60, 5  # frames of a part, and parts, most of which have a pattern of missing ones
 _CLEARLY = 0.5  # of how far stamps are off otherwise: so far at most by that pattern
 _LEAST_FRAMES = 200  # by which the rate of a film without a pattern is known to 0.5%
 _NTSC = 1.001
@@ -99,8 +105,10 @@ def leave_out_repeats(
     best: tuple[float, np.ndarray, np.ndarray, float] | None = None
     for own, times, even in _hypotheses(stamps, frames, is_repeat, is_known, interval, rate):
         # All repeats fit a pattern, which is evidence enough to allow for some shocks.
-        scales = (_rms, _largest) if best or not even else (_usual,)
-        off = _off(points[~own], times, np.flatnonzero(np.diff(np.flatnonzero(~own)) > 1), scales)
+        scales = (rms_size, largest_size) if best or not even else (median_size,)
+        off = stamp_error(
+            points[~own], times, np.flatnonzero(np.diff(np.flatnonzero(~own)) > 1), scales
+        )
         # A later hypothesis has more freedom, so it must be clearly better.
         if best is None or off < 0.8 * best[0]:
             best = off, own, times, even
@@ -135,9 +143,15 @@ def _without_lost(
         return None
     points = points[:, :: max(1, points.shape[1] // _COLUMNS)]
     found = _pattern_of_lost(frames[:_TRIED], points[:_TRIED])
+    if found != _pattern_of_lost(frames[-_TRIED:], points[-_TRIED:]):
+        found = None
     if found is None:
-        half = max(len(points) // 2, len(points) - _TRIED)
-        if _pattern_of_lost(frames[half:], points[half:]) is None:
+        # Each part has a pattern of its own, as from 29.97 to 25 Hz.
+        width = min(_PART, len(points) // 2)
+        starts = np.linspace(0, len(points) - width, _PARTS).astype(int).tolist()
+        parts = [slice(start, start + width) for start in starts]
+        patterns = [_pattern_of_lost(frames[part], points[part]) for part in parts]
+        if patterns.count(None) > _PARTS // 2:
             return None
         raise BagError(
             f'{path}: a program that changed the rate to {1e9 / interval:.4g} Hz left out {noun}, '
@@ -159,7 +173,7 @@ def _pattern_of_lost(frames: np.ndarray, points: np.ndarray) -> tuple[Fraction, 
     None if frames are even as they are, or no pattern is far better than all others.
     """
     middle = np.arange(2, len(points) - 2)
-    before = _off(points, frames.astype(float), middle, (_rms,))
+    before = stamp_error(points, frames.astype(float), middle, (rms_size,))
     if before < _OFF:
         return None
     tried = []
@@ -167,8 +181,8 @@ def _pattern_of_lost(frames: np.ndarray, points: np.ndarray) -> tuple[Fraction, 
     for ratio in {one for one in ratios if one.denominator > 1}:
         for phase in range(ratio.denominator):
             numbers = (frames * ratio.numerator + phase) // ratio.denominator
-            along, _, step = _errors(points, numbers.astype(float), middle)
-            tried.append((_rms(along) / step, ratio, phase))
+            along, _, step = path_errors(points, numbers.astype(float), middle)
+            tried.append((rms_size(along) / step, ratio, phase))
     tried.sort()
     off, ratio, phase = tried[0]
     return (ratio, phase) if off < _CLEARLY * min(before, tried[1][0]) else None
@@ -364,67 +378,3 @@ def _phase(places: np.ndarray, is_repeat: np.ndarray, step: float) -> float | No
     widths[count < len(places)] = 0
     widest = int(widths.argmax())
     return float(edges[order[widest]] + widths[widest] / 2) if widths[widest] > 1e-9 else None
-
-
-def _off(
-    points: np.ndarray,
-    times: np.ndarray,
-    repeats: np.ndarray,
-    scales: Sequence[Callable[[np.ndarray], float]],
-) -> float:
-    """
-    Return how far stamps (n,) are off near repeats, of a step, where it is no noise.
-
-    `scales` return the size of errors, of which the largest counts.
-
-    Each point is compared with the cubic through two frames before and after: stamps that are off
-    move it along its path.
-    """
-    middle = np.unique(repeats[:, None] + np.arange(-_NEAR + 1, _NEAR + 1))
-    middle = middle[(middle >= 2) & (middle < len(times) - 2)]
-    if not len(middle):
-        return 0.0
-    along, across, step = _errors(points, times, middle)
-    errors = [(scale(along), scale(across)) for scale in scales]
-    return max([own / step for own, other in errors if step and own > _ALONG * other], default=0.0)
-
-
-def _errors(
-    points: np.ndarray, times: np.ndarray, middle: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return errors of fast points of frames along and across their paths, and their usual step."""
-    others = np.array([-2, -1, 1, 2])
-    near = times[middle[:, None] + others] - times[middle, None]
-    predicted = 0.0
-    for k in range(4):
-        share = np.ones(len(middle))
-        for j in range(4):
-            if j != k:
-                share = share * near[:, j] / (near[:, j] - near[:, k])
-        predicted = predicted + share[:, None, None] * points[middle + others[k]]
-    error = points[middle] - predicted
-    path = (points[middle + 1] - points[middle - 1]) / 2
-    length = np.linalg.norm(path, axis=-1)
-    with np.errstate(invalid='ignore', divide='ignore'):
-        is_fast = length > _LARGE * np.nanmax(length, axis=1, initial=0.0)[:, None]
-        along = np.where(is_fast, (error * path).sum(axis=-1) / length, np.nan)
-        total = np.where(is_fast, (error**2).sum(axis=-1), np.nan)
-        across = np.sqrt(np.maximum(total - along**2, 0) / max(points.shape[-1] - 1, 1))
-    step = _usual(np.where(is_fast, length, np.nan))
-    return along, across, step
-
-
-def _usual(values: np.ndarray) -> float:
-    finite = np.abs(values[np.isfinite(values)])
-    return float(np.median(finite)) if len(finite) else 0.0
-
-
-def _rms(values: np.ndarray) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if len(finite) else 0.0
-
-
-def _largest(values: np.ndarray) -> float:
-    """Return the standard deviation of which the largest values, but for 2%, would be."""
-    finite = np.abs(values[np.isfinite(values)])
-    return float(np.quantile(finite, 0.98)) / 2.33 if len(finite) else 0.0
