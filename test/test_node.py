@@ -1049,7 +1049,7 @@ def test_what_pages_show_is_computed_30_times_a_second_and_after_all_else_is_sen
     class Scripted(Tracker):
         def add(self, frames: MarkerFrames, order: int | None, events: bool = False) -> list[Any]:
             asked.append(order)
-            return [] if order is None else ['figures']
+            return [] if order is None else [SimpleNamespace(run=self.state.run)]
 
     def build(estimate: Any) -> Any:
         return [0], [estimate]

@@ -44,8 +44,9 @@ def results(bag: Path, config: Path) -> dict[str, np.ndarray]:
     assert cli.main(['replay', str(bag), '--config', str(config), '--csv', str(output)]) == 0
     with open(output, newline='') as file:
         head, *rows = list(csv.reader(file))
-    cells = np.array([[cell or 'nan' for cell in row] for row in rows], dtype=float)
-    found = dict(zip(head, cells.T, strict=True))
+    numbers = [k for k, name in enumerate(head) if not name.endswith('_reason')]
+    cells = np.array([[row[k] or 'nan' for k in numbers] for row in rows], dtype=float)
+    found = dict(zip((head[k] for k in numbers), cells.T, strict=True))
     found['frame'] = np.round(found['t'] * RATE).astype(int)
     return found
 

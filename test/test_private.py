@@ -27,7 +27,7 @@ from kinpole_ros.ros import private
 PACKAGE = Path(kinpole_ros.__file__).parent
 # Public in spite of their names: methods and attributes of a NamedTuple, a function of os.
 OF_TUPLES = {'_replace', '_asdict', '_fields', '_make'}
-DOCUMENTED = {'_exit'}  # of os
+DOCUMENTED = {'_exit', '_fields_'}  # of os, and of structures of ctypes
 # Public by name, but not documented.
 UNDOCUMENTED = {'handle', 'take_message'}
 

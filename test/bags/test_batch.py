@@ -1,8 +1,8 @@
 """Many bags: each gets its result, one that fails costs only itself, and a stopped run goes on."""
 
 import csv
-import gc
 import errno
+import gc
 import json
 import os
 import re
