@@ -11,7 +11,7 @@ from conftest import bodies_of, decoded, read_back, stamp_of
 
 from kinpole_ros.bags import read_messages, replay, topics
 from kinpole_ros.mechanism import load_scene
-from kinpole_ros.messages import STATE, TF, VIEW, outputs_of
+from kinpole_ros.messages import RIG, STATE, TF, VIEW, outputs_of
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 
@@ -150,7 +150,7 @@ def test_every_topic_of_the_documentation_has_its_deviation_or_covariance(
     listed = [name for name, _ in documented()]
     assert len(listed) > 15
     # Neither figures, nor of a single instant.
-    plain = {'/tf', '/diagnostics', 'visualization'}
+    plain = {'/tf', '/diagnostics', 'visualization', RIG}
     # Of scenes with loads: test_theory.py has it with its deviation.
     plain.add('balance')
     # With all deviations in them; the first is sent by a live node alone, to pages.
