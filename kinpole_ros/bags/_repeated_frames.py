@@ -101,19 +101,7 @@ def leave_out_repeats(
     if not is_repeat.any():
         return _without_lost(path, noun, stamps, points, rate) or everything
     interval = float(np.median(np.diff(stamps)))
-    frames = np.rint((stamps - stamps[0]) / interval).astype(int)
-    best: tuple[float, np.ndarray, np.ndarray, float] | None = None
-    for own, times, even in _hypotheses(stamps, frames, is_repeat, is_known, interval, rate):
-        # All repeats fit a pattern, which is evidence enough to allow for some shocks.
-        scales = (rms_size, largest_size) if best or not even else (median_size,)
-        off = stamp_error(
-            points[~own], times, np.flatnonzero(np.diff(np.flatnonzero(~own)) > 1), scales
-        )
-        # A later hypothesis has more freedom, so it must be clearly better.
-        if best is None or off < 0.8 * best[0]:
-            best = off, own, times, even
-    assert best is not None
-    off, own, times, even = best
+    off, own, times, even = _likeliest(stamps, points, is_repeat, is_known, rate)
     if off > _OFF and is_repeat.sum() < FEWEST_REPEATS:
         own, times, even = is_repeat, (stamps - stamps[0])[~is_repeat], 0.0
     share = f'{own.sum()} of {len(stamps)} {noun} repeat the one before'
@@ -127,6 +115,30 @@ def leave_out_repeats(
     made = ', and the rate is that of the others' if even and rate else made
     stamps = stamps[0] + np.rint(times).astype(np.int64)
     return Kept(~own, stamps, f'{share}{made}, and are left out')
+
+
+def _likeliest(
+    stamps: np.ndarray,
+    points: np.ndarray,
+    is_repeat: np.ndarray,
+    is_known: np.ndarray,
+    rate: float | None,
+) -> tuple[float, np.ndarray, np.ndarray, float]:
+    """Return the error of the likeliest hypothesis, its repeats (T,), its times and its rate."""
+    interval = float(np.median(np.diff(stamps)))
+    frames = np.rint((stamps - stamps[0]) / interval).astype(int)
+    best: tuple[float, np.ndarray, np.ndarray, float] | None = None
+    for own, times, even in _hypotheses(stamps, frames, is_repeat, is_known, interval, rate):
+        # All repeats fit a pattern, which is evidence enough to allow for some shocks.
+        scales = (rms_size, largest_size) if best or not even else (median_size,)
+        off = stamp_error(
+            points[~own], times, np.flatnonzero(np.diff(np.flatnonzero(~own)) > 1), scales
+        )
+        # A later hypothesis has more freedom, so it must be clearly better.
+        if best is None or off < 0.8 * best[0]:
+            best = off, own, times, even
+    assert best is not None
+    return best
 
 
 def _without_lost(
