@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+import sys
 import zlib
 from argparse import Namespace
 from array import array
@@ -105,6 +106,16 @@ def made_once(path: Path, make: Callable[[Path], Any]) -> Path:
         make(part)
         part.rename(path)
     return path
+
+
+@pytest.fixture(scope='module', autouse=True)
+def tables_of_a_module() -> Iterator[None]:
+    """Models of the reference that a module has met take up to 300 MB: they go with it."""
+    yield
+    for name in [name for name in sys.modules if name.startswith('derivatives_reference.')]:
+        for function in vars(sys.modules[name]).values():
+            if hasattr(function, 'cache_clear'):
+                function.cache_clear()
 
 
 @pytest.fixture(scope='session')
