@@ -26,6 +26,7 @@ from kinpole_ros.bags import topics as topics_of
 from kinpole_ros.mechanism import share_folder
 from kinpole_ros.messages import (
     DRAWING,
+    RIG,
     STATE,
     installed_class,
     outputs_of,
@@ -96,8 +97,8 @@ def demo(output: str | Path) -> int:
 
 def _shown_topics(settings: Settings) -> list[str]:
     """Return the topics of table and picture: the state has almost all numbers."""
-    names = re.compile(rf'{STATE}|{DRAWING}|\w+/(odom|event|wrt/\w+/icr)')
-    topics = [output.topic for output in outputs_of(settings, None)]
+    names = re.compile(rf'{RIG}|{STATE}|{DRAWING}|\w+/(odom|event|wrt/\w+/icr)')
+    topics = [RIG, *(output.topic for output in outputs_of(settings, None))]
     return [f'/kinpole/{topic}' for topic in topics if names.fullmatch(topic)]
 
 
