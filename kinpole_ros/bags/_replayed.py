@@ -195,8 +195,8 @@ def finish(outcome: ReplayedSoFar, tracker: Tracker, converted: str = '') -> Rep
     `converted` says why frames repeat others, if it is known.
     """
     bodies, counts = tracker.bodies, tracker.update_counts()
-    told = {**counts, HELD: 0} if converted else counts
-    found = [*faults.identity_findings(tracker, told)]
+    unexplained = {**counts, HELD: 0} if converted else counts
+    found = [*faults.identity_findings(tracker, unexplained)]
     if converted:
         found.append(Finding('source', values={'text': converted}))
     outcome.misnamed = [*found, *outcome.misnamed]

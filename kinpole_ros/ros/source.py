@@ -151,8 +151,9 @@ class MarkerSource:
             self._subscribe(kinds[0], offers)
             self._publishers = seen
         elif self.is_subscribed and self._is_other_qos_due(offers):
-            while waiting := [*take(self._subscription, 1)]:
-                self._on_markers(*waiting[0])
+            # What waits now, and no more: a stream that is faster than the node has no end.
+            for waiting in [*take(self._subscription, self._depth)]:
+                self._on_markers(*waiting)
             self._unsubscribe()
             self._subscribe(self._kind, offers)
         if self.is_subscribed:
