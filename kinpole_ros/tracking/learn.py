@@ -86,8 +86,8 @@ def learn(
         What is known now.
     restarted : (B,) bool
         Which bodies started again.
-    moved : (B,) bool
-        Which bodies have a marker that is surely at another place than before.
+    moved : (B, n) bool
+        Which markers are surely at other places than before.
     counts : Counter
         Numbers of corrected markers by kind.
 
@@ -98,7 +98,7 @@ def learn(
     if restarted.any() or moved.any():
         refit(bodies, history)
         _count_turns(history, restarted)
-    moved &= (bodies.shape != before).any(axis=1)
+    moved &= bodies.shape != before
     bodies, has_changed, contradicted = _update_shapes(bodies, history)
     if has_changed:
         refit(bodies, history)
@@ -181,8 +181,8 @@ def _restart_with_outliers(
 
 
 def _relearn_moved_markers(bodies: Bodies, history: History) -> tuple[Bodies, np.ndarray]:
-    """Learn the places of markers again that did not fit for long; which bodies (B,) had any."""
-    rows, none = slice(-MOVED_FRAMES, None), np.zeros(bodies.count, bool)
+    """Learn the places of markers again that did not fit for long; which (B, n) they are."""
+    rows, none = slice(-MOVED_FRAMES, None), np.zeros(bodies.shape.shape, bool)
     if len(history) < MOVED_FRAMES:
         return bodies, none
     used = history['used'][rows]
@@ -202,15 +202,14 @@ def _relearn_moved_markers(bodies: Bodies, history: History) -> tuple[Bodies, np
         shape[b, k] = local[near].mean()
         frames[b, k] = near.sum()
         used[at[near], b, k] = True
-    return bodies.change(shape=shape, frames=frames), moved.any(axis=1)
+    return bodies.change(shape=shape, frames=frames), moved
 
 
 def _update_shapes(bodies: Bodies, history: History) -> tuple[Bodies, bool, np.ndarray]:
     """
     Move places of markers by mean residuals.
 
-    Return also whether shapes, or the used markers, changed, and which bodies (B,) have a settled
-    place that did.
+    Return also whether shapes, or the used markers, changed, and which settled places (B, n) did.
     """
     has_pose = np.isfinite(history['angle']) & (history['information'] > 0).all(axis=1)
     residual = np.where(has_pose[..., None], history['residual'], np.nan)
@@ -246,7 +245,7 @@ def _update_shapes(bodies: Bodies, history: History) -> tuple[Bodies, bool, np.n
     frames = np.minimum(np.maximum(frames, count), SETTLED_FRAMES)
     has_changed = has_new or bool(step.any()) or uses_changed
     bodies = bodies.change(shape=shape + step, frames=frames)
-    return bodies, has_changed, contradicted.any(axis=1)
+    return bodies, has_changed, contradicted
 
 
 def _without_noisy(bodies: Bodies, residual: Complex) -> Complex:

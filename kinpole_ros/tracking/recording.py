@@ -15,12 +15,9 @@ from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.clock import Clock
 from kinpole_ros.tracking.names import KnownNames
 from kinpole_ros.tracking.plane import Plane
-from kinpole_ros.tracking.thresholds import MEMORY_FRAMES, MIN_SAMPLES, N_SIGMA
+from kinpole_ros.tracking.thresholds import MEMORY_FRAMES, MIN_SAMPLES
 from kinpole_ros.tracking.timeline import Timeline
 
-# The noise of a marker is another if its deviation grows or falls by this factor: a smaller change
-# costs less accuracy than what is learned from fewer frames.
-_NOISE_RATIO = 1.5
 # What every frame makes better while a body stays the same. The rest changes with the motion and
 # the light, and is that of its stretch.
 _LASTING = 'shape', 'frames', 'begun', 'given', 'pin', 'pin_arm', 'pin_variance', 'pin_since'
@@ -31,13 +28,15 @@ class Stretch(NamedTuple):
     """
     What is known of the frames up to `end`, counted through the recording.
 
-    `changed` (B,) says which bodies are others after it. Frames are `at_ticks` of the clock or not.
-    Plane and names are those of all frames since the same start.
+    `changed` (B,) says which bodies are others than in the stretch before, and `moved` (B, n) which
+    markers are elsewhere. Frames are `at_ticks` of the clock or not. Plane and names are those of
+    all frames since the same start.
     """
 
     end: int
     bodies: Bodies
     changed: np.ndarray
+    moved: np.ndarray
     clock: Clock | None
     at_ticks: bool
     plane: Plane | None = None
@@ -54,18 +53,21 @@ class Recording:
         The next frame, counted through the recording; written by tracker.py.
     is_learned : bool
         Whether the first pass is over, so that the tracker learns nothing.
+    recalled : Stretch or None
+        The stretch whose bodies the tracker has now; written by `recall` of update.py.
 
     """
 
     def __init__(self) -> None:
         self.number = 0
         self.is_learned = False
+        self.recalled: Stretch | None = None
         self._stretches: list[Stretch] = []
         # Of the start in hand.
         self._since_start: list[Stretch] = []
-        # Of the stretch in hand: its first frame, and what was known at first and of late.
+        # Of the stretch in hand: its first frame, what changed there, and what is known of it.
         self._begin = 0
-        self._first: Bodies | None = None
+        self._changed: tuple[np.ndarray, np.ndarray] | None = None
         self._latest: Bodies | None = None
 
     def stretch(self) -> Stretch:
@@ -73,28 +75,45 @@ class Recording:
         ends = [one.end for one in self._stretches[:-1]]
         return self._stretches[int(np.searchsorted(ends, self.number, side='right'))]
 
-    def note(self, bodies: Bodies, changed: np.ndarray, timeline: Timeline) -> None:
-        """Take what is known of the bodies with the next frame; `changed` (B,) are others now."""
+    @property
+    def count(self) -> int:
+        """Number of the frames of the stretch in hand."""
+        return self.number - self._begin
+
+    def note(
+        self,
+        bodies: Bodies,
+        moved: np.ndarray,
+        is_other: np.ndarray,
+        new: int,
+        timeline: Timeline,
+    ) -> None:
+        """
+        Take what is known of the bodies with the next frame.
+
+        In the `new` newest frames markers `moved` (B, n), and the noise of bodies `is_other` (B,).
+        """
         # Without what follows from it.
         bodies = replace(bodies)
-        if self._latest is not None and self._first is not None:
-            changed = changed | _has_lost_pin(self._latest, bodies)
-            changed |= _has_other_noise(self._first, bodies)
+        if self._latest is not None:
+            lost_pin = np.isfinite(self._latest.pin) & ~np.isfinite(bodies.pin)
+            changed = moved.any(axis=1) | is_other | lost_pin
             if changed.any():
-                self._end_stretch(self._latest, changed, timeline)
+                self._end_stretch(self._latest, timeline, self.number - new)
+                self._changed = changed, moved
             else:
                 bodies = _with_largest(self._latest, bodies)
-        is_mature = (bodies.fits >= MIN_SAMPLES).any()
         self._latest = bodies
-        self._first = self._first or (bodies if is_mature else None)
-        if self.number - self._begin >= MEMORY_FRAMES:
-            self._end_stretch(bodies, np.zeros(bodies.count, bool), timeline)
+        if self.count >= MEMORY_FRAMES:
+            self._end_stretch(bodies, timeline, self.number)
 
-    def _end_stretch(self, bodies: Bodies, changed: np.ndarray, timeline: Timeline) -> None:
-        """End the stretch with the last frame, up to which this is known."""
-        stretch = Stretch(self.number, bodies, changed, timeline.clock, timeline.at_ticks)
-        self._since_start.append(stretch)
-        self._begin, self._first, self._latest = self.number, None, None
+    def _end_stretch(self, bodies: Bodies, timeline: Timeline, end: int) -> None:
+        """End the stretch before the frame `end`, up to which this is known."""
+        none = np.zeros(bodies.shape.shape, bool)
+        changed, moved = self._changed or (none.any(axis=1), none)
+        clock = timeline.clock, timeline.at_ticks
+        self._since_start.append(Stretch(end, bodies, changed, moved, *clock))
+        self._begin, self._changed, self._latest = end, None, None
 
     def forget(self, which: np.ndarray) -> None:
         """Forget some bodies (B,), which were never what they were taken for."""
@@ -102,16 +121,16 @@ class Recording:
             one._replace(bodies=one.bodies.restart(which), changed=one.changed & ~which)
             for one in self._since_start
         ]
+        if self._changed is not None:
+            self._changed = self._changed[0] & ~which, self._changed[1]
         if self._latest is not None:
             self._latest = self._latest.restart(which)
-        self._first = None
 
     def end_run(
         self, bodies: Bodies, timeline: Timeline, plane: Plane | None, names: KnownNames
     ) -> None:
         """Take what is known at the end of the frames since a start, and complete the earlier."""
-        none = np.zeros(bodies.count, bool)
-        self._end_stretch(self._latest or replace(bodies), none, timeline)
+        self._end_stretch(self._latest or replace(bodies), timeline, self.number)
         later: Stretch | None = None
         completed = []
         for one in reversed(self._since_start):
@@ -119,23 +138,6 @@ class Recording:
             completed.append(later._replace(plane=plane, names=names))
         self._stretches += reversed(completed)
         self._since_start = []
-
-
-def _has_lost_pin(before: Bodies, now: Bodies) -> np.ndarray:
-    """Return which bodies (B,) lost a pin."""
-    return np.isfinite(before.pin) & ~np.isfinite(now.pin)
-
-
-def _has_other_noise(before: Bodies, now: Bodies) -> np.ndarray:
-    """Return which bodies (B,) have a marker whose noise is surely another than before."""
-    number = np.maximum(now.placement.learned_count, 1)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        # Of the logarithm of a deviation, with the degrees of freedom of one marker.
-        error = np.sqrt(number / 2 * (1 / before.degrees + 1 / now.degrees))
-        ratio = np.log(now.noise / before.noise)[:, None]
-        ratio = np.abs(ratio + np.log(now.relative / before.relative) / 2)
-        is_other = ratio > np.log(_NOISE_RATIO) + N_SIGMA * error[:, None]
-    return np.asarray((is_other & (before.frames > 0)).any(axis=1))
 
 
 def _with_largest(before: Bodies, now: Bodies) -> Bodies:
@@ -152,6 +154,6 @@ def _completed(stretch: Stretch, later: Stretch) -> Stretch:
     """Return a stretch with what is known better in the one after it."""
     own = stretch.bodies.widen(later.bodies.width)
     lacks = np.isnan(own.noise) | (own.fits < np.minimum(later.bodies.fits, MIN_SAMPLES))
-    bodies = own.take(later.bodies, ~stretch.changed, _LASTING)
-    bodies = bodies.take(later.bodies, ~stretch.changed & lacks, _PASSING)
+    bodies = own.take(later.bodies, ~later.changed, _LASTING)
+    bodies = bodies.take(later.bodies, ~later.changed & lacks, _PASSING)
     return stretch._replace(bodies=bodies)

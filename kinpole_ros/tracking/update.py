@@ -6,16 +6,19 @@ import numpy as np
 
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import find_hubs, update_pins
+from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.learn import (
     MISFIT_FRAMES,
     find_deformed,
     forget_held_markers,
     learn,
     path_scale,
+    refit,
 )
 from kinpole_ros.tracking.noise import find_repetition
+from kinpole_ros.tracking.other_noise import has_other_noise
 from kinpole_ros.tracking.pose_noise import learn_poses
-from kinpole_ros.tracking.recording import Recording
+from kinpole_ros.tracking.recording import Recording, Stretch
 from kinpole_ros.tracking.rejection import HELD, HELD_MARKERS, NO_MARKER_REPEATS
 from kinpole_ros.tracking.state import (
     MIN_HISTORY_FRAMES,
@@ -91,7 +94,8 @@ def _update(state: State) -> bool:
         bodies = restart_bodies(state, bodies, regrouped)
     put_bodies(state, bodies)
     if state.recording is not None:
-        state.recording.note(bodies, moved, state.timeline)
+        is_other = has_other_noise(bodies, state.history, state.recording.count, new)
+        state.recording.note(bodies, moved, is_other, new, state.timeline)
     return changed
 
 
@@ -128,27 +132,40 @@ def recall(state: State, recording: Recording) -> None:
     )
     count_new_frames(state)
     drop_old_frames(state)
-    is_same_kind = stretch.bodies.are_measured == state.bodies.are_measured
-    if not is_same_kind or stretch.bodies.width != state.bodies.width:
+    before, bodies = state.bodies, stretch.bodies
+    if bodies.are_measured != before.are_measured or bodies.width != before.width:
         return
     if stretch.clock is not None:
         state.timeline.know(stretch.clock, stretch.at_ticks)
     # Without what follows from it, which is not kept.
-    put_bodies(state, replace(stretch.bodies))
+    bodies = replace(bodies)
+    if stretch is not recording.recalled and len(state.history) and stretch.changed.any():
+        _change_history(state.history, before, bodies, stretch)
+    recording.recalled = stretch
+    put_bodies(state, bodies)
+
+
+def _change_history(history: History, before: Bodies, bodies: Bodies, stretch: Stretch) -> None:
+    """Fit the frames before a stretch to its bodies, without markers that moved since."""
+    history['used'][:, stretch.moved] = False
+    if not bodies.are_measured:
+        refit(bodies, history)
+    with np.errstate(invalid='ignore', divide='ignore'):
+        ratio = np.where(stretch.changed, bodies.noise / before.noise, 1.0)
+    history['information'][...] *= np.where(np.isfinite(ratio), ratio, 1.0) ** 2
 
 
 def _learn_shapes_and_noise(state: State, bodies: Bodies) -> tuple[Bodies, np.ndarray, np.ndarray]:
     """
     Learn what fits need.
 
-    Return also which bodies (B,) started again from earlier frames, and which have a marker that
-    moved.
+    Return also which bodies (B,) started again from earlier frames, and which markers (B, n) moved.
     """
     settings, history, tracks = state.settings, state.history, state.step.tracks
     if bodies.are_measured:
         bodies = bodies.change(learned_tilt_turn=tracks['sure_tilt_turn'].copy())
-        none = np.zeros(bodies.count, bool)
-        return learn_poses(bodies, history, settings.noise), none, none
+        none = np.zeros(bodies.shape.shape, bool)
+        return learn_poses(bodies, history, settings.noise), none.any(axis=1), none
     bodies, restarted, moved, counts = learn(bodies, history, settings.window_ns, settings.noise)
     state.totals.counts.update(counts)
     for b in np.flatnonzero(restarted).tolist():
