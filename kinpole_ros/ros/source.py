@@ -100,6 +100,17 @@ class MarkerSource:
         for taken in [*take(self._subscription, 1)]:
             self._on_markers(*taken)
 
+    def _take_waiting(self) -> None:
+        """Have what waits now processed; of a stream faster than the node, more waits then."""
+        now = time.time_ns()
+        for _ in range(0, self._depth, _BATCH):
+            waiting = [*take(self._subscription, 1)]
+            if not waiting:
+                return
+            self._on_markers(*waiting[0])
+            if (received_at(waiting[0][1]) or 0) >= now:
+                return
+
     def close(self) -> None:
         """Unsubscribe; the next `update` may subscribe again."""
         self._unsubscribe()
@@ -151,9 +162,7 @@ class MarkerSource:
             self._subscribe(kinds[0], offers)
             self._publishers = seen
         elif self.is_subscribed and self._is_other_qos_due(offers):
-            # What waits now, and no more: a stream that is faster than the node has no end.
-            for waiting in [*take(self._subscription, self._depth)]:
-                self._on_markers(*waiting)
+            self._take_waiting()
             self._unsubscribe()
             self._subscribe(self._kind, offers)
         if self.is_subscribed:
