@@ -39,7 +39,7 @@ from kinpole_ros.tracking.space import updated
 from kinpole_ros.tracking.tracker import Tracker, learn_recording
 
 # The share of the time that the first of two readings takes, for its progress.
-_LEARNING_SHARE = 0.3
+_LEARNING_SHARE = 0.2
 
 
 def replay(

@@ -85,7 +85,7 @@ def prepared(
             if rig is not None:
                 settings = load_settings(rig, changes=assignments(options.set))
                 assumed.append(
-                    f'window {settings.window:g} s, lag {settings.lag:g} s, noise estimated from '
+                    f'window {settings.window:g} s, lag {settings.of_recording().lag:g} s, noise estimated from '
                     'the markers; to change: --set window:=0.2 --set lag:=0.1'
                 )
             assumed += found
