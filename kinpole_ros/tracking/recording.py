@@ -55,6 +55,8 @@ class Recording:
         Whether the first pass is over, so that the tracker learns nothing.
     recalled : Stretch or None
         The stretch whose bodies the tracker has now; written by `recall` of update.py.
+    stretches : list of Stretch
+        The stretches, in order; complete once all is learned.
 
     """
 
@@ -62,7 +64,7 @@ class Recording:
         self.number = 0
         self.is_learned = False
         self.recalled: Stretch | None = None
-        self._stretches: list[Stretch] = []
+        self.stretches: list[Stretch] = []
         # Of the start in hand.
         self._since_start: list[Stretch] = []
         # Of the stretch in hand: its first frame, what changed there, and what is known of it.
@@ -72,8 +74,8 @@ class Recording:
 
     def stretch(self) -> Stretch:
         """Return the stretch of the next frame, or the last one."""
-        ends = [one.end for one in self._stretches[:-1]]
-        return self._stretches[int(np.searchsorted(ends, self.number, side='right'))]
+        ends = [one.end for one in self.stretches[:-1]]
+        return self.stretches[int(np.searchsorted(ends, self.number, side='right'))]
 
     @property
     def count(self) -> int:
@@ -136,7 +138,7 @@ class Recording:
         for one in reversed(self._since_start):
             later = one if later is None else _completed(one, later)
             completed.append(later._replace(plane=plane, names=names))
-        self._stretches += reversed(completed)
+        self.stretches += reversed(completed)
         self._since_start = []
 
 
