@@ -78,10 +78,11 @@ class KnownNames(NamedTuple):
     """
     What is learned of the names of markers since a start.
 
-    `full_count` is that of `Matcher`, None while it may still change.
+    `regrouped` and `full_count` are those of `Matcher`; None for a count that may still change.
     """
 
     assignment: MarkerAssignment
+    regrouped: list[tuple[str, str, str]]
     full_count: int | None
 
 
@@ -136,11 +137,13 @@ class Matcher:
     def known_names(self) -> KnownNames:
         """Return what is learned of names."""
         is_learned = self._arranged >= MIN_SAMPLES
-        return KnownNames(self._assignment, self.full_count if is_learned else None)
+        full_count = self.full_count if is_learned else None
+        return KnownNames(self._assignment, self.regrouped, full_count)
 
     def take_names(self, known: KnownNames) -> None:
         """Take what another matcher learned of names, before the first frame."""
         self._assignment.take_names(known.assignment)
+        self.regrouped = known.regrouped
         if known.full_count is not None:
             self.full_count, self._arranged = known.full_count, MIN_SAMPLES
 

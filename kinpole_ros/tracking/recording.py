@@ -20,7 +20,7 @@ from kinpole_ros.tracking.timeline import Timeline
 
 # What every frame makes better while a body stays the same. The rest changes with the motion and
 # the light, and is that of its stretch.
-_LASTING = 'shape', 'frames', 'begun', 'given', 'pin', 'pin_arm', 'pin_variance', 'pin_since'
+_LASTING = 'shape', 'frames', 'begun', 'given', 'pin', 'pin_arm', 'pin_variance'
 _PASSING = tuple(name for name in Bodies.__dataclass_fields__ if name not in _LASTING)
 
 
@@ -97,14 +97,16 @@ class Recording:
         """
         # Without what follows from it.
         bodies = replace(bodies)
-        if self._latest is not None:
-            lost_pin = np.isfinite(self._latest.pin) & ~np.isfinite(bodies.pin)
+        before, begins = self._latest, self._begin >= self.number - new
+        if before is not None:
+            lost_pin = np.isfinite(before.pin) & ~np.isfinite(bodies.pin)
             changed = moved.any(axis=1) | is_other | lost_pin
             if changed.any():
-                self._end_stretch(self._latest, timeline, self.number - new)
+                if not begins:
+                    self._end_stretch(before, timeline, self.number - new)
                 self._changed = changed, moved
-            else:
-                bodies = _with_largest(self._latest, bodies)
+            elif not begins:
+                bodies = _with_largest(before, bodies)
         self._latest = bodies
         if self.count >= MEMORY_FRAMES:
             self._end_stretch(bodies, timeline, self.number)
@@ -115,7 +117,7 @@ class Recording:
         changed, moved = self._changed or (none.any(axis=1), none)
         clock = timeline.clock, timeline.at_ticks
         self._since_start.append(Stretch(end, bodies, changed, moved, *clock))
-        self._begin, self._changed, self._latest = end, None, None
+        self._begin, self._changed = end, None
 
     def forget(self, which: np.ndarray) -> None:
         """Forget some bodies (B,), which were never what they were taken for."""
@@ -136,10 +138,13 @@ class Recording:
         later: Stretch | None = None
         completed = []
         for one in reversed(self._since_start):
+            # Each window shows whether its poses are on the pin.
+            always = np.full(bodies.count, np.iinfo(np.int64).min)
+            one = one._replace(bodies=one.bodies.change(pin_since=always))
             later = one if later is None else _completed(one, later)
             completed.append(later._replace(plane=plane, names=names))
         self.stretches += reversed(completed)
-        self._since_start = []
+        self._since_start, self._latest = [], None
 
 
 def _with_largest(before: Bodies, now: Bodies) -> Bodies:
