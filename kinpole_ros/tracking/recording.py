@@ -106,7 +106,7 @@ class Recording:
                     self._end_stretch(before, timeline, self.number - new)
                 self._changed = changed, moved
             elif not begins:
-                bodies = _with_largest(before, bodies)
+                bodies = _with_largest_steps(before, bodies)
         self._latest = bodies
         if self.count >= MEMORY_FRAMES:
             self._end_stretch(bodies, timeline, self.number)
@@ -147,14 +147,10 @@ class Recording:
         self._since_start, self._latest = [], None
 
 
-def _with_largest(before: Bodies, now: Bodies) -> Bodies:
-    """Return what is known now, with residuals as large as any of the stretch, fast or slow."""
-    is_known = np.minimum(before.fits, now.fits) >= MIN_SAMPLES
+def _with_largest_steps(before: Bodies, now: Bodies) -> Bodies:
+    """Return what is known now, with steps about the path as large as any before, fast or slow."""
     scale = np.where(np.isfinite(before.jump_scale), before.jump_scale, 0.0)
-    return now.change(
-        misfit=np.where(is_known, np.maximum(before.misfit, now.misfit), now.misfit),
-        jump_scale=np.maximum(scale, now.jump_scale),
-    )
+    return now.change(jump_scale=np.maximum(scale, now.jump_scale))
 
 
 def _completed(stretch: Stretch, later: Stretch) -> Stretch:
