@@ -66,7 +66,7 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
         residual[k] = (points[k] - middle) * conj(turn) - (shape[k] - mean);
         found |= verdict_on_marker(f, b, k, square_of(residual[k]));
     }
-    if (goes_on && newest > history->first && cos(angle - history->angle[at - known->bodies]) < 0.0)
+    if (goes_on && cos(angle - f->tracks.last_angle[b]) < 0.0)
         found |= ODD;
     int is_known = fits && !is_unsteady(f, b, spread);
     history->angle[at] = is_known ? angle : NAN;
