@@ -113,7 +113,7 @@ class PoseReader:
 
     def _stamps_apart(self) -> Finding | None:
         """Return which body is on a frame that moves and came with other stamps."""
-        for (name, below), times in self._transforms.apart.most_common(1):
+        for (name, below), times in self._transforms.separate.most_common(1):
             # The first time the frames below may not be known yet.
             if times > 1:
                 about = {'name': _shown(name), 'below': _shown(below), 'count': times}
