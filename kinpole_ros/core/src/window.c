@@ -163,7 +163,8 @@ fill_cells(Call *call, long long instant, long long body, const Grid *grid, Cell
 
 /* Return the number of blocks of the longest window with enough samples, or 0. A full window has
    `full` blocks, `last` is the number of whole blocks up to the oldest sample, and `ahead` blocks
-   are newer than the instant. `filled[k]` is how many of the first k + 1 blocks have samples. */
+   are newer than the instant. filled[k], k < `blocks`, is how many of the first k + 1 blocks, from
+   the newest, have samples. */
 static long long
 find_size(long long full, long long last, long long ahead, int exact, const long long *filled,
           long long blocks)
