@@ -72,10 +72,8 @@ def read_frames(
             if duration > seconds * _SECOND:
                 break
     if not frames:
-        reason = f': {problem}' if problem else ''
-        raise BagError(
-            f'{bag}: no message on {name} can be read{reason}; fix: name another with --topic'
-        )
+        why = f': {problem}' if problem else ''
+        raise BagError(f'{bag}: no message on {name} can be read{why}; fix: name another --topic')
     if report is not None and isinstance(reader, messages.MarkerReader) and reader.fault():
         report(BagError(f'{bag}: {reader.fault()}'))
     return frames if seconds is None else _first_part(frames, seconds), name

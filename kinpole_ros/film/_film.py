@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.bags import leave_out_repeats, topics, write_points
+from kinpole_ros.film._backward import TagsBothWays
 from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._dots import Dots
 from kinpole_ros.film._families import smallest
@@ -15,7 +16,7 @@ from kinpole_ros.film._filmed import Filmed, FilmOptions, Seen
 from kinpole_ros.film._lens import Lens, rectified_lens
 from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._recorded_pictures import bag_messages, film_topic, is_bag_of_pictures
-from kinpole_ros.film._tags import LEAST_PICTURES, NO_TAGS, TagFinder
+from kinpole_ros.film._tags import LEAST_PICTURES, TagFinder
 from kinpole_ros.film._video import Progress, Video
 from kinpole_ros.messages import CAMERA_INFO, DETECTIONS, Detections
 
@@ -116,7 +117,8 @@ def film_to_bag(
 def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Seen:
     """Find the tags in all pictures, and follow the dots from that in which they are chosen."""
     finder = TagFinder(options.family)
-    stamps, found, places = [], [], []
+    stamps, places = [], []
+    tagged = TagsBothWays(finder)
     picture, dots = (0, 0), None
     chosen = np.reshape([(place.real, place.imag) for place in options.points.values()], (-1, 2))
     for stamp, gray in video.pictures():
@@ -125,9 +127,9 @@ def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Se
             video.cut = f'{video.path}: the size of its pictures changes; what follows is left out'
             break
         picture = width, height
-        tags, corners = finder.find(gray) if options.ruler is None else NO_TAGS
         stamps.append(stamp)
-        found.append((tags, corners.astype(np.float32)))
+        if options.ruler is None:
+            tagged.add(gray)
         if dots is not None:
             places.append(dots.follow(gray))
         elif options.points and stamp - stamps[0] >= options.at * 1e9 - SAME_STAMP:
@@ -137,7 +139,8 @@ def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Se
             places.append(np.full(chosen.shape, np.nan))
         if progress is not None and video.count:
             progress(min(1.0, len(stamps) / video.count))
-    seen = gather(stamps, found, picture, finder)
+    tagged.finish(video)
+    seen = gather(stamps, tagged.found, picture, finder)
     if options.points and dots is None:
         raise FilmError(f'--at is {options.at:g} s, and {video.path} ends before')
     if not seen.tags and options.ruler is None:

@@ -112,7 +112,7 @@ class PoseReader:
 
     def _stamps_apart(self) -> str:
         """Say which body is on a frame that moves and came with other stamps."""
-        ((name, below), count), *_ = self._transforms.apart.most_common(1) or [(('', ''), 0)]
+        ((name, below), count), *_ = self._transforms.separate.most_common(1) or [(('', ''), 0)]
         # The first time the frames below may not be known yet.
         if count < 2:
             return ''

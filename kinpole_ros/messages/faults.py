@@ -17,7 +17,7 @@ from kinpole_ros.tracking.tracker import Tracker
 _LISTED_NOTES, _NOTE_CHARACTERS = 3, 120  # notes on identities may be of any number and length
 _MAX_PACE = 100.0  # of stamps against arrivals: a bag played at ten times its speed is no fault
 _BUNCHED_STEP = 0.25  # of the mean step: the median step of frames that come in bunches is less
-_MIN_STAMPS = 5  # to judge their pace
+_MIN_STAMPS = 5  # to know their pace
 _MILD_TROUBLES = ('behind', 'clock', 'other types', 'sources', 'duplicates')  # figures still come
 _OF_SHAPES = {'mirrored': 'mirrored', 'other': 'other_shape', 'nowhere': 'shape_nowhere'}
 
