@@ -5,8 +5,8 @@
  * instant. Covariances are between derivatives of order k and l.
  */
 
-#ifndef KINPOLE_QUANTITIES_H
-#define KINPOLE_QUANTITIES_H
+#ifndef KINPOLE_MOTION_H
+#define KINPOLE_MOTION_H
 
 #include "codes.h"
 

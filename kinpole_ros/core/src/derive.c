@@ -250,32 +250,32 @@ move_until_settled(Call *call, const Window *window, Samples *s, double *scratch
     return DONE;
 }
 
-/* Multiply derivatives, standard deviations and hub of an estimate by the numbers `by` (2). */
+/* Multiply derivatives, standard deviations and hub of an estimate by the numbers `factor` (2). */
 static void
-scale_estimate(Estimate *found, const double *by)
+scale_estimate(Estimate *found, const double *factor)
 {
-    found->hub *= by[1];
+    found->hub *= factor[1];
     for (int k = 0; k < MAX_ORDERS; k++) {
         for (int c = 0; c < 3; c++)
-            found->mean[c][k] *= by[c > 0];
+            found->mean[c][k] *= factor[c > 0];
         for (int j = 0; j < MAX_ORDERS; j++)
             for (int c = 0; c < 2; c++)
-                found->covariance[c][k][j] *= by[c] * by[c];
+                found->covariance[c][k][j] *= factor[c] * factor[c];
     }
 }
 
 /* Differentiate samples some of which may be missing, of low weight, or off the even grid, into
-   `out`. `scratch` is memory for 12 signals. `given` stays, unless the motion is exact and comes
+   `out`. `scratch` is memory for 12 signals. `uneven` stays, unless the motion is exact and comes
    out infinite. Returns the same as `kinpole_derive`. */
 static int
-derive_uneven(Call *call, const Window *window, const Samples *given, double *scratch,
+derive_uneven(Call *call, const Window *window, const Samples *uneven, double *scratch,
               Estimate *out)
 {
-    long long n = given->count, low_weights = 0;
-    Samples s = *given;
+    long long n = uneven->count, low_weights = 0;
+    Samples s = *uneven;
     double noise[2] = {1.0, 1.0}, moving[2] = {1.0, 1.0};
     int is_uneven = 0;
-    memcpy(scratch, given->x[0], 6 * n * sizeof(double));
+    memcpy(scratch, uneven->x[0], 6 * n * sizeof(double));
     for (int c = 0; c < 3; c++)
         s.x[c] = scratch + c * n;
     s.weight[0] = scratch + 3 * n, s.weight[1] = scratch + 4 * n;
@@ -315,10 +315,10 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sc
     Window noisy = *window;
     noisy.exact = 0;
     for (int c = 0; c < 2; c++)
-        noise[c] = larger(largest_sample(given, c) / EXACT_RATIO, 1.0);
-    divide_samples(given, noise);
+        noise[c] = larger(largest_sample(uneven, c) / EXACT_RATIO, 1.0);
+    divide_samples(uneven, noise);
     noisy.radians *= noise[0];
-    code = derive_uneven(call, &noisy, given, scratch, out);
+    code = derive_uneven(call, &noisy, uneven, scratch, out);
     scale_estimate(out, noise);
     return code;
 }

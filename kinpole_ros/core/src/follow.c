@@ -51,7 +51,8 @@ number_before(const Frames *f, long long at)
     return low - history->first;
 }
 
-/* Whether the next frame follows the newest without a gap: after `gap` intervals at most. */
+/* Whether the next frame follows the newest without a gap: after `gap` intervals at most, or no
+   interval is known yet. */
 static int
 next_goes_on(const Frames *f)
 {
@@ -201,8 +202,8 @@ take_frame(Frames *f)
     return DONE;
 }
 
-/* Fills the arrays of `poses` from the rows `oldest` to the newest, for the hubs in it. Returns
-   whether any body tilts in the window. */
+/* Fills the arrays of `poses` by frame from the rows `oldest` to the newest, with positions of the
+   points `hub` of `poses`. Returns whether any body tilts in the window. */
 static int
 fill_window(const Frames *f, long long oldest, Poses *poses)
 {
@@ -259,8 +260,8 @@ middle_of_used(const Frames *f, long long row, long long b)
     return total > 0.0 ? sum / total : NAN;
 }
 
-/* Copies the derivatives of `call`, of one instant, into the results after those filled; NaN for a
-   body whose `reason` is worse than NOT_FULL. */
+/* Copies the derivatives of `call`, of one instant, except `reference`, into the results after
+   those filled; NaN for a body whose `reason` there is above NOT_FULL. */
 static void
 copy_derivatives(const Call *call, Results *r)
 {
@@ -307,8 +308,8 @@ derive_headings(Call *call, Poses *poses)
 }
 
 /* Computes the result of the frame in row `now` from the window of those from `oldest` on, and adds
-   it to the results. `poses` is memory for them. Returns the same as `kinpole_derive`; the results
-   are as before if that is not DONE. */
+   it to the results. `poses` has memory for the window. Sets the poses and the window of `call`.
+   Returns the same as `kinpole_derive`; the results are as before if that is not DONE. */
 static int
 compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long oldest,
                long long now)
@@ -383,7 +384,7 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
 }
 
 /* Computes the results that are due with the newest frame, and moves `next_result` behind them. A
-   frame is due once it is as old as the lag. Also writes `samples` and `interval` of the window.
+   frame is due once it is as old as the lag. Also writes `window_frames` and `interval`.
    Returns DONE, or an error below 0. */
 static int
 compute_due(Frames *f, Call *call, Results *r)

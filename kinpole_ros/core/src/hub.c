@@ -41,19 +41,19 @@ likeliest_hub(const Polynomials *p, Number product, double radians)
     Hub best = {.value = -INFINITY}, by_degree[MAX_POLYNOMIALS];
     double path = p->left[0] + p->left[1], turning = p->left[2] + p->left[3];
     for (int d = MAX_POLYNOMIALS - 1; d >= 0; d--) {
-        Hub *one = by_degree + d, *more = one + MORE_DEGREES;
-        *one = (Hub){.turning = turning, .noise = (p->length - d - 1) * radians * radians};
-        one->arm = -product / (turning - one->noise);
-        one->growth = 1 + square_of(one->arm) * radians * radians;
-        if (d + MORE_DEGREES < MAX_POLYNOMIALS && more->noise > 0.0 &&
-            more->turning > MIN_TURNING * more->noise) {
-            double square = path + 2 * creal(conj(one->arm) * product) +
-                square_of(one->arm) * turning;
+        Hub *hub = by_degree + d, *higher = hub + MORE_DEGREES;
+        *hub = (Hub){.turning = turning, .noise = (p->length - d - 1) * radians * radians};
+        hub->arm = -product / (turning - hub->noise);
+        hub->growth = 1 + square_of(hub->arm) * radians * radians;
+        if (d + MORE_DEGREES < MAX_POLYNOMIALS && higher->noise > 0.0 &&
+            higher->turning > MIN_TURNING * higher->noise) {
+            double square = path + 2 * creal(conj(hub->arm) * product) +
+                square_of(hub->arm) * turning;
             /* Mean and slope cost nothing, as those of the models. */
-            double value = p->length * (1 - log(one->growth)) - square / one->growth / 2 -
+            double value = p->length * (1 - log(hub->growth)) - square / hub->growth / 2 -
                 2 * d * COEFFICIENT_COST;
             if (value > best.value)
-                best = *more, best.degree = d, best.value = value;
+                best = *higher, best.degree = d, best.value = value;
         }
         Number position = pair_of(p->along[d]), turn = pair_of(p->along[d] + TURNED);
         path += square_of(position), turning += square_of(turn), product += conj(turn) * position;

@@ -147,7 +147,7 @@ add_prediction_errors(const Models *m, const Work *w, const Set *set, double *er
 }
 
 PRIVATE void
-move_to_grid(const Models *m, const Lanes *slopes, const Samples *given, const Samples *placed,
+move_to_grid(const Models *m, const Lanes *slopes, const Samples *uneven, const Samples *placed,
              Work *w, Set *set, double *const moved[3])
 {
     long long rows = m->rows, n = m->count, panels = (m->half + LANES - 1) / LANES;
@@ -186,10 +186,10 @@ move_to_grid(const Models *m, const Lanes *slopes, const Samples *given, const S
                 double even = ((double *)(w->slopes + (k * 3 + c) * panels))[near];
                 double odd = ((double *)(w->slopes + ((SLOPE_ORDERS + k) * 3 + c) * panels))[near];
                 /* The first and the third derivative of an even function are odd. */
-                power *= given->off[t] / (k + 1);
+                power *= uneven->off[t] / (k + 1);
                 sum += power * (t == near ? even + odd : k % 2 ? even - odd : odd - even);
             }
-            moved[c][t] = given->x[c][t] - sum;
+            moved[c][t] = uneven->x[c][t] - sum;
         }
     double *error = w->terms;
     memset(error, 0, 3 * set->cells * sizeof(double));

@@ -24,12 +24,12 @@ typedef struct {
 PRIVATE void differentiate(const Models *m, const Stencils *stencils, const Work *w, Set *sets,
                            int number, Estimate *out);
 
-/* Move the samples `given` to the even grid, into `moved` (3, count): subtract the Taylor series,
+/* Move the samples `uneven` to the even grid, into `moved` (3, count): subtract the Taylor series,
    up to SLOPE_ORDERS, of the motion that is estimated from the samples `placed` in the previous
    round. `slopes` (SLOPE_ORDERS, panels of LANES, rows) are the derivatives of the modes at the
    first half of the samples. Missing samples move to their prediction from the others. `w` and
    `set`, which has no steps, get what they have of `placed`. */
-PRIVATE void move_to_grid(const Models *m, const Lanes *slopes, const Samples *given,
+PRIVATE void move_to_grid(const Models *m, const Lanes *slopes, const Samples *uneven,
                           const Samples *placed, Work *w, Set *set, double *const moved[3]);
 
 #endif

@@ -24,7 +24,7 @@
 /* The even cells of an instant. Arrays are by frame of its window, the newest first. */
 typedef struct {
     double interval; /* ns: from one cell to the next */
-    double *late;    /* intervals by which the frame is after its cell */
+    double *off;     /* intervals by which the frame is after its cell */
     long long *cell; /* intervals by which its cell is after the instant, below 0 if before */
 } Grid;
 
