@@ -72,12 +72,11 @@ def read_frames(
             if duration > seconds * _SECOND:
                 break
     if not frames:
-        reason = f': {problem}' if problem else ''
-        raise BagError(
-            f'{bag}: no message on {name} can be read{reason}; fix: name another with --topic'
-        )
-    if report is not None and isinstance(reader, messages.MarkerReader) and reader.fault():
-        report(BagError(f'{bag}: {reader.fault()}'))
+        why = f': {problem}' if problem else ''
+        raise BagError(f'{bag}: no message on {name} can be read{why}; fix: name another --topic')
+    fault = reader.fault() if isinstance(reader, messages.MarkerReader) else None
+    if report is not None and fault is not None:
+        report(BagError(f'{bag}: {fault.words()}'))
     return frames if seconds is None else _first_part(frames, seconds), name
 
 

@@ -21,7 +21,7 @@ from kinpole_ros.bags._marker_frames import NODE_NAME, frame_blocks, input_topic
 from kinpole_ros.bags._repeated_frames import FEWEST_REPEATS, conversion_fault
 from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._tables import TABLES
-from kinpole_ros.findings import Finding
+from kinpole_ros.findings import ERROR, Finding
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
@@ -212,19 +212,20 @@ class _Replaying:
                     for add in takers:
                         add(estimate)
             if isinstance(self._reader, messages.PoseReader):
-                outcome.pose_problem = self._reader.fault()
-            elif drawings := self._reader.fault():
-                outcome.misnamed.append(Finding('source', values={'text': drawings}))
+                outcome.pose_fault = self._reader.fault()
+            else:
+                outcome.drawings = self._reader.fault()
             self._check_frames()
         outcome.concatenated = _unlisted_files(self._bag)
         if self._positions is not None:
             outcome.scene_positions = self._positions.report()
-        return _replayed.finish(outcome, self._tracker, self._converted())
+        outcome.converted = self._converted()
+        return _replayed.finish(outcome, self._tracker)
 
-    def _converted(self) -> str:
-        """Say how frames repeat others, as of a film whose rate was changed; '' if they do not."""
+    def _converted(self) -> Finding | None:
+        """Return how frames repeat others, as of a film whose rate was changed, if they do."""
         if self._tracker.update_counts()[HELD] < FEWEST_REPEATS:
-            return ''
+            return None
         reader = messages.reader_of(self._kind, self._settings)
         blocks = frame_blocks(self._bag, self._topic, self._kind, reader, None)
         parts = [part for frames, _, _ in blocks for part in frames]
@@ -232,7 +233,7 @@ class _Replaying:
 
     def _add_topics(self, writer: BagWriter) -> None:
         """Have all topics in the bag of results, also those without messages."""
-        writer.add_topic(_RIG_TOPIC, messages.String)
+        writer.add_topic(_RIG_TOPIC, messages.String, is_latched=True)
         for output in self._outputs:
             writer.add_topic(output.under(f'/{NODE_NAME}'), output.message_type)
         writer.add_topic('/diagnostics', messages.DiagnosticArray)
@@ -246,7 +247,8 @@ class _Replaying:
             return
         self._tracker.count('unreadable')
         self._outcome.problem = self._outcome.problem or str(error)
-        self._diagnostics.trouble['message'] = str(error)
+        about = {'problem': str(error)}
+        self._diagnostics.trouble = [Finding('unreadable_message', '', about, ERROR)]
 
     def _track(
         self,
@@ -295,8 +297,8 @@ class _Replaying:
                 f'{self._bag}: no message on {self._topic} has markers; fix: see that the tracker '
                 'sees them, or name another topic with --topic'
             )
-        if outcome.pose_problem:
-            raise BagError(f'{self._bag}: on {self._topic} {outcome.pose_problem}')
+        if outcome.pose_fault is not None:
+            raise BagError(f'{self._bag}: on {self._topic} {outcome.pose_fault.words()}')
 
 
 def result_columns(
@@ -350,11 +352,11 @@ class _PeriodicDiagnostics:
     """
     The diagnostics of each second of stamps, as of its last frame, as the node publishes them.
 
-    `trouble` are faults of the input for the next diagnostics, as `DiagnosticsMaker` takes them.
+    `trouble` is what was found of the input, for the next diagnostics.
     """
 
     def __init__(self, maker: messages.DiagnosticsMaker) -> None:
-        self.trouble: dict[str, str] = {}
+        self.trouble: list[Finding] = []
         self._maker = maker
         self._last_stamp: int | None = None  # of the last diagnostics
         # The newest estimate, if the last diagnostics do not describe it.
@@ -387,7 +389,7 @@ class _PeriodicDiagnostics:
         """Begin the diagnostics of the second that ends with the frame of this number."""
         seconds = 0.0 if self._last_stamp is None else (stamp - self._last_stamp) / _SECOND
         self._begun.append((number, self._maker.begin(stamp, tracker, seconds, self.trouble)))
-        self._last_stamp, self.trouble = stamp, {}
+        self._last_stamp, self.trouble = stamp, []
 
     def column(self, estimates: list[Estimate], log_times: np.ndarray) -> Column:
         """Return the diagnostics of the frames just taken, from the estimates of these frames."""

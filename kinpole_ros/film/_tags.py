@@ -85,6 +85,17 @@ class TagFinder:
         }
         return (list(seen), np.stack(list(seen.values()))) if seen else NO_TAGS
 
+    def follow(
+        self, gray: np.ndarray, places: Mapping[int, list[np.ndarray]]
+    ) -> dict[int, np.ndarray]:
+        """
+        Return the corners (4, 2) of those tags that are seen where their places lead to.
+
+        The places are those of one to three pictures next to this one, the nearest first.
+        """
+        quads = {tag: _next(near) for tag, near in places.items()}
+        return self._refined(255 - gray if self.is_inverse else gray, quads)
+
     def unused(self, counts: Mapping[int, int]) -> dict[int, str]:
         """Return why tags, that were found in so many pictures each, are not used."""
         reasons = {}

@@ -276,19 +276,19 @@ def read_states(messages: Iterable[bytes]) -> Iterator[tuple[np.ndarray, Quantit
 
 def read_state_blocks(messages: Iterable[bytes]) -> Iterator[StateBlock]:
     """Yield messages of the topic `state` as `read_states`, with the codes of reasons."""
-    alike: list[bytes] = []
+    same_layout: list[bytes] = []
     layout: _Layout | None = None
     for data in messages:
-        if layout is not None and len(data) == len(alike[0]):
+        if layout is not None and len(data) == len(same_layout[0]):
             behind = slice(_STAMP.stop, layout.start)
-            if data[:4] == alike[0][:4] and data[behind] == alike[0][behind]:
-                alike.append(data)
+            if data[:4] == same_layout[0][:4] and data[behind] == same_layout[0][behind]:
+                same_layout.append(data)
                 continue
         if layout is not None:
-            yield _read_alike(alike, layout)
-        layout, alike = _layout_of(deserialize_message(data, PointCloud2)), [data]
+            yield _read_same_layout(same_layout, layout)
+        layout, same_layout = _layout_of(deserialize_message(data, PointCloud2)), [data]
     if layout is not None:
-        yield _read_alike(alike, layout)
+        yield _read_same_layout(same_layout, layout)
 
 
 class _Layout(NamedTuple):
@@ -345,7 +345,7 @@ def _added_in(names: list[str]) -> Iterator[tuple[str, list[str]]]:
             first = k
 
 
-def _read_alike(messages: Sequence[bytes], layout: _Layout) -> StateBlock:
+def _read_same_layout(messages: Sequence[bytes], layout: _Layout) -> StateBlock:
     """Read messages of one layout."""
     table = np.frombuffer(b''.join(messages), np.uint8).reshape(len(messages), -1)
     order = '<' if messages[0][1] & 1 else '>'

@@ -112,7 +112,12 @@ class MarkerLimits(NamedTuple):
 
 
 def marker_limits(
-    mature: np.ndarray, misfit: Real, error: Real, spread: Real, size: Real, relative: Real
+    mature: np.ndarray,
+    misfit: Real,
+    marker_variance: Real,
+    spread: Real,
+    size: Real,
+    relative: Real,
 ) -> MarkerLimits:
     """
     Compute how far markers may be off their places.
@@ -121,7 +126,7 @@ def marker_limits(
     ----------
     mature : (B,) bool
         Whether there are enough fits for the misfit.
-    misfit, error : (B,) float
+    misfit, marker_variance : (B,) float
         Variance of a coordinate of a marker about its place, and the same with rounding, m^2.
     spread, size : (B,) float
         Sum of squared arms, m^2, and diameter, m.
@@ -135,7 +140,7 @@ def marker_limits(
     largest = np.where(mature, usual**2, np.inf)[:, None] * relative
     # A marker on soft tissue that moves by less keeps its name.
     doubtful = (np.maximum(limit, YOUNG_OUTLIER * size) ** 2)[:, None] * relative
-    return MarkerLimits(limit, largest, doubtful, error / MAX_ANGLE_NOISE**2)
+    return MarkerLimits(limit, largest, doubtful, marker_variance / MAX_ANGLE_NOISE**2)
 
 
 def reasons_of(noise: Real, spread: Real, angle_noise: Real) -> np.ndarray:
