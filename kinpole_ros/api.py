@@ -383,7 +383,7 @@ def replay(
         settings = load_settings(config, changes=parameters)
     estimates: list[Estimate] = []
     outcome = bags.replay(bag, settings, topic=topic, take=estimates.append, whole=whole)
-    _warn(bags.warnings_of(outcome, settings))
+    _warn(outcome.warnings)
     if outcome.truncated is not None:
         _warn([str(outcome.truncated)])
     return _tracked(estimates, settings)

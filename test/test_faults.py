@@ -525,7 +525,7 @@ def test_a_type_on_the_topic_that_is_not_followed_is_named(rig: Rig) -> None:
 def test_another_node_of_the_name_is_told_of(tmp_path: FilePath) -> None:
     config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index')
     rig = Rig('twin', '/twins')
-    words = 'published by another node of this name too: give each node a name'
+    words = 'published by another node of this name too; fix: give each node a name'
     logs = (tmp_path / 'one', tmp_path / 'other')
     both = lambda: all(words in log.read_text() for log in logs)  # noqa: E731
     try:

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from kinpole_ros import findings
-from kinpole_ros.findings import ERROR, STALE, TABLE, WARN, Finding, all_words, finding_of
+from kinpole_ros import finding_table, findings
+from kinpole_ros.finding_table import TABLE
+from kinpole_ros.findings import ERROR, STALE, WARN, Finding, all_words, finding_of
 from kinpole_ros.messages import FINDING, DiagnosticArray, DiagnosticsMaker
 from kinpole_ros.messages._types import DiagnosticStatus, KeyValue
 from kinpole_ros.settings import Settings
@@ -33,14 +34,14 @@ def strings() -> dict[Path, set[str]]:
 def test_each_sentence_of_a_cause_or_fix_is_in_one_table(strings: dict[Path, set[str]]) -> None:
     """So nothing can be looked up by one: a better word would lose it in silence."""
     texts = {text for row in (*TABLE.values(), *reasons.TABLE.values()) for text in row if text}
-    tables = Path(findings.__file__), Path(reasons.__file__)
+    tables = Path(finding_table.__file__), Path(reasons.__file__)
     for file, own in strings.items():
         assert file in tables or not own & {t for t in texts if ' ' in t}, file
 
 
 def test_each_code_is_used(strings: dict[Path, set[str]]) -> None:
     elsewhere = set().union(
-        *(own for file, own in strings.items() if file != Path(findings.__file__))
+        *(own for file, own in strings.items() if file != Path(finding_table.__file__))
     )
     often = {f'often_{code}' for code in ('not_seen', 'no_frames')}
     assert {*TABLE} - often <= elsewhere

@@ -136,8 +136,8 @@ def import_points(
     read = replace(read, poses=poses)
     stamps, stamp_notes = _stamps(path, read, rate)
     kept = leave_out_repeats(str(path), 'frames', stamps, _marks(read.points, poses))
-    if kept.note:
-        stamp_notes.append(f'{path}: {kept.note}')
+    if kept.finding is not None:
+        stamp_notes.append(f'{path}: {kept.finding.words()}')
         own = kept.is_kept
         read = replace(read, points=read.points[own], poses=None if poses is None else poses[own])
     write_points(output, read.names, kept.stamps, read.points, progress, read.bodies, read.poses)

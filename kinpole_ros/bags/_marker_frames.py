@@ -79,8 +79,9 @@ def read_frames(
     if not frames:
         why = f': {problem}' if problem else ''
         raise BagError(f'{bag}: no message on {name} can be read{why}; fix: name another --topic')
-    if report is not None and isinstance(reader, messages.MarkerReader) and reader.fault():
-        report(BagError(f'{bag}: {reader.fault()}'))
+    fault = reader.fault() if isinstance(reader, messages.MarkerReader) else None
+    if report is not None and fault is not None:
+        report(BagError(f'{bag}: {fault.words()}'))
     return frames if seconds is None else _first_part(frames, seconds), name
 
 

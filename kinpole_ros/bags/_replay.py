@@ -30,7 +30,7 @@ from kinpole_ros.bags._result_columns import (
     result_columns,
 )
 from kinpole_ros.bags._tables import TABLES
-from kinpole_ros.findings import Finding
+from kinpole_ros.findings import ERROR, Finding
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
@@ -231,14 +231,15 @@ class _Replaying:
             if self._whole:
                 self._add(self._track_to_end(last_time, writer), takers)
             if isinstance(self._reader, messages.PoseReader):
-                outcome.pose_problem = self._reader.fault()
-            elif drawings := self._reader.fault():
-                outcome.misnamed.append(Finding('source', values={'text': drawings}))
+                outcome.pose_fault = self._reader.fault()
+            else:
+                outcome.drawings = self._reader.fault()
             self._check_frames()
         outcome.concatenated = _unlisted_files(self._bag)
         if self._positions is not None:
             outcome.scene_positions = self._positions.report()
-        return _replayed.finish(outcome, self._learned, self._converted())
+        outcome.converted = self._converted()
+        return _replayed.finish(outcome, self._learned)
 
     def _learn(self, progress: Progress | None) -> None:
         """Read the bag a first time, and have a tracker that knows what is learned from it."""
@@ -265,17 +266,17 @@ class _Replaying:
             for take in takers:
                 take(estimate)
 
-    def _converted(self) -> str:
-        """Say how frames repeat others, as of a film whose rate was changed; '' if they do not."""
+    def _converted(self) -> Finding | None:
+        """Return how frames repeat others, as of a film whose rate was changed, if they do."""
         if self._tracker.update_counts()[HELD] < FEWEST_REPEATS:
-            return ''
+            return None
         reader = messages.reader_of(self._kind, self._settings)
         parts = [part for frames, _, _ in self._blocks(reader, None) for part in frames]
         return conversion_fault(str(self._bag), parts)
 
     def _add_topics(self, writer: BagWriter) -> None:
         """Have all topics in the bag of results, also those without messages."""
-        writer.add_topic(RIG_TOPIC, messages.String)
+        writer.add_topic(RIG_TOPIC, messages.String, is_latched=True)
         for output in self._outputs:
             writer.add_topic(output.under(f'/{NODE_NAME}'), output.message_type)
         writer.add_topic('/diagnostics', messages.DiagnosticArray)
@@ -290,7 +291,8 @@ class _Replaying:
         for tracker in {self._tracker, self._learned}:
             tracker.count('unreadable')
         self._outcome.problem = self._outcome.problem or str(error)
-        self._diagnostics.trouble['message'] = str(error)
+        about = {'problem': str(error)}
+        self._diagnostics.trouble = [Finding('unreadable_message', '', about, ERROR)]
 
     def _track(
         self,
@@ -348,5 +350,5 @@ class _Replaying:
                 f'{self._bag}: no message on {self._topic} has markers; fix: see that the tracker '
                 'sees them, or name another topic with --topic'
             )
-        if outcome.pose_problem:
-            raise BagError(f'{self._bag}: on {self._topic} {outcome.pose_problem}')
+        if outcome.pose_fault is not None:
+            raise BagError(f'{self._bag}: on {self._topic} {outcome.pose_fault.words()}')

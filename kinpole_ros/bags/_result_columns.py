@@ -7,6 +7,7 @@ import numpy as np
 
 from kinpole_ros import messages
 from kinpole_ros.bags._marker_frames import NODE_NAME
+from kinpole_ros.findings import Finding
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.registered import RegisteredQuantity
@@ -69,11 +70,11 @@ class PeriodicDiagnostics:
     """
     The diagnostics of each second of stamps, as of its last frame, as the node publishes them.
 
-    `trouble` are faults of the input for the next diagnostics, as `DiagnosticsMaker` takes them.
+    `trouble` is what was found of the input, for the next diagnostics.
     """
 
     def __init__(self, maker: messages.DiagnosticsMaker) -> None:
-        self.trouble: dict[str, str] = {}
+        self.trouble: list[Finding] = []
         self._maker = maker
         self._last_stamp: int | None = None  # of the last diagnostics
         # The newest estimate, if the last diagnostics do not describe it.
@@ -106,7 +107,7 @@ class PeriodicDiagnostics:
         """Begin the diagnostics of the second that ends with the frame of this number."""
         seconds = 0.0 if self._last_stamp is None else (stamp - self._last_stamp) / SECOND
         self._begun.append((number, self._maker.begin(stamp, tracker, seconds, self.trouble)))
-        self._last_stamp, self.trouble = stamp, {}
+        self._last_stamp, self.trouble = stamp, []
 
     def column(self, estimates: list[Estimate], log_times: np.ndarray) -> Column:
         """Return the diagnostics of the frames just taken, from the estimates of these frames."""

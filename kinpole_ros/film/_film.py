@@ -3,7 +3,6 @@
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._recorded_pictures import bag_messages, film_topic, is_bag_of_pictures
 from kinpole_ros.film._tags import LEAST_PICTURES, TagFinder
 from kinpole_ros.film._video import Progress, Video
+from kinpole_ros.findings import Finding
 from kinpole_ros.messages import CAMERA_INFO, DETECTIONS, Detections
 
 _LEAST_STEP = 0.05  # pixels; in a still film the compression moves corners by less
@@ -46,11 +46,13 @@ def read_film(
     kept = leave_out_repeats(video.path, 'pictures', seen.stamps, marks, options.rate, _LEAST_STEP)
     own = kept.is_kept
     seen = replace(seen, stamps=kept.stamps, pixels=seen.pixels[own], dots=seen.dots[own])
-    notes = [kept.note, video.late and f'{video.late} left out whose stamps do not increase']
+    late = Finding('late_pictures', values={'count': video.late}) if video.late else None
+    found = [one.words() for one in (kept.finding, late) if one is not None]
     interlaced = 'interlaced, so each field is a picture of its own' if video.is_interlaced else ''
     shutter = f'{options.line_time * 1e6:.3g} us' if options.line_time else 'none'
     changed = [f'rolling shutter: {shutter}', 'to change: --line-time, --rate']
-    line = _film_line(seen, video.clock, [*notes, interlaced, video.cut, *changed])
+    cut = video.cut.words() if video.cut is not None else ''
+    line = _film_line(seen, video.clock, [*found, interlaced, cut, *changed])
     filmed = place_seen(seen, options)
     return replace(
         filmed,
@@ -76,9 +78,9 @@ def _read_detections(path: str, topic: str, options: FilmOptions) -> Filmed:
     finder = TagFinder()
     seen = gather(stamps[is_later].tolist(), rows, picture, finder, family)
     if not seen.tags:
-        raise _no_tags(path, seen, finder, '', 'see to the detector')
-    late = int((~is_later).sum())
-    notes = [late and f'{late} late ones left out']
+        raise _no_tags(path, seen, finder, None, 'see to the detector')
+    late = Finding('late_pictures', values={'count': int((~is_later).sum())})
+    notes = [] if is_later.all() else [late.words()]
     line = _film_line(seen, f'by the headers of {topic}', notes)
     filmed = place_seen(replace(seen, path=path), options, lens)
     return replace(filmed, assumed=[line, *filmed.assumed])
@@ -124,7 +126,7 @@ def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Se
     for stamp, gray in video.pictures():
         height, width = gray.shape
         if picture not in ((0, 0), (width, height)):
-            video.cut = f'{video.path}: the size of its pictures changes; what follows is left out'
+            video.cut = Finding('resized_film', values={'path': video.path})
             break
         picture = width, height
         stamps.append(stamp)
@@ -150,14 +152,17 @@ def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Se
     return replace(seen, dots=np.array(places), turns=video.turns, path=video.path)
 
 
-def _no_tags(path: str, seen: Seen, finder: TagFinder, damage: str, fix: str) -> FilmError:
+def _no_tags(
+    path: str, seen: Seen, finder: TagFinder, damage: Finding | None, fix: str
+) -> FilmError:
     """Return the error of a film without tags that can be used."""
     if finder.mirrored and not seen.unused:
         return mirror_fault(path, finder, 'mirror it, as by ffmpeg -i IN -vf hflip OUT.mp4')
     if any(finder.twice.values()):
         fix = 'print a number once, and tape another tag on each link'
     texts = [f'seen and not used: {"; ".join(seen.unused)}'] if seen.unused else []
-    notes = ''.join(f'; {text}' for text in (*texts, damage) if text)
+    texts += [damage.words()] if damage is not None else []
+    notes = ''.join(f'; {text}' for text in texts)
     return FilmError(
         f'{path} shows no tag: none was found in {LEAST_PICTURES} or more of its '
         f'{len(seen.stamps)} pictures{notes}; fix: {fix}'
@@ -203,7 +208,7 @@ def gather(
     )
 
 
-def _film_line(seen: Seen, clock: str, notes: list[Any]) -> str:
+def _film_line(seen: Seen, clock: str, notes: list[str]) -> str:
     """Say how many pictures there are, and when they were taken, with notes that are not empty."""
     count = len(seen.stamps)
     seconds = float(seen.stamps[-1] - seen.stamps[0]) * 1e-9

@@ -19,6 +19,7 @@ from kinpole_ros.film._decoder import (
     quarter_turns,
 )
 from kinpole_ros.film._recorded_pictures import bag_source, folder_source, is_bag_of_pictures
+from kinpole_ros.findings import Finding
 
 _WAITING = 3  # pictures between decoder and search
 # A camera in the dark takes pictures at less than its rate, whose times are right. Slow motion is
@@ -44,14 +45,15 @@ class Video:
     `count` is the number of pictures as the container has them, 0 if unknown; `clock` says what
     the stamps are, and `turns` are the quarter turns to the left by which pictures are shown.
     `late` counts pictures left out because their stamps do not increase, `is_interlaced` says that
-    the fields of its frames are pictures of their own, and `cut` where a damaged film ends, '' for
-    a sound one.
+    the fields of its frames are pictures of their own, and `cut` where a film ends that is not
+    sound.
     """
 
     def __init__(
         self, path: str | Path, rate: float | None = None, topic: str | None = None
     ) -> None:
-        self.path, self.late, self.cut, self.turns = str(path), 0, '', 0
+        self.path, self.late, self.turns = str(path), 0, 0
+        self.cut: Finding | None = None
         self.is_interlaced = False
         self._rate = rate
         self._source = _source_of(self.path, topic)
@@ -137,7 +139,8 @@ class Video:
             if last < 0:
                 raise
             seconds = (last - begin) * 1e-9
-            self.cut = f'{self.path} is damaged after {seconds:.4g} s: what follows is lost'
+            about = {'path': self.path, 'seconds': seconds}
+            self.cut = Finding('damaged_film', values=about)
         if last < 0:
             raise FilmError(f'{self.path} has no pictures; fix: film it again, or convert it')
 

@@ -74,7 +74,7 @@ class Fitting(NamedTuple):
     size: Real
     middle: Complex
     mature: np.ndarray
-    error: Real
+    marker_variance: Real
     fit_noise: Real
     information_factor: Real
     reason: np.ndarray
@@ -215,7 +215,9 @@ class Bodies:
         placement, mature = self.placement, self.fits >= MIN_SAMPLES
         spread = placement.spread
         size = 2 * np.sqrt(spread / np.maximum(placement.learned_count, 1))
-        limits = marker_limits(mature, self.misfit, self.error, spread, size, self.relative)
+        limits = marker_limits(
+            mature, self.misfit, self.marker_variance, spread, size, self.relative
+        )
         middle, factor = placement.factors.mean, np.ones((2, self.count))
         if self.are_measured:
             # Distance from their mean of markers with such noise.
@@ -227,7 +229,7 @@ class Bodies:
             size=size,
             middle=middle,
             mature=mature,
-            error=self.error,
+            marker_variance=self.marker_variance,
             fit_noise=np.where(self.noise > 0, self.noise, 1.0),
             information_factor=factor,
             reason=reasons_of(self.noise, spread, self.angle_noise),
@@ -243,7 +245,7 @@ class Bodies:
         return np.where(self.hub == 0, self.fitting.middle, self.hub)
 
     @property
-    def error(self) -> Real:
+    def marker_variance(self) -> Real:
         """Variance (B,) of a coordinate of a marker, m^2: the misfit, no less than rounding."""
         return np.maximum(self.misfit, self.least_noise**2)
 

@@ -13,8 +13,14 @@ import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.candidates import PAIR_LIMITS, Candidates, find_candidates, fit_points
+from kinpole_ros.tracking.frame_counter import MOST_CHARGED_LOSSES
+from kinpole_ros.tracking.frame_intervals import LOSS_NATS
 from kinpole_ros.tracking.rejection import DISTANCE_RATIO
-from kinpole_ros.tracking.thresholds import N_SIGMA, RECENT_FRAMES
+from kinpole_ros.tracking.statistics import median
+from kinpole_ros.tracking.thresholds import MIN_DOF, N_SIGMA, RECENT_FRAMES, ROUNDED
+
+# Degrees of freedom of the errors of predictions: few, since they have impacts among them.
+TAIL = 4.0
 
 
 class Match(NamedTuple):
@@ -51,6 +57,36 @@ class Expected(NamedTuple):
     fits: np.ndarray
     variance: float = np.inf
     pins: Complex | None = None
+
+
+class Prediction(NamedTuple):
+    """
+    The poses expected of a body in a frame, if 0, 1... frames before it were lost without notice.
+
+    `angle` and `position`, rad and complex, m, each with the standard deviation of the first. By
+    default nothing is known.
+    """
+
+    angle: Real = np.full(1, np.nan)
+    angle_deviation: float = np.inf
+    position: Complex = np.full(1, complex(np.nan, np.nan))
+    position_deviation: float = np.inf
+
+    def costs(self, angle: Real, position: Complex, limit: float) -> Real:
+        """
+        Return how unlikely poses (H,) are, nats, by Student's distribution: a body may be hit.
+
+        Markers are off by up to `limit`, m.
+        """
+        if np.isinf(self.angle_deviation):
+            return np.zeros(len(angle))
+        turned = angle[:, None] - self.angle
+        turned -= 2 * np.pi * np.rint(turned / (2 * np.pi))
+        turned /= self.angle_deviation + ROUNDED
+        moved = np.abs(position[:, None] - self.position)
+        moved /= self.position_deviation + ROUNDED * limit
+        nats = (TAIL + 1) / 2 * np.log1p((turned**2 + moved**2) / TAIL)
+        return np.asarray((nats + LOSS_NATS * np.arange(nats.shape[1])).min(axis=1))
 
 
 def match(points: Complex, shapes: Complex, limit: Real, expected: Expected) -> Match:
@@ -172,54 +208,41 @@ def merge_names(found: Match, named: np.ndarray) -> np.ndarray | None:
     return indices
 
 
-def predict_poses(
-    stamps: np.ndarray, position: Complex, angle: Real, now: int
-) -> tuple[Complex, Complex]:
+def predict_pose(stamps: np.ndarray, angles: Real, positions: Complex) -> Prediction:
     """
-    Predict poses by the last velocity of each body.
+    Predict the pose of a body by its last velocity.
 
     Parameters
     ----------
-    stamps : (T,) int64
-        Stamps of the frames before, ns.
-    position, angle : (T, B)
-        Poses, complex, m, and rad; NaN for a body that was not seen.
-    now : int
-        Stamp of the frame to predict, ns.
+    stamps : (N + 1,) int64
+        Stamps of the frames before, and of the frame to predict, ns.
+    angles, positions : (N,)
+        Poses in the frames before, rad and complex, m; NaN where the body was not seen. A body
+        that was seen once stays where it was.
 
     Returns
     -------
-    position, turn : (B,) complex
-        Positions, m, and turns of length 1; NaN for a body that was not seen of late. A body that
-        was seen once stays where it was.
+    Prediction
+        The pose; NaN for a body that was not seen of late.
 
     """
-    if not len(stamps):
-        nowhere = np.full(position.shape[1], complex(np.nan, np.nan))
-        return nowhere, nowhere
-    stamps, position, angle = (
-        stamps[-RECENT_FRAMES:],
-        position[-RECENT_FRAMES:],
-        angle[-RECENT_FRAMES:],
-    )
-    body = np.arange(position.shape[1])
-    # Rows from 1 on; 0 is none.
-    rows = np.where(np.isfinite(angle), np.arange(1, len(stamps) + 1)[:, None], 0)
-    last = rows.max(axis=0)
-    before = np.where(rows < last, rows, 0).max(axis=0)
-    seconds = (stamps - now) * 1e-9
-    # One frame alone has no interval.
-    memory = 1.01 * RECENT_FRAMES * (seconds[-1] - seconds[0]) / max(len(stamps) - 1, 1) or np.inf
-    age, step = -seconds[last - 1], seconds[last - 1] - seconds[before - 1]
-    moved = position[last - 1, body] - position[before - 1, body]
-    turned = angle[last - 1, body] - angle[before - 1, body]
-    turned = (turned + np.pi) % (2 * np.pi) - np.pi
-    has_velocity = (before > 0) & (step <= memory)
-    steps = np.where(has_velocity, age / np.where(has_velocity, step, 1.0), 0.0)
-    is_recent = (last > 0) & (age <= memory)
-    ahead = position[last - 1, body] + steps * np.where(has_velocity, moved, 0)
-    turn = np.exp(1j * (angle[last - 1, body] + steps * np.where(has_velocity, turned, 0)))
-    return np.where(is_recent, ahead, np.nan), np.where(is_recent, turn, np.nan)
+    steps = np.diff(stamps)
+    # Late stamps do not change the number of frames.
+    frames = np.maximum(np.rint(steps / max(median(steps), 1)), 1) if len(steps) else steps
+    number = np.concatenate(((0,), np.cumsum(frames)))
+    seen = np.flatnonzero(np.isfinite(angles))
+    if not len(seen) or number[-1] - number[seen[-1]] > RECENT_FRAMES:
+        return Prediction()
+    ahead = number[-1] - number[seen[-1]] + np.arange(MOST_CHARGED_LOSSES + 1)
+    frames = np.diff(number[seen])
+    parts: list[Complex | float] = []
+    for signal in (np.unwrap(angles[seen]), positions[seen]):
+        speeds = np.diff(signal) / frames
+        parts.append(signal[-1] + ahead * (speeds[-1] if len(speeds) else 0))
+        changes = np.abs(2 * np.diff(speeds) / (frames[1:] + frames[:-1]))
+        error = np.sqrt(np.mean(changes**2)) if len(seen) >= MIN_DOF else np.inf
+        parts.append(ahead[0] * (ahead[0] + 1) / 2 * error)
+    return Prediction(*parts)
 
 
 def _near_predictions(

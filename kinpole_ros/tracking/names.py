@@ -23,7 +23,7 @@ from kinpole_ros.tracking.identity import (
     Match,
     match,
     merge_names,
-    predict_poses,
+    predict_pose,
 )
 from kinpole_ros.tracking.placed_frames import PlacedFrames, count_misnamed
 from kinpole_ros.tracking.placing import MarkerAssignment
@@ -403,10 +403,10 @@ class Matcher:
 
     def _predict(self, stamp: int) -> tuple[Complex, Complex]:
         """Poses (B,) of the bodies in the next frame, predicted from those before."""
-        columns, end = self._history.columns, self._history.end
-        rows = slice(max(self._history.first, end - RECENT_FRAMES), end)
-        position, angle = columns['position'][rows], columns['angle'][rows]
-        return predict_poses(columns['stamp'][rows], position, angle, int(stamp))
+        stamps, angles, positions = self._history.poses_before(stamp, RECENT_FRAMES)
+        found = [predict_pose(stamps, a, p) for a, p in zip(angles.T, positions.T, strict=True)]
+        position = np.array([one.position[0] for one in found])
+        return position, np.exp(1j * np.array([one.angle[0] for one in found]))
 
     def _fits_mirrored(self, placed: PlacedFrames | None, b: int) -> bool:
         """Whether the points of the last frame have a body's given shape mirrored."""

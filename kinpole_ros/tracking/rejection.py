@@ -71,12 +71,10 @@ MAX_SQUARE_RATIO = 5.4
 # A point is taken for a predicted marker if the second nearest point is this many times as far, and
 # a match for the best if the second best is.
 DISTANCE_RATIO = 2.0
-# rad. An exchange of markers that turns the body farther from its prediction comes last: any two
-# markers of an equilateral triangle may be exchanged, and it fits.
-NEAR_ANGLE = 0.25 * np.pi
-# Markers may be exchanged if a body is this far, rad, from its predicted angle, while it turns by
-# less than the second angle, rad per frame.
-REVERSED, SLOW_STEP = 0.75 * np.pi, 0.25 * np.pi
+# nats. What makes a way to place a body on its markers unlikely: a marker left out, which costs as
+# much as one at the limit of outliers, markers exchanged, and a mirrored body.
+OUTLIER_NATS = OUTLIER_SIGMAS**2 / 2
+EXCHANGE_NATS, MIRROR_NATS = 0.5 * OUTLIER_NATS, 0.75 * OUTLIER_NATS
 # Most frames between two searches for the names of markers after searches without a result.
 MAX_SEARCH_INTERVAL = 16
 # An outlier of so many limits spoils a learned shape for longer than a new start takes.
@@ -114,7 +112,12 @@ class MarkerLimits(NamedTuple):
 
 
 def marker_limits(
-    mature: np.ndarray, misfit: Real, error: Real, spread: Real, size: Real, relative: Real
+    mature: np.ndarray,
+    misfit: Real,
+    marker_variance: Real,
+    spread: Real,
+    size: Real,
+    relative: Real,
 ) -> MarkerLimits:
     """
     Compute how far markers may be off their places.
@@ -123,7 +126,7 @@ def marker_limits(
     ----------
     mature : (B,) bool
         Whether there are enough fits for the misfit.
-    misfit, error : (B,) float
+    misfit, marker_variance : (B,) float
         Variance of a coordinate of a marker about its place, and the same with rounding, m^2.
     spread, size : (B,) float
         Sum of squared arms, m^2, and diameter, m.
@@ -137,7 +140,7 @@ def marker_limits(
     largest = np.where(mature, usual**2, np.inf)[:, None] * relative
     # A marker on soft tissue that moves by less keeps its name.
     doubtful = (np.maximum(limit, YOUNG_OUTLIER * size) ** 2)[:, None] * relative
-    return MarkerLimits(limit, largest, doubtful, error / MAX_ANGLE_NOISE**2)
+    return MarkerLimits(limit, largest, doubtful, marker_variance / MAX_ANGLE_NOISE**2)
 
 
 def reasons_of(noise: Real, spread: Real, angle_noise: Real) -> np.ndarray:

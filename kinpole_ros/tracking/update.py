@@ -233,7 +233,7 @@ def count_new_frames(state: State) -> None:
 def drop_old_frames(state: State) -> None:
     """Drop frames that neither the window nor the next update needs."""
     history, columns = state.history, state.step.columns
-    samples = int(columns.samples)
+    samples = int(columns.window_frames)
     most = max(MIN_HISTORY_FRAMES, MAX_HISTORY_BYTES // history.row_bytes)
     kept = min(max(MIN_HISTORY_FRAMES, MIN_HISTORY_WINDOWS * samples), most)
     drop = len(history) - kept

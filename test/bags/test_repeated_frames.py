@@ -63,7 +63,7 @@ def test_the_rate_before_a_conversion_is_found(
     assert np.ptp(off) < 1e-5
     assert (np.diff(taken[kept.is_kept]) > 0).all()
     repeats = len(stamps) - len(kept.stamps)
-    assert kept.note == (
+    assert kept.finding is not None and kept.finding.words() == (
         f'{repeats} of {len(stamps)} pictures repeat the one before, as a converter makes them '
         f'from {before:.4g} to {after:.4g} Hz, and are left out'
     )
@@ -83,7 +83,8 @@ def test_repeats_that_a_tracker_saw_with_noise_are_found() -> None:
     points = points + 4e-4 * random.standard_normal(points.shape)
     kept = leave_out_repeats('f', 'pictures', stamps, points)
     assert np.ptp(kept.stamps * 1e-9 - taken[kept.is_kept]) < 1e-5
-    assert 'from 24 to 30 Hz' in kept.note
+    assert kept.finding is not None and kept.finding.code == 'repeats_converted'
+    assert kept.finding.values['before'] == pytest.approx(24)
 
 
 def test_uneven_stamps_that_were_made_even_are_not_known() -> None:
@@ -99,7 +100,8 @@ def test_where_the_last_picture_stands_for_a_lost_one_stamps_are_right() -> None
     stamps, points, shown = converted(taken, 30, 5e-5, turning)
     kept = leave_out_repeats('f', 'pictures', stamps, points)
     np.testing.assert_allclose(kept.stamps * 1e-9, shown[kept.is_kept], atol=1e-8)
-    assert kept.note == '4 of 149 pictures repeat the one before, and are left out'
+    assert kept.finding is not None
+    assert (kept.finding.code, kept.finding.values['repeats']) == ('repeats', 4)
 
 
 @pytest.mark.parametrize('motion', [turning, swinging])
@@ -112,7 +114,8 @@ def test_pictures_that_a_converter_left_out_are_lost_frames(
     taken = (frames * before + 10) // after / before
     points = motion(taken) + noise * np.random.default_rng(0).standard_normal((len(taken), 3, 2))
     kept = leave_out_repeats('f', 'pictures', np.rint(frames * 1e9 / after).astype(int), points)
-    assert kept.is_kept.all() and f'from {before} to {after} Hz left out pictures' in kept.note
+    assert kept.is_kept.all() and kept.finding is not None
+    assert f'from {before} to {after} Hz left out pictures' in kept.finding.words()
     assert np.ptp(kept.stamps * 1e-9 - taken) < 1e-6
 
 
@@ -144,7 +147,7 @@ def test_a_given_rate_is_that_of_pictures_that_repeat_no_other() -> None:
 )
 def test_slow_and_rounded_motion_is_no_repeat(points: np.ndarray) -> None:
     kept = leave_out_repeats('f', 'rows', np.arange(200) * 33_333_333, points)
-    assert kept.is_kept.all() and not kept.note
+    assert kept.is_kept.all() and kept.finding is None
 
 
 def test_a_table_of_such_a_film_is_imported_at_the_rate_of_the_film(tmp_path: Path) -> None:
@@ -171,6 +174,6 @@ def test_replay_blames_a_tracker_for_no_repeats_of_a_film(is_film: bool, tmp_pat
     stamps = np.rint(number * 1e9 / 30).astype(np.int64)
     bag = tmp_path / 'markers.mcap'
     write_points(bag, ['a', 'b'], stamps, np.pad(points, ((0, 0), (0, 0), (0, 1))))
-    (found,) = replay(bag, Settings()).misnamed
-    assert found.code == ('source' if is_film else 'poses_held')
-    assert ('as a converter makes them from 24 to 30 Hz, and' in found.words()) == is_film
+    codes = [finding.code for finding in replay(bag, Settings()).findings]
+    assert ('repeats_converted' in codes) == is_film
+    assert ('poses_held' in codes) != is_film

@@ -1,5 +1,6 @@
 """Headers of the library compile alone, and so do the files of the estimator."""
 
+import re
 import shlex
 import shutil
 import subprocess
@@ -30,3 +31,14 @@ def test_lines_of_c_have_100_columns_at_most() -> None:
     lines = {file.name: file.read_text(encoding='utf-8').splitlines() for file in FILES}
     long = [f'{name}: {line}' for name, own in lines.items() for line in own if len(line) > 100]
     assert not long
+
+
+def test_every_function_of_c_says_what_it_does() -> None:
+    """Beside its body, or beside its prototype in a header, which others may share."""
+    bodies, told = set(), set()
+    for file in FILES:
+        text = file.read_text(encoding='utf-8')
+        bodies |= set(re.findall(r'^([a-z]\w*)\([^;{}]*\)\n\{', text, re.MULTILINE))
+        for block in re.findall(r'\*/\n((?:.+\n)+)', text):
+            told |= set(re.findall(r'^(?:\w[\w *]*\b)?([a-z]\w*)\(', block, re.MULTILINE))
+    assert not bodies - told

@@ -15,7 +15,7 @@ import numpy as np
 
 from derivatives_reference._evidence import KNOWN, Found, derive, weights_of
 from derivatives_reference._hub import find_hub, turning_of
-from derivatives_reference._models import FLAT, _layout, modes_of, stencils_of
+from derivatives_reference._models import LOG_PRIOR_WIDTH, _layout, modes_of, stencils_of
 from derivatives_reference._samples import Window, seen_of
 from derivatives_reference._segments import (
     FEW_SAMPLES,
@@ -110,7 +110,11 @@ def derive_even(window: Window, samples: Real, weights: Real | None, radians: Re
     whole = derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking)
     if window.exact:
         return whole
-    some = (whole.best < -_WORTH * FLAT * np.array((1, 2))[:, None]).any(axis=0).nonzero()[0]
+    some = (
+        (whole.best < -_WORTH * LOG_PRIOR_WIDTH * np.array((1, 2))[:, None])
+        .any(axis=0)
+        .nonzero()[0]
+    )
     for k in some:
         weight = np.ones((window.size, 2)) if weights is None else weights[..., k]
         found = _derive_signal(window, samples[..., k], weight)

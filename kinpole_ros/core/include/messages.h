@@ -66,7 +66,7 @@ API void kinpole_read_messages(const MessageLayout *layout, const unsigned char 
     VALUE(long long, body, "the body, or that with respect to which `other` is")      \
     VALUE(long long, other, "the second body of a pair")                              \
     VALUE(long long, is_deviation, "1 for the standard deviation of the quantity")    \
-    VALUE(long long, added_count, "A: numbers of each body behind its reasons")    \
+    VALUE(long long, added_count, "A: numbers of each body behind its reasons")       \
     VALUE(long long, head, "bytes before the doubles of the message")                 \
     VALUE(long long, message_bytes, "length of a message")                            \
     ARRAY(const unsigned char, template, "(message_bytes)", "the message with zeros") \
@@ -92,10 +92,10 @@ typedef struct {
     TwistDoubles twist;
 } OdometryDoubles;
 
-#define MESSAGE_DOUBLES(CODE)                                                    \
-    CODE(VECTOR_DOUBLES, 3)                                                      \
+#define MESSAGE_DOUBLES(CODE)                                                      \
+    CODE(VECTOR_DOUBLES, 3)                                                        \
     CODE(FRAME_DOUBLES, (int)(offsetof(PoseDoubles, covariance) / sizeof(double))) \
-    CODE(POSE_DOUBLES, (int)(sizeof(PoseDoubles) / sizeof(double)))              \
+    CODE(POSE_DOUBLES, (int)(sizeof(PoseDoubles) / sizeof(double)))                \
     CODE(ODOMETRY_DOUBLES, (int)(sizeof(OdometryDoubles) / sizeof(double)))
 
 enum { MESSAGE_DOUBLES(DECLARE_CODE) };

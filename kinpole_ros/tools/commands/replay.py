@@ -63,7 +63,7 @@ def replay(options: argparse.Namespace) -> int:
     give the same results every time. New results replace earlier ones only when they are complete.
     A killed run leaves its incomplete results next to them, as NAME.….part, until the next run.
     """
-    from kinpole_ros.bags import assumed_body, warnings_of
+    from kinpole_ros.bags import assumed_body
     from kinpole_ros.bags import replay as replay_bag
     from kinpole_ros.messages import faults
     from kinpole_ros.tracking.plane import AXES
@@ -99,7 +99,7 @@ def replay(options: argparse.Namespace) -> int:
         print(f'written to {output}')
     if result.space.plane is not None and settings.plane not in AXES:
         print(f'plane: {faults.plane_words(result.space.plane)}')
-    for warning in warnings_of(result, settings):
+    for warning in result.warnings:
         print_error('replay', warning)
     if result.truncated is not None:
         print_error('replay', result.truncated)
@@ -109,7 +109,7 @@ def replay(options: argparse.Namespace) -> int:
 
 
 def _agrees(positions: 'PositionReport | None') -> bool:
-    return positions is not None and not positions.words
+    return positions is not None and not positions.findings
 
 
 def _result_lines(result: Any) -> Iterator[str]:
