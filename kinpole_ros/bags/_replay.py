@@ -31,6 +31,9 @@ from kinpole_ros.tracking.space import updated
 from kinpole_ros.tracking.tracker import Tracker
 
 _SECOND = 1_000_000_000  # ns
+# Films are converted to 60 Hz at most; repeats of other recordings are found where they are exact.
+_LEAST_FILM_INTERVAL = 15_000_000  # ns
+_FILM_FRAMES = 1200  # by which it is found, 20 s at 60 Hz: all of a long bag takes memory
 _RIG_TOPIC = f'/{NODE_NAME}/{messages.RIG}'
 # Topic, type, log times (ns) and messages, as `BagWriter.write_many` takes them.
 Column: TypeAlias = tuple[str, type, Sequence[int], Sequence[bytes]]
@@ -224,11 +227,17 @@ class _Replaying:
 
     def _converted(self) -> Finding | None:
         """Return how frames repeat others, as of a film whose rate was changed, if they do."""
-        if self._tracker.update_counts()[HELD] < FEWEST_REPEATS:
+        counts, outcome = self._tracker.update_counts(), self._outcome
+        is_slow = outcome.last - outcome.first > _LEAST_FILM_INTERVAL * counts['frames']
+        is_held = counts[HELD] >= FEWEST_REPEATS
+        if not is_held and not is_slow:
             return None
         reader = messages.reader_of(self._kind, self._settings)
-        blocks = frame_blocks(self._bag, self._topic, self._kind, reader, None)
-        parts = [part for frames, _, _ in blocks for part in frames]
+        parts: list[MarkerFrames] = []
+        for frames, _, _ in frame_blocks(self._bag, self._topic, self._kind, reader, None):
+            parts += frames
+            if not is_held and sum(len(part.stamps) for part in parts) > _FILM_FRAMES:
+                break
         return conversion_fault(str(self._bag), parts)
 
     def _add_topics(self, writer: BagWriter) -> None:
