@@ -764,7 +764,9 @@ def test_progress_goes_by_bytes_within_bags_and_over_what_is_left(
     batch([bag, short], tmp_path, SETTINGS, workers=1, progress=told.append)
     assert (told[0], told[-1]) == (0.0, 1.0)  # what was finished before is none of it
 
-    told.clear()
+
+def test_progress_is_of_all_bags_by_their_bytes_and_never_goes_back() -> None:
+    told: list[float] = []
     share = module._share_of_all([300, 100], told.append, threading.Lock())
     share(0, 0.5)
     share(0, 1.0)
