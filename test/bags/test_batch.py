@@ -111,6 +111,8 @@ def test_no_cell_of_a_table_is_a_formula(simulated: Simulated, tmp_path: Path, f
     batch([bag], tmp_path / 'out', settings, kinds=('csv',), workers=1)
     (row,) = summary(tmp_path / 'out')
     assert row['results'].startswith(f"'{first}cmd-")
+    spans = [float(row[name]) for name in ('start', 'end', 'seconds')]
+    assert spans == [1.0, 1.59, 0.59]
     with open(tmp_path / 'out' / row['results'][1:], newline='', encoding='utf-8') as file:
         for cells in csv.reader(file):
             for cell in cells:
