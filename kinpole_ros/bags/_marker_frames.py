@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from itertools import groupby
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,10 @@ from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 
 NODE_NAME = 'kinpole'
+# Frames with the log times, ns, of their messages, or an error.
+FrameBlock: TypeAlias = tuple[
+    list[MarkerFrames], np.ndarray, BagError | messages.MessageError | None
+]
 _SECOND = 1_000_000_000  # ns
 
 
@@ -100,7 +105,7 @@ def frame_blocks(
     kind: str,
     reader: messages.MarkerReader | messages.PoseReader,
     progress: Progress | None,
-) -> Iterator[tuple[list[MarkerFrames], np.ndarray, BagError | messages.MessageError | None]]:
+) -> Iterator[FrameBlock]:
     """
     Yield the frames of a bag with the log times (T,), ns, of their messages, or an error, in order.
 

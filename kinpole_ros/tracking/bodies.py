@@ -1,5 +1,6 @@
 """What is known of the bodies: shapes, weights and noise of their markers, pins, hubs."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -290,12 +291,14 @@ class Bodies:
 
     def restart(self, which: np.ndarray) -> 'Bodies':
         """Forget some bodies (B,), which start again when they are seen next."""
-        fresh = new_bodies(self.count, self.width)
-        parts = dict.fromkeys(_FORGOTTEN, which) | dict.fromkeys(_OF_MARKERS, which[:, None])
-        arrays = {
-            name: np.where(part, getattr(fresh, name), getattr(self, name))
-            for name, part in parts.items()
-        }
+        return self.take(new_bodies(self.count, self.width), which, (*_FORGOTTEN, *_OF_MARKERS))
+
+    def take(self, other: 'Bodies', which: np.ndarray, names: Iterable[str]) -> 'Bodies':
+        """Return bodies with arrays of `other`, by their `names`, for those of `which` (B,)."""
+        arrays = {}
+        for name in names:
+            part = which[:, None] if name in _OF_MARKERS else which
+            arrays[name] = np.where(part, getattr(other, name), getattr(self, name))
         return self.change(**arrays)
 
     def widen(self, width: int) -> 'Bodies':

@@ -74,6 +74,18 @@ def given_shapes(settings: Settings, width: int) -> GivenShapes:
     return GivenShapes(names, shapes, has_shape, on_ground, settings.marker_identity == 'shape')
 
 
+class KnownNames(NamedTuple):
+    """
+    What is learned of the names of markers since a start.
+
+    `regrouped` and `full_count` are those of `Matcher`; None for a count that may still change.
+    """
+
+    assignment: MarkerAssignment
+    regrouped: list[tuple[str, str, str]]
+    full_count: int | None
+
+
 class Matcher:
     """
     Matches the points of frames to the bodies of `settings`.
@@ -121,6 +133,19 @@ class Matcher:
     def disordered(self) -> bool:
         """Whether points came in random order before the shapes were known."""
         return self._disordered_frames >= CONFIRMING_FRAMES
+
+    def known_names(self) -> KnownNames:
+        """Return what is learned of names."""
+        is_learned = self._arranged >= MIN_SAMPLES
+        full_count = self.full_count if is_learned else None
+        return KnownNames(self._assignment, self.regrouped, full_count)
+
+    def take_names(self, known: KnownNames) -> None:
+        """Take what another matcher learned of names, before the first frame."""
+        self._assignment.take_names(known.assignment)
+        self.regrouped = known.regrouped
+        if known.full_count is not None:
+            self.full_count, self._arranged = known.full_count, MIN_SAMPLES
 
     def is_incomplete_cloud(self, placed: PlacedFrames) -> bool:
         """

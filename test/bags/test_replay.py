@@ -886,3 +886,29 @@ def test_the_outcome_of_a_replay_is_made_once_and_has_shares() -> None:
     assert (outcome.frames, outcome.first, outcome.unknown) == (200, 10**9, {})
     with pytest.raises(FrozenInstanceError):
         outcome.frames = 0  # type: ignore[misc]
+
+
+def test_a_whole_bag_has_results_to_both_ends_and_says_how_much_is_read(tmp_path: Path) -> None:
+    bag, settings = tmp_path / 'run.mcap', settings_from({'derivative_order': 1})
+    stamps = 10**9 + 10_000_000 * np.arange(120)
+    turn = np.exp(1j * 3e-9 * stamps)[:, None] * np.array([0.1, 0.1j, -0.05])
+    noise = 1e-4 * np.random.default_rng(0).normal(size=(120, 3, 2)) @ (1, 1j)
+    with BagWriter(bag) as writer:
+        for stamp, row in zip(stamps.tolist(), turn + noise, strict=True):
+            points = np.stack((row.real, row.imag, 0 * row.real), axis=-1)
+            message = to_message('marker_array', stamp, 'world', ['0', '1', '2'], points)
+            writer.write('/markers', message, stamp + 1)
+    shares: list[float] = []
+    outputs = [tmp_path / f'{name}.csv' for name in 'ab']
+    for output in outputs:
+        shares.clear()
+        whole = replay(bag, settings, tmp_path / 'o.mcap', output, None, shares.append, whole=True)
+    live = replay(bag, settings)
+    assert outputs[0].read_bytes() == outputs[1].read_bytes()
+    assert (whole.frames, whole.estimates) == (120, 120)
+    assert live.estimates < 120 and not live.unknown and not whole.unknown
+    assert shares == sorted(shares) and shares[0] < 0.2 and shares[-1] == 1.0
+    logged = [
+        message.log_time for message in read_messages(tmp_path / 'o.mcap', ['/kinpole/state'])
+    ]
+    assert len(logged) == 120 and logged == sorted(logged) and logged[-1] == stamps[-1] + 1

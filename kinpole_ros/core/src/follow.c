@@ -383,9 +383,19 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
     return DONE;
 }
 
+/* Whether results wait until the window is full, which the newest frame does not fill. */
+static int
+waits_for_window(const Frames *f)
+{
+    const HistoryColumns *history = &f->history;
+    double length = (double)(history->time[history->end - 1] - history->time[history->first]);
+    return f->limits.waits && !history->next_result &&
+        length < (double)f->limits.window_ns - EARLY * history->interval;
+}
+
 /* Computes the results that are due with the newest frame, and moves `next_result` behind them. A
-   frame is due once it is as old as the lag. Also writes `window_frames` and `interval`.
-   Returns DONE, or an error below 0. */
+   frame is due once it is as old as the lag, and the first ones once the window is full. Also
+   writes `window_frames` and `interval`. Returns DONE, or an error below 0. */
 static int
 compute_due(Frames *f, Call *call, Results *r)
 {
@@ -398,6 +408,8 @@ compute_due(Frames *f, Call *call, Results *r)
     history->window_frames = newest - oldest + 1;
     history->interval = (double)(history->time[newest] - history->time[oldest]) /
         (history->window_frames > 1 ? history->window_frames - 1 : 1);
+    if (waits_for_window(f))
+        return DONE;
     long long latest =
         history->time[newest] - (long long)rint(f->limits.lag_ns - EARLY * history->interval);
     long long end = number_before(f, latest + 1);

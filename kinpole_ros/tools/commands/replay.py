@@ -48,6 +48,11 @@ def settings_of(options: argparse.Namespace) -> 'Settings':
         f'the same table for pandas and others ({install_command("parquet")})',
     ),
     TOPIC,
+    flag(
+        '--whole',
+        'know from the first frame on what is learned up to the last one, with results to both '
+        'ends: right for a finished recording; without it, results are those of the node',
+    ),
     flag('--strict', 'exit with 1 if the scene differs from what is measured'),
 )
 def replay(options: argparse.Namespace) -> int:
@@ -81,6 +86,7 @@ def replay(options: argparse.Namespace) -> int:
             options.topic,
             progress,
             options.parquet,
+            whole=options.whole,
         )
     print(f'{result.frames} frames in, {result.estimates} instants out')
     if assumption := assumed_body(len(result.identities), settings, options.bag):

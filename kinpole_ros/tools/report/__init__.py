@@ -109,7 +109,7 @@ def replayed(
     """Return the record of a bag of markers, and how far the joints of the scene are off."""
     theory = load_theory(settings) if settings.scene else None
     collector = Collector(_most_instants(len(settings.bodies)), theory)
-    result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)
+    result = replay(bag, settings, topic=topic, progress=progress, take=collector.add, whole=True)
     notes = result.warnings
     if assumption := assumed_body(len(result.identities), settings, source):
         notes.insert(0, assumption)
