@@ -296,7 +296,8 @@ reduce(const Added *added, const Added *left, int first, int last)
     return out;
 }
 
-/* Subtract from the products `left` of columns what they have along the polynomial of a degree. */
+/* Subtract from the products `left` of columns what they have along the polynomial of a `degree` up
+   to STEP_DEGREE. `along` stays. */
 static void
 subtract_degree(const Fit *f, int degree, Added *left)
 {

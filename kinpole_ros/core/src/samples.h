@@ -31,8 +31,8 @@ PRIVATE void divide_samples(const Samples *s, const double *noise);
 /* Return the largest size of a sample of the angle (c = 0), or of either coordinate (c = 1). */
 PRIVATE double largest_sample(const Samples *s, int c);
 
-/* Return the mean of `information` (count) that is at least SIMILAR_INFORMATION times the largest.
-   */
+/* Return the mean of `information` (count) that is at least SIMILAR_INFORMATION times the
+   largest. */
 PRIVATE double mean_of_similar(const double *information, long long count);
 
 /* Divide information (count) by the usual one, in place; similar information becomes a weight of 1.

@@ -50,9 +50,9 @@ typedef struct {
 PRIVATE void subtract_model(const Models *m, long long model, const double *coefficients,
                             const double *signal, Lanes *sums, double *residual);
 
-/* Compute the products `sums` (STEP_ORDERS, count) of a `signal` (count) with steps half a sample
-   before each one. Those with (t + 1/2)^k / k! follow from repeated cumulative sums, in one pass.
-   */
+/* Compute the products `sums` (STEP_ORDERS, count) of a `signal` (count) with steps half a
+   sample before each one. Those with (t + 1/2)^k / k! follow from repeated cumulative sums, in
+   one pass. */
 PRIVATE void sum_products_with_steps(const double *signal, long long count, double *sums);
 
 /* Return by how much the step `k`, order times count plus its place, reduces the residual sum of

@@ -30,8 +30,8 @@ typedef struct {
     double *row[DEGREE + 1], *cosine[DEGREE + 1], *sine[DEGREE + 1]; /* of the last sample */
 } Fits;
 
-/* Rotate the numbers `own` and `other`, in place, by an angle with this cosine and sine (Givens).
-   */
+/* Rotate the numbers `own` and `other`, in place, by an angle with this cosine and sine
+   (Givens). */
 static inline void
 rotate(double cosine, double sine, double *own, double *other)
 {
@@ -187,8 +187,7 @@ evaluate_segments(Call *call, const Samples *s, Division *d)
 
 /* Find the best log evidence of the samples of a part before each one, in `before`. The first
    segment is not after an event, and its mean and slope cost nothing, as those of the models.
-   Returns the log evidence of all, over that of noise alone, which leaves a square of 1 a sample.
-   */
+   Returns the log evidence of all, over that of noise alone, which leaves 1 a sample of squares. */
 static double
 divide_before(const Division *d, int part)
 {
