@@ -14,6 +14,10 @@
 #define SIZE_COST 2.4
 /* Log evidence that a candidate has to add in the screening: below it the prior wins. */
 #define MIN_GAIN 8.0
+/* Without such a candidate, windows are divided into segments if their best evidence is below that
+   of a line by this many log widths of the flat prior: a process may explain what is an event. With
+   1, smooth windows take a third longer; with 6, fast rebounds at 60 Hz are not divided. */
+#define DIVIDE_BELOW 3
 /* Standard deviation of an event's place, samples: an event lies between two samples. By how well
    the samples show the place, up to 3, errors and coverage are the same. */
 #define PLACE_SIGMA 0.5
@@ -210,6 +214,31 @@ add_place_covariance(const Models *m, const Stencils *by, const Set *none, Scree
     }
 }
 
+/* Return the event before a sample, of the order with the best gain of all `n` samples. */
+static Candidate
+best_order(const Screens *screens, long long sample, long long n)
+{
+    Candidate best = {.sample = sample};
+    for (int k = 1; k < (sample < 0 ? 0 : STEP_ORDERS); k++)
+        if (screens->gain[k * n + sample] > screens->gain[best.order * n + sample])
+            best.order = k;
+    return best;
+}
+
+/* Return whether one of the sets has this event. */
+static int
+has_event(const Set *sets, int number, const Candidate *event)
+{
+    int found = 0;
+    for (int k = 1; k < number; k++)
+        found |= sets[k].step->place == event->sample - 0.5 && sets[k].step->order == event->order;
+    return found;
+}
+
+/* The events that are evaluated: the likeliest, the likeliest by the most probable model with that
+   one, whose order is surer, and the one that segments show nearest to the instant. */
+enum { LIKELIEST, BY_ITS_MODEL, AT_BOUNDARY };
+
 PRIVATE int
 search_events(Call *call, const Models *m, const Stencils *by, const Samples *s, const Work *w,
               long long block, Set *sets, int *number, Division *d)
@@ -227,23 +256,25 @@ search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
     double *scratch;
     TAKE(scratch, (1 + STEP_ORDERS * MAX_ORDERS) * n);
     data = lay_out_screens(n, orders, cells, data, &screens);
-    Candidate event = screen_window(m, s, w, sets, scratch, &screens);
-    if (!(event.gain >= MIN_GAIN))
+    Candidate event = screen_window(m, s, w, sets, sets, scratch, &screens);
+    int is_likely = event.gain >= MIN_GAIN;
+    if (!is_likely && sets->best_evidence[0] >= -DIVIDE_BELOW * call->flat &&
+        sets->best_evidence[1] >= -DIVIDE_BELOW * call->flat * 2)
         return DONE;
     if (divide_window(call, s, d))
         return NO_MEMORY;
-    /* Once more with the event that segments show, if it is another one. */
-    long long place = nearest_event(d, sets, by->at);
-    for (int is_other = 1; is_other;) {
+    for (int kind = is_likely ? LIKELIEST : AT_BOUNDARY; kind <= AT_BOUNDARY; kind++) {
+        if (kind == BY_ITS_MODEL)
+            event = screen_window(m, s, w, sets, sets + 1, scratch, &screens);
+        if (kind == AT_BOUNDARY)
+            event = best_order(&screens, nearest_event(d, sets, by->at), n);
+        if (event.sample < EDGE_SAMPLES || event.sample > n - EDGE_SAMPLES ||
+            has_event(sets, *number, &event))
+            continue;
         Set *set = sets + (*number)++;
         data = add_event(m, sets, &screens, &event, orders, block, data, set);
         add_place_covariance(m, by, sets, &screens, w->column_products, scratch, set);
         evaluate_models(m, s, w, set);
-        is_other = place >= EDGE_SAMPLES && place <= n - EDGE_SAMPLES && place != event.sample;
-        event = (Candidate){.sample = place};
-        for (int k = 1; k < (is_other ? STEP_ORDERS : 0); k++)
-            if (screens.gain[k * n + place] > screens.gain[event.order * n + place])
-                event.order = k;
     }
     return DONE;
 }
