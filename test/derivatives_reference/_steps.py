@@ -37,9 +37,8 @@ _EDGE = 3
 _MORE_EDGE = 2
 # Standard deviation of the place of an event, samples.
 _PLACE = 0.5
-# The power of the evidence of other places, the logarithm of the least chance, and how near to the
-# instant one of them is, samples.
-_POWER, _LEAST_CHANCE, _NEAR = 0.25, 7.0, 12
+# The power of the evidence of other places.
+_POWER = 0.25
 _LEFT_OF_STEP = 1e-6
 _ROUNDING = 1e-9
 
@@ -406,11 +405,8 @@ def _spread(window: Window, samples: Real, order: int, candidate: _Candidate) ->
     spread = np.zeros((2, window.orders, window.orders))
     places = np.arange(_EDGE, window.size - _EDGE + 1)
     rank = candidate.rank[places]
-    less = _POWER * (rank.max() - rank)
-    chance = np.where(less > _LEAST_CHANCE, 0.0, np.exp(-less))
+    chance = np.exp(_POWER * (rank - rank.max()))
     since = window.at + (window.size - 1) / 2 - (places - 0.5)
-    if not (chance[np.abs(since) < _NEAR] > 0).any():
-        return spread
     here = np.array([_derivatives(order, each, window.orders) for each in since])
     for c, screen in enumerate(candidate.screens):
         own = samples[:, [0]] if c == 0 else samples[:, 1:]

@@ -24,11 +24,6 @@
 /* Power of the evidence by which other places count in the covariance. A step may be a ramp, which
    no model of steps has. With 1/2, 10.5% of the cells cover less than 85%; with 1/4, 8.7%. */
 #define PLACE_EVIDENCE_POWER 0.25
-/* Places whose chance is below exp(-this) of the best do not count: less than 0.1%. */
-#define MAX_LOG_CHANCE 7.0
-/* Other places count if one of them is this close to the instant, samples: farther events change
-   derivatives by less than their standard deviation. */
-#define NEAR_SAMPLES 12
 
 /* Compute what a screen leaves of the columns of a new event, the steps of a set: their `products`
    (steps, steps) with each other, below the diagonal; their `squares` (steps) without the screen;
@@ -170,17 +165,12 @@ add_place_covariance(const Models *m, const Stencils *by, const Set *none, Scree
     int order = set->step[0].order;
     double *weight = scratch, *sums = scratch + n, total = 0.0;
     const double *gain = screens->gain + order * n + EDGE_SAMPLES;
-    int is_near = 0;
     for (long long k = 0; k < places; k++)
         best = gain[k] > gain[best] ? k : best;
     for (long long k = 0; k < places; k++) {
-        double loss = PLACE_EVIDENCE_POWER * (gain[best] - gain[k]);
-        weight[k] = loss > MAX_LOG_CHANCE ? 0.0 : exp(-loss);
-        is_near |= weight[k] > 0.0 && fabs(by->at - (k + EDGE_SAMPLES - 0.5)) < NEAR_SAMPLES;
+        weight[k] = exp(PLACE_EVIDENCE_POWER * (gain[k] - gain[best]));
         total += weight[k];
     }
-    if (!is_near)
-        return;
     if (!screens->has_sample_weights)
         find_sample_weights(m, by, none, lanes, screens);
     for (int c = 0; c < 2; c++) {
@@ -194,8 +184,6 @@ add_place_covariance(const Models *m, const Stencils *by, const Set *none, Scree
             for (long long i = -1; i < places; i++) {
                 long long k = i < 0 ? best : i, at = order * n + k + EDGE_SAMPLES;
                 double off[MAX_ORDERS], ratio, size, since = by->at - (k + EDGE_SAMPLES - 0.5);
-                if (weight[k] == 0.0)
-                    continue;
                 explained_squares(screen, at, &ratio);
                 size = screen->step_products[j * STEP_ORDERS * n + at] / screen->step_squares[at] *
                     ratio / (1 + ratio);
