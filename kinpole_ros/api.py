@@ -20,9 +20,9 @@ from kinpole_ros.packages import install_command
 from kinpole_ros.planar import to_plane
 from kinpole_ros.settings import Settings, load_settings, settings_from
 from kinpole_ros.tracking.estimate import Estimate
-from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.reasons import KNOWN
-from kinpole_ros.tracking.tracker import Tracker
+from kinpole_ros.tracking.tracker import Tracker, learn_recording
 from kinpole_ros.tracking.values import (
     Numbers,
     Vectors,
@@ -264,12 +264,15 @@ def track(
     points: ArrayLike,
     stamps: ArrayLike,
     bodies: Mapping[str, Sequence[int]] | None = None,
+    whole: bool = True,
     **parameters: Any,
 ) -> Tracked:
     """
-    Follow bodies by their markers, through the same pipeline as the node.
+    Follow bodies by their markers.
 
-    It warns of all that makes results fewer.
+    What is learned up to the last frame is known at the first one, and each frame has a result.
+    With ``whole=False`` it is as in the node: what is known of an instant is learned from the
+    frames before it. It warns of all that makes results fewer.
 
     Parameters
     ----------
@@ -281,14 +284,17 @@ def track(
         back a little, are left out, with a warning.
     bodies
         Which columns of the points are on which body; without it, all are on one, `body`.
+    whole
+        Whether all frames are read once to learn from them, then again to estimate the motion.
     **parameters
         Those of the node by their names, such as window=0.3, lag=0.1, noise=2e-4,
-        derivative_order=3, plane='fit'.
+        derivative_order=3, plane='fit'. With the lag left at its default, instants of a whole are
+        in the middle of the window, but for those near the ends.
 
     Returns
     -------
     Tracked
-        The motion at M instants. One is known `lag` after its frame, so the last are left out.
+        The motion at M instants, one a frame. With ``whole=False`` the last `lag` is left out.
 
     Raises
     ------
@@ -307,22 +313,38 @@ def track(
         positions = np.pad(positions, ((0, 0), (0, 0), (0, 1)))
     count = positions.shape[1]
     settings = settings_from({**parameters, **_markers(bodies, count)})
-    tracker = Tracker(settings)
-    names = tuple(map(str, range(count)))
-    estimates: list[Estimate] = []
-    for first in range(0, len(times), _BLOCK_FRAMES):
-        part = slice(first, first + _BLOCK_FRAMES)
-        frames = MarkerFrames(times[part], '', names, positions[part])
-        estimates += tracker.add(frames, settings.highest_order, True)
+    frames = MarkerFrames(times, '', tuple(map(str, range(count))), positions)
+    estimates, tracker = _estimates(frames, settings, whole)
     _warn(_losses(tracker, estimates))
     return _tracked(estimates, settings)
 
 
+def _estimates(
+    frames: MarkerFrames, settings: Settings, whole: bool
+) -> tuple[list[Estimate], Tracker]:
+    """Return the estimates of consecutive instants, and the tracker that learned from frames."""
+    order, count = settings.highest_order, len(frames.stamps)
+    starts = range(0, count, _BLOCK_FRAMES)
+    parts = [part_of(frames, slice(first, first + _BLOCK_FRAMES)) for first in starts]
+    if not whole:
+        tracker = Tracker(settings)
+        return [one for part in parts for one in tracker.add(part, order, True)], tracker
+    settings = settings.of_recording()
+    learned, recording = learn_recording(settings, parts)
+    tracker = Tracker(settings, recording)
+    estimates = [one for part in parts for one in tracker.add(part, order, True)]
+    return estimates + tracker.finish(order), learned
+
+
 def replay(
-    bag: str | Path, config: str | Path | None = None, topic: str | None = None, **parameters: Any
+    bag: str | Path,
+    config: str | Path | None = None,
+    topic: str | None = None,
+    whole: bool = False,
+    **parameters: Any,
 ) -> Tracked:
     """
-    Follow bodies by the markers in a bag.
+    Follow bodies by the markers in a bag, as the node does, or as a whole.
 
     It warns of what `kinpole replay` prints on stderr.
 
@@ -334,6 +356,8 @@ def replay(
         A ROS 2 parameter file, as for the node; without it, all markers are on one body, `body`.
     topic
         The topic of the markers, instead of the parameter `marker_topic`.
+    whole
+        Whether what is learned up to the last frame is known at the first one, as for `track`.
     **parameters
         Parameters in place of those of `config`, by name; ``**{'crank.markers': ['0', '1']}`` for
         names with a dot.
@@ -358,8 +382,8 @@ def replay(
     else:
         settings = load_settings(config, changes=parameters)
     estimates: list[Estimate] = []
-    outcome = bags.replay(bag, settings, topic=topic, take=estimates.append)
-    _warn(bags.warnings_of(outcome, settings))
+    outcome = bags.replay(bag, settings, topic=topic, take=estimates.append, whole=whole)
+    _warn(outcome.warnings)
     if outcome.truncated is not None:
         _warn([str(outcome.truncated)])
     return _tracked(estimates, settings)

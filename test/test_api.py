@@ -97,7 +97,8 @@ def test_the_first_part_of_a_bag_ends_before_its_first_late_frame(tmp_path: Path
     assert [int(stamp) // 10**9 - 1 for part in parts for stamp in part.stamps] == [0, 1, 2]
 
 
-def test_track_is_replay_of_an_array(rig: Path) -> None:
+@pytest.mark.parametrize('whole', [False, True])
+def test_track_is_replay_of_an_array(rig: Path, whole: bool) -> None:
     parts, _ = read_frames(rig)
     count = max(part.points.shape[1] for part in parts)
     names = next(part.identities for part in parts if part.points.shape[1] == count)
@@ -115,10 +116,11 @@ def test_track_is_replay_of_an_array(rig: Path) -> None:
     # Markers that are not seen are NaN here, and absent from the messages of the bag.
     expected = replay(
         rig,
+        whole=whole,
         **{'bodies': list(bodies), **{f'{k}.markers': v for k, v in bodies_of('four_bar').items()}},
     )
     for given in (points, points[..., :2]):
-        found = track(given, stamps, bodies)
+        found = track(given, stamps, bodies, whole)
         assert np.array_equal(found.stamp, expected.stamp)
         for name, array in all_arrays(expected).items():
             ours = all_arrays(found)[name]

@@ -517,9 +517,11 @@ def test_drawings_in_an_array_are_no_markers_and_are_counted():
     assert (frame.identities, frame.stamp, frame.frame_id) == (('a/0', 'b/0'), 2 * 10**9, 'lab')
     assert frame.points[:, 0].tolist() == [1.0, 2.0]
     reader = MarkerReader('marker_array')
-    assert reader.fault() == ''
+    assert reader.fault() is None
     reader.read([serialize_message(MarkerArray(markers=markers))] * 3)
-    assert 'no markers are 2 texts, 1 line strips, 1 arrows, 1 meshes of a' in reader.fault()
+    fault = reader.fault()
+    assert fault is not None
+    assert fault.values == {'drawings': '2 texts, 1 line strips, 1 arrows, 1 meshes'}
     # Hidden markers leave a frame without any.
     markers = [markers[0], *drawings]
     frame = read_one(MarkerArray(markers=markers))

@@ -219,7 +219,10 @@ def test_poses_have_the_names_of_their_bodies(kind: str, is_little: bool) -> Non
 def test_names_of_no_body_are_listed_where_a_body_never_came() -> None:
     reader = reader_of('named_poses', settings_from(SETTINGS['named_poses']))
     reader.read([poses('named_poses', FIRST, rodd=pose((0, 0, 0), 0.0))])
-    assert "no pose came of 'rod'; names that came, and no body has: 'rodd'" in reader.fault()
+    fault = reader.fault()
+    assert fault is not None and fault.sentence() == (
+        "no pose came of 'rod'; names that came, and no body has: 'rodd'"
+    )
 
 
 def test_several_poses_without_a_name_in_the_parameters_are_refused() -> None:

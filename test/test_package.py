@@ -203,7 +203,7 @@ def test_arrows_between_rooms_point_one_way():
                 ):
                     names = [alias.name for alias in node.names]
                     used |= {*(node.module or '').split('.')[1:2]} or set(names)
-        # findings.py and packages.py import nothing of ours.
+        # These import nothing of the packages.
         assert used - {room, '__version__', 'findings', 'packages'} <= below, room
 
 

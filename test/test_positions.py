@@ -134,7 +134,7 @@ def test_derivatives_of_what_joints_lack_are_those_of_differences(name: str) -> 
 @pytest.mark.parametrize('name', ['cardan', 'planetary_gear', 'loader_cylinder', 'double_pendulum'])
 def test_a_scene_agrees_with_its_own_simulation_wherever_its_ground_is(name: str) -> None:
     found = compared(name, name, turned=True)
-    assert found.words == []
+    assert found.findings == []
     assert 0.8 < found.ratio < 1.25
     joints = load_scene(name).equations.joints
     assert [row.joint for row in found.joints] == [joint.name for joint in joints]
@@ -159,7 +159,7 @@ def test_a_length_that_is_1_mm_off_is_named_with_its_size(
     assert first.deviations > 5
     assert abs(first.off - 1e-3) < 4 * first.deviation
     assert len(found.faults) == 1
-    assert dimension in found.words[0]
+    assert dimension == found.findings[0].values['name']
 
 
 def test_a_loop_is_closed_through_a_body_without_markers(tmp_path: Path) -> None:
@@ -174,7 +174,7 @@ def test_a_loop_is_closed_through_a_body_without_markers(tmp_path: Path) -> None
 
     found = look('four_bar')
     assert found is not None
-    assert found.words == []
+    assert found.findings == []
     # One condition of the loop, and the pins to the ground.
     assert [row.joint for row in found.joints] == ['O', 'C']
 
@@ -305,6 +305,6 @@ def test_diagnostics_warn_in_the_words_of_the_verdict(tmp_path: Path) -> None:
         levels.append(linkage.level)
     assert levels[0] == DiagnosticStatus.OK
     assert levels[-1] == DiagnosticStatus.WARN
-    assert linkage.message.startswith('off the scene slider_crank: rod.B is ')
+    assert linkage.message.startswith('scene slider_crank: rod.B is ')
     keys = {pair.key for pair in linkage.values}
     assert {'joint piston: off (m)', 'joint piston: the same in deviations'} <= keys

@@ -15,6 +15,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 import kinpole_ros
+from kinpole_ros.findings import ERROR, Finding
 from kinpole_ros.messages import (
     TF,
     DiagnosticsMaker,
@@ -774,7 +775,8 @@ def test_a_body_without_results_says_whether_markers_or_readers_are_missing() ->
 
     assert told() == [(DiagnosticStatus.STALE, 'no markers received')] * 2
     # Where something keeps them from coming, that is what is to be mended.
-    markers = maker.make(1_000_000_000, tracker, None, 1.0, {'message': 'damaged'}).status[0]
+    damaged = Finding('unreadable_message', '', {'problem': 'damaged'}, ERROR)
+    markers = maker.make(1_000_000_000, tracker, None, 1.0, [damaged]).status[0]
     assert (markers.level, markers.message) == (DiagnosticStatus.ERROR, 'damaged')
     points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     for k in range(20):

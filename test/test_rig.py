@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from conftest import bodies_of, decoded
+from mcap.reader import make_reader
 
 from kinpole_ros.bags import read_messages, replay
 from kinpole_ros.messages import (
@@ -65,6 +67,16 @@ def test_it_is_the_first_message_and_says_what_was_learned(replayed: Any) -> Non
         np.testing.assert_allclose(places, last.shape[b][: len(places)], atol=2e-4)
         assert (body['pin'] is None) == bool(np.isnan(last.pin[b]))
         assert body['noise'] == pytest.approx(2e-4, rel=0.3)
+
+
+def test_a_player_offers_it_to_subscribers_that_come_late(replayed: Any) -> None:
+    """As the node does: `ros2 bag play` reads what was offered from the bag."""
+    bag, _ = replayed
+    with open(bag, 'rb') as file:
+        channels = make_reader(file).get_summary().channels.values()
+    (text,) = [c.metadata['offered_qos_profiles'] for c in channels if c.topic.endswith(f'/{RIG}')]
+    (qos,) = yaml.safe_load(text)
+    assert (qos['reliability'], qos['durability']) == ('reliable', 'transient_local')
 
 
 def test_reasons_of_every_instant_are_those_of_the_replay(replayed: Any) -> None:

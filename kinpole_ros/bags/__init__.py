@@ -16,8 +16,7 @@ from kinpole_ros.bags._files import (
 from kinpole_ros.bags._marker_frames import NODE_NAME, read_frames
 from kinpole_ros.bags._repeated_frames import leave_out_repeats
 from kinpole_ros.bags._replay import replay
-from kinpole_ros.bags._replayed import Replayed
-from kinpole_ros.bags._warnings import assumed_body, warnings_of
+from kinpole_ros.bags._replayed import Replayed, assumed_body
 from kinpole_ros.messages import definition, type_name
 
 if TYPE_CHECKING:
@@ -48,7 +47,6 @@ __all__ = [
     'simulate',
     'topics',
     'type_name',
-    'warnings_of',
     'write_points',
 ]
 

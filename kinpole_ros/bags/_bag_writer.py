@@ -31,6 +31,18 @@ _MESSAGE = int(Opcode.MESSAGE)  # struct takes an enum's member slowly
 # All of a message record before its data: opcode, length, channel, sequence, log and publish time.
 _MESSAGE_HEAD = struct.Struct('<BQHIQQ')
 _COUNTED_BYTES = _MESSAGE_HEAD.size - 9  # without opcode and length, which the length leaves out
+# The QoS of a latched topic, as rosbag2 of Jazzy writes it.
+_LATCHED = """\
+- history: keep_last
+  depth: 1
+  reliability: reliable
+  durability: transient_local
+  deadline: {sec: 9223372036, nsec: 854775807}
+  lifespan: {sec: 9223372036, nsec: 854775807}
+  liveliness: automatic
+  liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}
+  avoid_ros_namespace_conventions: false
+"""
 _INDEX_HEAD = struct.Struct('<BQHI')  # opcode, length, channel, bytes of entries
 
 
@@ -149,10 +161,15 @@ class BagWriter:
                 if self._size > _CHUNK_BYTES:
                     self._finish_chunk()
 
-    def add_topic(self, topic: str, message_type: type) -> None:
-        """Have the topic in the bag, even if no message comes."""
+    def add_topic(self, topic: str, message_type: type | str, is_latched: bool = False) -> None:
+        """
+        Have the topic in the bag, even if no message comes.
+
+        One that is latched is played so that a subscriber that comes late has its last message.
+        """
         if topic not in self._topics:
-            self._add_topic(topic, type_name(message_type))
+            name = message_type if isinstance(message_type, str) else type_name(message_type)
+            self._add_topic(topic, name, _LATCHED * is_latched)
 
     def flush(self) -> None:
         """Pass all messages so far to the operating system, as a chunk that can be read."""
@@ -187,7 +204,7 @@ class BagWriter:
             )
         return row
 
-    def _add_topic(self, topic: str, name: str) -> _Topic:
+    def _add_topic(self, topic: str, name: str, qos: str = '') -> _Topic:
         if name not in self._schemas:
             number, text = len(self._schemas) + 1, definition(message_class(name)).encode()
             self._schemas[name] = records.Schema(number, text, 'ros2msg', name)
@@ -197,7 +214,7 @@ class BagWriter:
             id=len(self._topics) + 1,
             topic=topic,
             message_encoding='cdr',
-            metadata={'offered_qos_profiles': ''},
+            metadata={'offered_qos_profiles': qos},
             schema_id=self._schemas[name].id,
         )
         self._add_record(channel)

@@ -98,11 +98,10 @@ def import_points(
     path : str or Path
         The file, or a folder of OpenPose or rosbag2.
     output : str or Path
-        The .mcap file, which is replaced when all is read.
+        The .mcap file, replaced when all is read.
     rate : float, optional
-        Hz; frames are stamped by their numbers then, the first one 0. Without it, stamps are the
-        times of the file. Where these start before 0, which no stamp can hold, they are counted
-        from the first frame, and a note says so.
+        Hz; frames are stamped by their numbers then, the first one 0. Without it, by the times of
+        the file, or from the first frame where these start before 0, and a note says so.
     scale : float or tuple of float, optional
         Length of the file's unit, m; without it, as the file says. Width and height of the picture,
         m, where coordinates are shares of these.
@@ -137,8 +136,8 @@ def import_points(
     read = replace(read, poses=poses)
     stamps, stamp_notes = _stamps(path, read, rate)
     kept = leave_out_repeats(str(path), 'frames', stamps, _marks(read.points, poses))
-    if kept.note:
-        stamp_notes.append(f'{path}: {kept.note}')
+    if kept.finding is not None:
+        stamp_notes.append(f'{path}: {kept.finding.words()}')
         own = kept.is_kept
         read = replace(read, points=read.points[own], poses=None if poses is None else poses[own])
     write_points(output, read.names, kept.stamps, read.points, progress, read.bodies, read.poses)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from itertools import groupby
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,10 @@ from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 
 NODE_NAME = 'kinpole'
+# Frames with the log times, ns, of their messages, or an error.
+FrameBlock: TypeAlias = tuple[
+    list[MarkerFrames], np.ndarray, BagError | messages.MessageError | None
+]
 _SECOND = 1_000_000_000  # ns
 
 
@@ -72,12 +77,11 @@ def read_frames(
             if duration > seconds * _SECOND:
                 break
     if not frames:
-        reason = f': {problem}' if problem else ''
-        raise BagError(
-            f'{bag}: no message on {name} can be read{reason}; fix: name another with --topic'
-        )
-    if report is not None and isinstance(reader, messages.MarkerReader) and reader.fault():
-        report(BagError(f'{bag}: {reader.fault()}'))
+        why = f': {problem}' if problem else ''
+        raise BagError(f'{bag}: no message on {name} can be read{why}; fix: name another --topic')
+    fault = reader.fault() if isinstance(reader, messages.MarkerReader) else None
+    if report is not None and fault is not None:
+        report(BagError(f'{bag}: {fault.words()}'))
     return frames if seconds is None else _first_part(frames, seconds), name
 
 
@@ -101,7 +105,7 @@ def frame_blocks(
     kind: str,
     reader: messages.MarkerReader | messages.PoseReader,
     progress: Progress | None,
-) -> Iterator[tuple[list[MarkerFrames], np.ndarray, BagError | messages.MessageError | None]]:
+) -> Iterator[FrameBlock]:
     """
     Yield the frames of a bag with the log times (T,), ns, of their messages, or an error, in order.
 

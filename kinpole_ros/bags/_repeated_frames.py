@@ -9,6 +9,7 @@ along their paths, and noise moves them across as well. From 30 to 24 Hz each fi
 left out, and the stamps of the others are made even: the motion shows that alike.
 """
 
+import shlex
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from itertools import chain
@@ -18,12 +19,14 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags._path_errors import (
+    go_along_paths,
     largest_size,
     median_size,
     path_errors,
     rms_size,
     stamp_error,
 )
+from kinpole_ros.findings import ERROR, Finding
 from kinpole_ros.tracking.frame import MarkerFrames
 
 # Of the steps before and after: so little is noise, and no motion. Even pictures are found with
@@ -43,7 +46,7 @@ _MOST_PARTS = 12  # frames of a pattern, as 12 from 25 to 60 Hz
 _NEAR_RATIO = 0.25  # of itself: so far is the share of repeats from a pattern, where some are slow
 _OFF = 0.05  # of a step: stamps that are more off, along the path alone, are wrong
 _ONE_FRAME = 1.3  # as the line through few of them is not the best one
-_TRIED = 300  # frames by which a pattern of missing ones is found: time only
+_TRIED = 300  # repeats, or frames by which a pattern of missing ones is found: time only
 _PART, _PARTS = 60, 5  # frames of a part, and parts, most of which have a pattern of missing ones
 _CLEARLY = 0.5  # of how far stamps are off otherwise: so far at most by that pattern
 _LEAST_FRAMES = 200  # by which the rate of a film without a pattern is known to 0.5%
@@ -51,11 +54,11 @@ _NTSC = 1.001
 
 
 class Kept(NamedTuple):
-    """Frames that repeat no other: which they are (T,), their stamps, ns, and a note."""
+    """Frames that repeat no other: which they are (T,), their stamps, ns, and what was found."""
 
     is_kept: np.ndarray
     stamps: np.ndarray
-    note: str
+    finding: Finding | None
 
 
 def leave_out_repeats(
@@ -94,27 +97,38 @@ def leave_out_repeats(
         If it is not known when frames were taken.
 
     """
-    everything = Kept(np.ones(len(stamps), bool), stamps, '')
+    kept = _kept(noun, stamps, points, rate, least_step)
+    if kept.finding is not None and kept.finding.level == ERROR:
+        raise BagError(f'{path}: {kept.finding.words()}')
+    return kept
+
+
+def _kept(
+    noun: str,
+    stamps: np.ndarray,
+    points: np.ndarray,
+    rate: float | None = None,
+    least_step: float = 0.0,
+) -> Kept:
+    """Return the same; where it is not known when frames were taken, the level is ERROR."""
+    everything = Kept(np.ones(len(stamps), bool), stamps, None)
     if len(stamps) < 2 * _LONGEST:
         return everything
     is_repeat, is_known = _find(points, least_step)
     if not is_repeat.any():
-        return _without_lost(path, noun, stamps, points, rate) or everything
+        return _without_lost(noun, everything, points, rate)
     interval = float(np.median(np.diff(stamps)))
     off, own, times, even = _likeliest(stamps, points, is_repeat, is_known, rate)
-    if off > _OFF and is_repeat.sum() < FEWEST_REPEATS:
-        own, times, even = is_repeat, (stamps - stamps[0])[~is_repeat], 0.0
-    share = f'{own.sum()} of {len(stamps)} {noun} repeat the one before'
+    about = {'count': len(stamps), 'noun': noun, 'after': 1e9 / interval}
     if off > _OFF and is_repeat.sum() >= FEWEST_REPEATS:
-        raise BagError(
-            f'{path}: {share} in no even pattern, as of a film of uneven stamps that was made '
-            'even, so it is not known when the others were taken; fix: take the film as the '
-            f'camera wrote it, or write each of the {noun} once, with its own time'
-        )
-    made = f', as a converter makes them from {even:.4g} to {1e9 / interval:.4g} Hz' if even else ''
-    made = ', and the rate is that of the others' if even and rate else made
+        about['repeats'] = int(own.sum())
+        return everything._replace(finding=Finding('repeats_uneven', '', about, ERROR))
+    if off > _OFF:
+        own, times, even = is_repeat, (stamps - stamps[0])[~is_repeat], 0.0
+    about |= {'repeats': int(own.sum()), 'before': even}
+    code = ('repeats_rated' if rate else 'repeats_converted') if even else 'repeats'
     stamps = stamps[0] + np.rint(times).astype(np.int64)
-    return Kept(~own, stamps, f'{share}{made}, and are left out')
+    return Kept(~own, stamps, Finding(code, values=about))
 
 
 def _likeliest(
@@ -141,18 +155,14 @@ def _likeliest(
     return best
 
 
-def _without_lost(
-    path: str, noun: str, stamps: np.ndarray, points: np.ndarray, rate: float | None
-) -> Kept | None:
-    """
-    Return frames at their times where a converter left others out; None where it did not.
-
-    Raises BagError where it did, in a pattern that changes.
-    """
+def _without_lost(noun: str, everything: Kept, points: np.ndarray, rate: float | None) -> Kept:
+    """Return frames at their times where a converter left others out; the same where none did."""
+    stamps = everything.stamps
     interval = float(np.median(np.diff(stamps)))
+    about = {'noun': noun, 'after': 1e9 / interval}
     frames = np.rint((stamps - stamps[0]) / interval).astype(int)
     if np.abs(stamps - stamps[0] - frames * interval).max() > _OFF * interval:
-        return None
+        return everything
     points = points[:, :: max(1, points.shape[1] // _COLUMNS)]
     found = _pattern_of_lost(frames[:_TRIED], points[:_TRIED])
     if found != _pattern_of_lost(frames[-_TRIED:], points[-_TRIED:]):
@@ -164,18 +174,14 @@ def _without_lost(
         parts = [slice(start, start + width) for start in starts]
         patterns = [_pattern_of_lost(frames[part], points[part]) for part in parts]
         if patterns.count(None) > _PARTS // 2:
-            return None
-        raise BagError(
-            f'{path}: a program that changed the rate to {1e9 / interval:.4g} Hz left out {noun}, '
-            'in a pattern that changes, so it is not known when the others were taken; fix: take '
-            'the film as the camera wrote it'
-        )
+            return everything
+        return everything._replace(finding=Finding('lost_uneven', '', about, ERROR))
     ratio, phase = found
     taken = (frames * ratio.numerator + phase) // ratio.denominator
     length = 1e9 / rate if rate else interval / float(ratio)
-    note = f'a converter from {1e9 / length:.4g} to {1e9 / interval:.4g} Hz left out {noun}'
     times = stamps[0] + np.rint((taken - taken[0]) * length).astype(np.int64)
-    return Kept(np.ones(len(stamps), bool), times, f'{note}, and the others have their own times')
+    made = Finding('lost_converted', values={**about, 'before': 1e9 / length})
+    return everything._replace(stamps=times, finding=made)
 
 
 def _pattern_of_lost(frames: np.ndarray, points: np.ndarray) -> tuple[Fraction, int] | None:
@@ -200,8 +206,8 @@ def _pattern_of_lost(frames: np.ndarray, points: np.ndarray) -> tuple[Fraction, 
     return (ratio, phase) if off < _CLEARLY * min(before, tried[1][0]) else None
 
 
-def conversion_fault(path: str, parts: Sequence[MarkerFrames]) -> str:
-    """Return what is wrong with stamps of frames that repeat others; '' if they are right."""
+def conversion_fault(path: str, parts: Sequence[MarkerFrames]) -> Finding | None:
+    """Return what is wrong with stamps of frames that repeat others, if anything."""
     names = list(dict.fromkeys(chain.from_iterable(part.identities for part in parts)))
     stamps = np.concatenate([part.stamps for part in parts])
     kinds = 1 if parts[0].axes is None else 3  # places, and axes of poses
@@ -216,17 +222,14 @@ def conversion_fault(path: str, parts: Sequence[MarkerFrames]) -> str:
         first += len(part.stamps)
     is_later = np.diff(np.maximum.accumulate(stamps), prepend=-1) > 0
     stamps, points = stamps[is_later], points[is_later].reshape(is_later.sum(), -1, 3)
-    try:
-        kept = leave_out_repeats(path, 'frames', stamps, points)
-    except BagError as error:
-        return str(error)
+    kept = _kept('frames', stamps, points)
+    if kept.finding is None or kept.finding.level == ERROR:
+        return kept.finding
     off = np.abs(kept.stamps - stamps[kept.is_kept]).max()
     if off < _OFF * np.median(np.diff(stamps)):
-        return ''
-    return (
-        f'{kept.note}, but the stamps of the others are off; fix: `kinpole import {path} --output '
-        'NEW.mcap` finds these, replay that'
-    )
+        return None
+    import_line = f'kinpole import {shlex.quote(path)} --output NEW.mcap'
+    return kept.finding._replace(fix=f'replay what `{import_line}` writes, with stamps that fit')
 
 
 def _find(points: np.ndarray, least_step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -259,8 +262,11 @@ def _find(points: np.ndarray, least_step: float) -> tuple[np.ndarray, np.ndarray
             break
     else:
         return is_repeat, is_repeat
-    for ratio, first, last in found:
-        is_repeat[first + 1 : last + 1] |= ratio < small
+    repeats = [(first, last) for ratio, first, last in found if ratio < small]
+    if go_along_paths(points, repeats[:_TRIED]):
+        return is_repeat, is_repeat
+    for first, last in repeats:
+        is_repeat[first + 1 : last + 1] = True
     if not is_repeat.any() or _is_rounded(points):
         return np.zeros(len(points), bool), is_repeat
     # The first and the last frames may repeat others, too.

@@ -17,7 +17,7 @@ import numpy as np
 from kinpole_ros.bags._bag_writer import BagWriter
 from kinpole_ros.bags._files import BagError, in_place_of
 from kinpole_ros.bags._marker_frames import NODE_NAME
-from kinpole_ros.bags._replay import Column, result_columns
+from kinpole_ros.bags._result_columns import Column, result_columns
 from kinpole_ros.messages import (
     INPUT_TYPES,
     message_class,

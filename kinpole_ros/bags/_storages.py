@@ -44,11 +44,11 @@ def _whole_database(path: Path) -> Iterator[str]:
     had not finished. SQLite merges either only into a file that it may write, so a copy is made,
     and so is one of a file that is compressed as a whole.
     """
-    beside = [Path(f'{path}{ending}') for ending in ('-wal', '-journal')]
-    beside = [file for file in beside if file.is_file() and file.stat().st_size]
+    journals = [Path(f'{path}{ending}') for ending in ('-wal', '-journal')]
+    journals = [file for file in journals if file.is_file() and file.stat().st_size]
     with open_regular(path) as content:
         is_packed = content.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
-    if not (is_packed or beside):
+    if not (is_packed or journals):
         yield f'{path.absolute().as_uri()}?immutable=1'
         return
     import shutil
@@ -58,7 +58,7 @@ def _whole_database(path: Path) -> Iterator[str]:
         copy = Path(folder) / 'copy.db3'
         with open_file(path) as source, open(copy, 'wb') as target:
             _copy_bounded(path, source, target, folder, shutil.disk_usage(folder).free)
-        for file in beside:
+        for file in journals:
             shutil.copyfile(file, f'{copy}{str(file).removeprefix(str(path))}')
         yield copy.as_uri()
 

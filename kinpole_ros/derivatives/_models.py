@@ -38,7 +38,7 @@ _DEGREES = (1, 2)
 _MIN_AMPLITUDE = 10.0**0.5
 # Number of amplitudes, each 10 times the one before, up to 3e6; and up to 3e12 for exact samples.
 _AMPLITUDES, _EXACT_AMPLITUDES = 7, 13
-FLAT = float(np.log(3 * _MIN_AMPLITUDE * 10.0 ** (_AMPLITUDES - 1)))
+LOG_PRIOR_WIDTH = float(np.log(3 * _MIN_AMPLITUDE * 10.0 ** (_AMPLITUDES - 1)))
 """Log standard deviation of the flat prior of mean and slope: three times the largest amplitude."""
 # The largest of the amplitudes, by number, with which a process may look like a parabola.
 _PARABOLA_AMPLITUDE = 2
@@ -269,12 +269,12 @@ def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
     own = [
         np.r_[slice(*first[0, p : p + 2]), slice(*first[1, p : p + 2])] for p in range(len(costs))
     ]
-    freedom = np.array([shrinkage[rows].sum(axis=0) for rows in own])
+    parameters = np.array([shrinkage[rows].sum(axis=0) for rows in own])
     numbers = [
         (basis * root[:, None] / 2).reshape(len(root), -1, _LANES).swapaxes(0, 1),
         *(table.reshape(len(table), -1, _LANES).swapaxes(0, 1) for table in tables),
         *(_fill_lanes(one, -np.inf) for one in log_prior),
-        _fill_lanes(freedom),
+        _fill_lanes(parameters),
     ]
     if not exact:
         numbers.append(_step_squares(count, members, amplitudes))
@@ -358,9 +358,9 @@ def slopes_of(count: int, block: int, exact: bool) -> Real:
     return slopes.reshape(*slopes.shape[:2], -1, _LANES).swapaxes(1, 2).ravel()
 
 
-def stencils_of(count: int, block: int, exact: bool, orders: int, at: float) -> Real:
+def stencils_of(count: int, block: int, exact: bool, orders: int, from_middle: float) -> Real:
     """
-    Return the numbers of `Stencils` of models.h, of the instant `at`, samples from the middle.
+    Return the numbers of `Stencils` of models.h, of an instant, samples from the middle.
 
     These are the derivatives of order 0 to `orders` - 1 of the modes, and the covariances of models
     for unit noise. Low polynomials and rest have those of the slowest processes, which look like
@@ -368,22 +368,24 @@ def stencils_of(count: int, block: int, exact: bool, orders: int, at: float) -> 
     spectra; a line and rest that of the least amplitude of the first spectrum.
     """
     members, amplitudes = _members(count, block, exact), _amplitudes(exact)
-    lines, modes, remainders = _derivatives(count, block, exact, np.array([at]), range(orders))
-    spread = np.empty((orders, orders, len(members) + 1, len(amplitudes)))
+    lines, modes, remainders = _derivatives(
+        count, block, exact, np.array([from_middle]), range(orders)
+    )
+    covariance = np.empty((orders, orders, len(members) + 1, len(amplitudes)))
     for p, member in enumerate(members):
         own = np.concatenate((*lines, *modes[p]), axis=-1)[0]
         variance = member.variances(exact)
         shrinkage = np.pad(variance / (1 + variance), ((0, 0), (2, 0)), constant_values=1.0)
-        spread[:, :, p] = (own[:, None] * own) @ shrinkage.T
-        spread[:, :, p] += remainders[p][0][..., None] * amplitudes**2
+        covariance[:, :, p] = (own[:, None] * own) @ shrinkage.T
+        covariance[:, :, p] += remainders[p][0][..., None] * amplitudes**2
     spectra = [member.process.spectrum for member in members]
     slowest = [spectra.index(k) for k in range(len(SPECTRA))]
     for p, member in enumerate(members):
         if member.process.spectrum < 0 and member.process.length > 1:
             amplitude = np.minimum(np.arange(len(amplitudes)), _PARABOLA_AMPLITUDE)
-            spread[:, :, p] = spread[:, :, slowest].mean(axis=2)[..., amplitude]
+            covariance[:, :, p] = covariance[:, :, slowest].mean(axis=2)[..., amplitude]
         elif member.process.spectrum < 0:
-            spread[:, :, p] = spread[:, :, slowest[0], :1]
-    spread[:, :, -1] = spread[:, :, slowest[0], :1]
-    groups = np.moveaxis(_fill_lanes(spread).reshape(orders, orders, -1, _LANES), 2, 0)
+            covariance[:, :, p] = covariance[:, :, slowest[0], :1]
+    covariance[:, :, -1] = covariance[:, :, slowest[0], :1]
+    groups = np.moveaxis(_fill_lanes(covariance).reshape(orders, orders, -1, _LANES), 2, 0)
     return np.concatenate((_rows(lines, modes, exact)[0].ravel(), groups.ravel()))

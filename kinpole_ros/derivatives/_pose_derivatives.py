@@ -20,7 +20,7 @@ from kinpole_ros.core.bindings import (
     library,
 )
 from kinpole_ros.derivatives._cached_tables import cached_table
-from kinpole_ros.derivatives._models import FLAT, models_of, slopes_of, stencils_of
+from kinpole_ros.derivatives._models import LOG_PRIOR_WIDTH, models_of, slopes_of, stencils_of
 from kinpole_ros.planar._plane import Complex, Real
 
 # Memory of all tables, of which the oldest are dropped; a kind of window has 100 kB to 3 MB.
@@ -61,7 +61,7 @@ class Derivatives(NamedTuple):
     Derivatives (K, T, B) of order 0 to K - 1, of B bodies at T instants; NaN with too few poses.
 
     Units are rad, m and s. Covariances (K, K, T, B) are between the orders, of the angle and of one
-    coordinate. `span` (T, B) is the length of the window, s, and `freedom` (T, B) the effective
+    coordinate. `span` (T, B) is the length of the window, s, and `parameters` (T, B) the effective
     number of parameters of the motion of the angle, 2 if it is steady. The position is that of the
     point `reference` (T, B) of the body, m from the given one in the frame of the body: 0, or the
     hub that the body turns about.
@@ -72,7 +72,7 @@ class Derivatives(NamedTuple):
     position_covariance: Real
     angle_covariance: Real
     span: Real
-    freedom: Real
+    parameters: Real
     reference: Complex
 
 
@@ -140,7 +140,7 @@ def _check_arguments(
 
 def new_call(window: float, order: int) -> Call:
     """Return arguments of the library without arrays; tables are made as it needs them."""
-    call = Call(orders=order + 1, window=window, flat=FLAT)
+    call = Call(orders=order + 1, window=window, log_prior_width=LOG_PRIOR_WIDTH)
     forget_tables(call)
     # The call must not refer to itself, since it frees memory when it is deleted.
     reference = weakref.ref(call)
@@ -171,7 +171,7 @@ def finish_call(call: Call, code: int) -> None:
 
 def _pass_table(call: Any, table: Table) -> int:
     """Pass a table that the library needs in a call, which keeps its arrays alive."""
-    kind = table.count, table.block, table.exact, table.orders, table.at
+    kind = table.count, table.block, table.exact, table.orders, table.from_middle
     try:
         arrays = _tables.get(kind) or cached_table(kind, lambda: _make(*kind))
         _keep_table(kind, arrays)
@@ -199,10 +199,12 @@ def _size_of(arrays: tuple[np.ndarray, Real]) -> int:
     return sum(array.nbytes for array in arrays)
 
 
-def _make(count: int, block: int, exact: int, orders: int, at: float) -> tuple[np.ndarray, Real]:
+def _make(
+    count: int, block: int, exact: int, orders: int, from_middle: float
+) -> tuple[np.ndarray, Real]:
     """Make the integers and numbers of a table of this kind: see `Table` of call.h."""
     window = count, block, bool(exact)
     if orders == MODELS:
         return models_of(*window)
-    numbers = slopes_of(*window) if orders == SLOPES else stencils_of(*window, orders, at)
+    numbers = slopes_of(*window) if orders == SLOPES else stencils_of(*window, orders, from_middle)
     return np.empty(0, np.int64), numbers

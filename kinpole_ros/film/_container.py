@@ -41,7 +41,7 @@ def video_source(path: str) -> Source:
     with _opened(path) as (container, stream):
         kind = _UNTIMED.get(container.format.name)
         return Source(
-            lambda: _frames(path),
+            lambda since: _frames(path, since if kind is None else None),
             'the stamps of the file' if kind is None else f'is {kind}',
             kind is None,
             int(stream.frames),
@@ -73,10 +73,14 @@ def _times(path: str) -> np.ndarray:
     return np.unique(np.array(times) * 1e9)
 
 
-def _frames(path: str) -> Iterator[Timed]:
+def _frames(path: str, since: Timed | None) -> Iterator[Timed]:
     with _opened(path) as (container, stream):
         rate = float(stream.average_rate or 0.0)
         try:
+            if since is not None and since.time is not None:
+                rate = 0.0  # the frames before it are not counted
+                # To the frame before it from which on frames can be decoded.
+                container.seek(int(since.time * 1e-9 / stream.time_base), stream=stream)
             for number, frame in fields(container.decode(stream)):
                 check_size(path, frame.width, frame.height)
                 time = frame.time

@@ -50,7 +50,8 @@ class Source(NamedTuple):
     Attributes
     ----------
     read : callable
-        Yields all frames from the first one on.
+        Yields all frames from the first one on; from a `Timed` on, or from one before it, if that
+        is given and can be found.
     clock : str
         What their times are, for a line; of a film without, why it has none.
     has_times : bool
@@ -65,7 +66,7 @@ class Source(NamedTuple):
 
     """
 
-    read: Callable[[], Iterator[Timed]]
+    read: Callable[[Timed | None], Iterator[Timed]]
     clock: str
     has_times: bool = True
     pictures: int = 0

@@ -54,8 +54,8 @@ class Tag(NamedTuple):
 
     def is_at(self, other: 'Tag') -> bool:
         """Return whether both are at one place."""
-        apart = np.linalg.norm(self.quad.mean(axis=0) - other.quad.mean(axis=0))
-        return bool(apart < np.linalg.norm(self.quad[1] - self.quad[0]))
+        distance = np.linalg.norm(self.quad.mean(axis=0) - other.quad.mean(axis=0))
+        return bool(distance < np.linalg.norm(self.quad[1] - self.quad[0]))
 
 
 def family_of(name: str) -> str:

@@ -3,11 +3,11 @@
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from kinpole_ros.bags import leave_out_repeats, topics, write_points
+from kinpole_ros.film._backward import TagsBothWays
 from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._dots import Dots
 from kinpole_ros.film._families import smallest
@@ -15,8 +15,9 @@ from kinpole_ros.film._filmed import Filmed, FilmOptions, Seen
 from kinpole_ros.film._lens import Lens, rectified_lens
 from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._recorded_pictures import bag_messages, film_topic, is_bag_of_pictures
-from kinpole_ros.film._tags import LEAST_PICTURES, NO_TAGS, TagFinder
+from kinpole_ros.film._tags import LEAST_PICTURES, TagFinder
 from kinpole_ros.film._video import Progress, Video
+from kinpole_ros.findings import Finding, all_words
 from kinpole_ros.messages import CAMERA_INFO, DETECTIONS, Detections
 
 _LEAST_STEP = 0.05  # pixels; in a still film the compression moves corners by less
@@ -45,11 +46,13 @@ def read_film(
     kept = leave_out_repeats(video.path, 'pictures', seen.stamps, marks, options.rate, _LEAST_STEP)
     own = kept.is_kept
     seen = replace(seen, stamps=kept.stamps, pixels=seen.pixels[own], dots=seen.dots[own])
-    notes = [kept.note, video.late and f'{video.late} left out whose stamps do not increase']
+    late = Finding('late_pictures', values={'count': video.late}) if video.late else None
+    found = [one.words() for one in (kept.finding, late) if one is not None]
     interlaced = 'interlaced, so each field is a picture of its own' if video.is_interlaced else ''
     shutter = f'{options.line_time * 1e6:.3g} us' if options.line_time else 'none'
     changed = [f'rolling shutter: {shutter}', 'to change: --line-time, --rate']
-    line = _film_line(seen, video.clock, [*notes, interlaced, video.cut, *changed])
+    cut = video.cut.words() if video.cut is not None else ''
+    line = _film_line(seen, video.clock, [*found, interlaced, cut, *changed])
     filmed = place_seen(seen, options)
     return replace(
         filmed,
@@ -75,9 +78,9 @@ def _read_detections(path: str, topic: str, options: FilmOptions) -> Filmed:
     finder = TagFinder()
     seen = gather(stamps[is_later].tolist(), rows, picture, finder, family)
     if not seen.tags:
-        raise _no_tags(path, seen, finder, '', 'see to the detector')
-    late = int((~is_later).sum())
-    notes = [late and f'{late} late ones left out']
+        raise _no_tags(path, seen, finder, None, 'see to the detector')
+    late = Finding('late_pictures', values={'count': int((~is_later).sum())})
+    notes = [] if is_later.all() else [late.words()]
     line = _film_line(seen, f'by the headers of {topic}', notes)
     filmed = place_seen(replace(seen, path=path), options, lens)
     return replace(filmed, assumed=[line, *filmed.assumed])
@@ -116,18 +119,19 @@ def film_to_bag(
 def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Seen:
     """Find the tags in all pictures, and follow the dots from that in which they are chosen."""
     finder = TagFinder(options.family)
-    stamps, found, places = [], [], []
+    stamps, places = [], []
+    tagged = TagsBothWays(finder)
     picture, dots = (0, 0), None
     chosen = np.reshape([(place.real, place.imag) for place in options.points.values()], (-1, 2))
     for stamp, gray in video.pictures():
         height, width = gray.shape
         if picture not in ((0, 0), (width, height)):
-            video.cut = f'{video.path}: the size of its pictures changes; what follows is left out'
+            video.cut = Finding('resized_film', values={'path': video.path})
             break
         picture = width, height
-        tags, corners = finder.find(gray) if options.ruler is None else NO_TAGS
         stamps.append(stamp)
-        found.append((tags, corners.astype(np.float32)))
+        if options.ruler is None:
+            tagged.add(gray)
         if dots is not None:
             places.append(dots.follow(gray))
         elif options.points and stamp - stamps[0] >= options.at * 1e9 - SAME_STAMP:
@@ -137,7 +141,8 @@ def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Se
             places.append(np.full(chosen.shape, np.nan))
         if progress is not None and video.count:
             progress(min(1.0, len(stamps) / video.count))
-    seen = gather(stamps, found, picture, finder)
+    tagged.finish(video)
+    seen = gather(stamps, tagged.found, picture, finder)
     if options.points and dots is None:
         raise FilmError(f'--at is {options.at:g} s, and {video.path} ends before')
     if not seen.tags and options.ruler is None:
@@ -147,14 +152,17 @@ def _search(video: Video, options: FilmOptions, progress: Progress | None) -> Se
     return replace(seen, dots=np.array(places), turns=video.turns, path=video.path)
 
 
-def _no_tags(path: str, seen: Seen, finder: TagFinder, damage: str, fix: str) -> FilmError:
+def _no_tags(
+    path: str, seen: Seen, finder: TagFinder, damage: Finding | None, fix: str
+) -> FilmError:
     """Return the error of a film without tags that can be used."""
     if finder.mirrored and not seen.unused:
         return mirror_fault(path, finder, 'mirror it, as by ffmpeg -i IN -vf hflip OUT.mp4')
     if any(finder.twice.values()):
         fix = 'print a number once, and tape another tag on each link'
-    texts = [f'seen and not used: {"; ".join(seen.unused)}'] if seen.unused else []
-    notes = ''.join(f'; {text}' for text in (*texts, damage) if text)
+    texts = [f'seen and not used: {all_words(seen.unused)}'] if seen.unused else []
+    texts += [damage.words()] if damage is not None else []
+    notes = ''.join(f'; {text}' for text in texts)
     return FilmError(
         f'{path} shows no tag: none was found in {LEAST_PICTURES} or more of its '
         f'{len(seen.stamps)} pictures{notes}; fix: {fix}'
@@ -188,19 +196,18 @@ def gather(
             if tag in columns:
                 pixels[row, columns[tag]] = place
     no_dots = np.empty((len(stamps), 0, 2))
-    texts = [f'{tag} ({why})' for tag, why in unused.items()]
-    texts += [
-        f'{", ".join(map(str, tags))} (of family {smallest(name, tags)})'
-        for name, tags in finder.others.items()
-        if tags
-    ]
+    left_out = list(unused.values())
+    for name, tags in finder.others.items():
+        if tags:
+            about = {'tags': ', '.join(map(str, tags)), 'family': smallest(name, tags)}
+            left_out.append(Finding('tags_of_others', values=about))
     family = family or finder.name(kept)
     return Seen(
-        kept, np.array(stamps, np.int64), pixels, no_dots, picture, family, unused=tuple(texts)
+        kept, np.array(stamps, np.int64), pixels, no_dots, picture, family, unused=tuple(left_out)
     )
 
 
-def _film_line(seen: Seen, clock: str, notes: list[Any]) -> str:
+def _film_line(seen: Seen, clock: str, notes: list[str]) -> str:
     """Say how many pictures there are, and when they were taken, with notes that are not empty."""
     count = len(seen.stamps)
     seconds = float(seen.stamps[-1] - seen.stamps[0]) * 1e-9

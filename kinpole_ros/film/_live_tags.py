@@ -91,10 +91,9 @@ class LiveTags:
         if seen.tags:
             filmed = place_seen(seen, self._options, self._lens, may_turn=False)
             if len(filmed.maps) > 1:
-                ground, _, _ = filmed.assumed[-1].partition('; perspective')
                 raise FilmError(
-                    f'{ground}; live it has to stand still; fix: hold it by a tripod, or name a '
-                    'tag of the ground by --ground'
+                    'the camera moves against the tags of the ground, and live it has to stand '
+                    'still; fix: hold it by a tripod, or name a tag of the ground by --ground'
                 )
             self.learned, self._known = filmed, list(filmed.tags)
 

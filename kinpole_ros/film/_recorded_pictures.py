@@ -54,8 +54,10 @@ def folder_source(path: str) -> Source:
     files.sort(key=lambda file: [int(part) if part.isdigit() else part for part in _parts(file)])
     numbers = _numbers(files)
 
-    def read() -> Iterator[Timed]:
+    def read(since: Timed | None) -> Iterator[Timed]:
         for number, file in zip(numbers, files, strict=True):
+            if since is not None and number < since.number:
+                continue
             frame = decoded_picture(str(file), read_limited(file, _MOST_BYTES))
             check_size(str(file), frame.width, frame.height)
             yield Timed(None, number, frame)
@@ -127,8 +129,10 @@ def bag_source(path: str, topic: str | None) -> Source:
     first = next(bag_messages(path, topic), None)
     is_stamped = first is not None and stamp_to_ns(first[1].header.stamp) != 0
 
-    def read() -> Iterator[Timed]:
+    def read(since: Timed | None) -> Iterator[Timed]:
         for number, (log_time, message) in enumerate(bag_messages(path, topic)):
+            if since is not None and number < since.number:
+                continue
             frame = to_frame(f'{path}, picture {number} on {topic}', message)
             check_size(path, frame.width, frame.height)
             time = stamp_to_ns(message.header.stamp) if is_stamped else log_time

@@ -14,10 +14,12 @@ from kinpole_ros.film._decoder import (
     DamagedError,
     FilmError,
     Source,
+    Timed,
     brightness,
     quarter_turns,
 )
 from kinpole_ros.film._recorded_pictures import bag_source, folder_source, is_bag_of_pictures
+from kinpole_ros.findings import Finding
 
 _WAITING = 3  # pictures between decoder and search
 # A camera in the dark takes pictures at less than its rate, whose times are right. Slow motion is
@@ -43,19 +45,21 @@ class Video:
     `count` is the number of pictures as the container has them, 0 if unknown; `clock` says what
     the stamps are, and `turns` are the quarter turns to the left by which pictures are shown.
     `late` counts pictures left out because their stamps do not increase, `is_interlaced` says that
-    the fields of its frames are pictures of their own, and `cut` where a damaged film ends, '' for
-    a sound one.
+    the fields of its frames are pictures of their own, and `cut` where a film ends that is not
+    sound.
     """
 
     def __init__(
         self, path: str | Path, rate: float | None = None, topic: str | None = None
     ) -> None:
-        self.path, self.late, self.cut, self.turns = str(path), 0, '', 0
+        self.path, self.late, self.turns = str(path), 0, 0
+        self.cut: Finding | None = None
         self.is_interlaced = False
         self._rate = rate
         self._source = _source_of(self.path, topic)
         self.count = self._source.pictures
         self._slowing = 1.0
+        self._read: list[tuple[int | None, float]] = []  # times, ns, and numbers of its pictures
         self.clock = f'by {self._source.clock}'
         if rate is not None:
             self.clock = 'by --rate'
@@ -83,13 +87,38 @@ class Video:
         """Yield stamps and frames of the decoder; a thread decodes ahead. Raises FilmError."""
         yield from ahead(self._stamped(), _WAITING)
 
+    def read_again(self, first: int) -> Iterator[np.ndarray]:
+        """Yield the brightness of the pictures that were read once more, from a number on."""
+        yield from ahead(self._read_again(first), _WAITING)
+
+    def _read_again(self, first: int) -> Generator[np.ndarray, None, None]:
+        times, numbers = zip(*self._read, strict=True)
+        is_timed = None not in times and bool((np.diff(times) > 0).all())
+        wanted = times if is_timed else numbers
+        # The fields of interlaced frames follow from those before, so from the first ones.
+        time = times[first] if is_timed and not self.is_interlaced else None
+        for since in (Timed(time, numbers[first], None), None):
+            row = first
+            with suppress(DamagedError):  # what was read comes before the damage
+                for own in self._source.read(since):
+                    key = own.time if is_timed else own.number
+                    if row == first and key is not None and key > wanted[row]:
+                        break  # the search in the file led beyond it
+                    if key == wanted[row]:
+                        yield brightness(own.frame)
+                        row += 1
+                    if row == len(wanted):
+                        return
+            if row > first:
+                return
+
     def _stamped(self) -> Generator[tuple[int, Any], None, None]:
         first, last = None, -1
-        begin = 0
+        begin = self.late = 0
+        self._read.clear()
         try:
-            for time, number, frame in self._source.read():
-                if self._rate is not None:
-                    time = round(number * 1e9 / self._rate)
+            for own, number, frame in self._source.read(None):
+                time = own if self._rate is None else round(number * 1e9 / self._rate)
                 if time is None:
                     self.late += 1
                     continue
@@ -104,12 +133,14 @@ class Video:
                     self.late += 1
                     continue
                 last = stamp
+                self._read.append((own, number))
                 yield stamp, frame
         except DamagedError:
             if last < 0:
                 raise
             seconds = (last - begin) * 1e-9
-            self.cut = f'{self.path} is damaged after {seconds:.4g} s: what follows is lost'
+            about = {'path': self.path, 'seconds': seconds}
+            self.cut = Finding('damaged_film', values=about)
         if last < 0:
             raise FilmError(f'{self.path} has no pictures; fix: film it again, or convert it')
 

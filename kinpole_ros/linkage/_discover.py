@@ -5,6 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
+from kinpole_ros.findings import Finding
 from kinpole_ros.linkage._bodies import FoundBodies, identify
 from kinpole_ros.linkage._body_poses import GROUND, GROUND_NUMBER, BodyPoses, ground
 from kinpole_ros.linkage._found_joints import (
@@ -85,7 +86,7 @@ def _linkage_of(record: MarkerRecord, stamps: Stamps, identified: FoundBodies) -
     joints: list[FoundJoint] = []
     rolling: list[FoundRolling] = []
     freedom = 3 * len(poses)
-    notes: list[str] = []
+    notes: list[Finding] = []
     # Joints in the plane mean nothing for bodies that leave it.
     if is_planar:
         joints, freedom = _pins(bodies, names, notes, identified.is_soft)
@@ -98,6 +99,8 @@ def _linkage_of(record: MarkerRecord, stamps: Stamps, identified: FoundBodies) -
             freedom -= 1
     if is_planar:
         notes += _connection_notes(joints, rolling, names)
+    if any(wheel.is_steady for wheel in rolling):
+        notes.append(Finding('steady_rates'))
     notes += _marker_notes(record, identified)
     return Linkage(
         names,
@@ -179,7 +182,7 @@ def _scaled(pose: BodyPoses, scale: float) -> BodyPoses:
 
 
 def _pins(
-    bodies: dict[int, BodyPoses], names: list[str], notes: list[str], is_soft: bool
+    bodies: dict[int, BodyPoses], names: list[str], notes: list[Finding], is_soft: bool
 ) -> tuple[list[FoundJoint], int]:
     """Pins of bodies, those on the ground first, and the degrees of freedom that they leave."""
     pins: list[FoundJoint] = []
@@ -189,10 +192,8 @@ def _pins(
         if pin is not None:
             pins.append(pin)
         elif not turns and not is_soft:
-            notes.append(
-                f'{names[i]} and {names[j]} do not turn against each other: whether a pin '
-                'joins them, and where, cannot be determined'
-            )
+            about = {'one': names[i], 'other': names[j]}
+            notes.append(Finding('no_relative_turn', values=about))
     if is_soft:
         pins = open_chains(pins, len(names))
     for k in moving:
@@ -200,7 +201,7 @@ def _pins(
         if pin is not None:
             pins.append(pin)
         elif not turns and not is_soft:
-            notes.append(f'{names[k]} does not turn: it has no pin to the ground that can be seen')
+            notes.append(Finding('no_turn', names[k]))
     pins.sort(key=lambda pin: pin.ratio)
     freedom = _freedom(len(names), pins)
     # If the pins leave no motion, those that fit worst are no pins but nearly so.
@@ -221,7 +222,7 @@ def _add_slides(
     joints: list[FoundJoint],
     rolling: list[FoundRolling],
     names: list[str],
-    notes: list[str],
+    notes: list[Finding],
     freedom: int,
 ) -> int:
     """Add slides, and wheels on their lines, to the joints; returns the degrees of freedom left."""
@@ -229,11 +230,7 @@ def _add_slides(
     pairs = [pair for pair in candidate_pairs(bodies) if frozenset(pair) not in pinned]
     for joint, is_only_one in _slides(bodies, pairs):
         if is_mirrored_pair(bodies[joint.one], joint):
-            notes.append(
-                f'{names[joint.one]} moves as a trammel, and as a body with a pin whose two '
-                'markers have one coordinate exchanged: neither is taken; fix: see to the columns '
-                'of its markers, or give it a third one'
-            )
+            notes.append(Finding('trammel_or_pin', names[joint.one]))
             continue
         removed = 2 if joint.kind in ('trammel', 'slide') else 1
         # With a joint that holds more, nothing could move.
@@ -251,10 +248,7 @@ def _add_slides(
             mover, base = (
                 GROUND if k == GROUND_NUMBER else names[k] for k in (joint.one, joint.other)
             )
-            notes.append(
-                f'{mover} on {base}: a line on either of them fits, and which it is cannot be seen '
-                'from so little motion; fix: move them farther, or correct the draft'
-            )
+            notes.append(Finding('line_of_either', values={'one': mover, 'other': base}))
     return freedom
 
 
@@ -311,47 +305,35 @@ def _gears(bodies: dict[int, BodyPoses], pins: Sequence[FoundJoint]) -> list[Fou
 
 def _connection_notes(
     joints: Sequence[FoundJoint], rolling: Sequence[FoundRolling], names: list[str]
-) -> list[str]:
+) -> list[Finding]:
     """Notes on pairs of bodies that were not examined, and on bodies that nothing connects."""
-    notes = []
+    notes: list[Finding] = []
     if len(names) > MOST_PAIRED_BODIES + 1:
-        notes.append(
-            f'joints of each of the {len(names)} bodies are sought with the ground and the '
-            f'{MOST_PAIRED_BODIES} nearest bodies only'
-        )
+        about = {'count': len(names), 'most': MOST_PAIRED_BODIES}
+        notes.append(Finding('nearest_joints', values=about))
     loose = [name for k, name in enumerate(names) if k not in connected(joints, rolling)]
     if loose:
-        notes.append(
-            f'no joint connects {", ".join(loose)} with the ground: mark the bodies between, or '
-            'move the rig further'
-        )
+        notes.append(Finding('not_connected', values={'names': ', '.join(loose)}))
     return notes
 
 
-def _marker_notes(record: MarkerRecord, identified: FoundBodies) -> list[str]:
+def _marker_notes(record: MarkerRecord, identified: FoundBodies) -> list[Finding]:
     """Notes on exchanged names, and on points that are of no body."""
-    notes = []
+    notes: list[Finding] = []
     times: dict[tuple[str, str], list[int]] = {}
     for frame, *pair in record.exchanged:
         times.setdefault((pair[0], pair[1]), []).append(frame)
     for (first, second), frames in times.items():
         often = f', {len(frames)} times in all' if len(frames) > 1 else ''
-        notes.append(
-            f'{first!r} and {second!r} exchange names at {record.seconds[frames[0]]:.2f} s{often}: '
-            'they are taken as they move; fix: correct the labels in the tracker'
-        )
+        seconds = float(record.seconds[frames[0]])
+        exchanged = {'one': first, 'other': second, 'seconds': seconds, 'often': often}
+        notes.append(Finding('names_exchanged', values=exchanged))
     if identified.ordered and record.unreliable_names:
-        notes.append(
-            'names of markers that pass each other seem to be exchanged; the bodies are rigid by '
-            'them, so they are taken as they are'
-        )
+        notes.append(Finding('names_doubtful'))
     seen, assigned = (
         int(np.isfinite(points.real).sum()) for points in (record.points[..., 0], identified.tracks)
     )
     share = 1 - assigned / seen
     if not identified.ordered and share > _MAX_UNASSIGNED:
-        notes.append(
-            f'{share:.0%} of the points are of no body that was found: markers may be missing from '
-            'some; fix: give the markers names, or take more frames a second'
-        )
+        notes.append(Finding('unassigned', values={'share': share}))
     return notes

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.findings import Finding
 from kinpole_ros.linkage._body_poses import GROUND, GROUND_NUMBER, BodyPoses
 from kinpole_ros.linkage._found_joints import FoundJoint, FoundRolling
 from kinpole_ros.linkage._motion_plane import MotionPlane
@@ -131,7 +132,7 @@ class Linkage(NamedTuple):
     rolling: list[FoundRolling]
     places: list[Place]
     freedom: int
-    notes: list[str]
+    notes: list[Finding]
     space: SpaceBodies | None = None
 
     def name(self, number: int) -> str:

@@ -73,7 +73,7 @@ def joint_lines(linkage: Linkage) -> list[str]:
         lines += ['', *_aligned(rows)]
     if is_planar:
         lines += ['', f'degrees of freedom, by these joints: {linkage.freedom}']
-    return lines + [f'note: {note}' for note in linkage.notes]
+    return lines + [f'note: {note.words()}' for note in linkage.notes]
 
 
 def _aligned(rows: Sequence[_Row]) -> list[str]:
@@ -222,13 +222,7 @@ def _planar_lines(linkage: Linkage) -> list[str]:
     rows = [head, *_pin_rows(linkage), *_slide_rows(linkage), *_wheel_rows(linkage)]
     if len(rows) == 1:
         return ['joints: none that the data show']
-    lines = _aligned(rows)
-    if any(wheel.is_steady for wheel in linkage.rolling):
-        lines.append(
-            'note: these turn at steady rates all the time, as gears do, and as two motors may: '
-            'vary the speed to tell'
-        )
-    return lines
+    return _aligned(rows)
 
 
 def _pin_rows(linkage: Linkage) -> Iterator[_Row]:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.findings import Finding
 from kinpole_ros.linkage._least_squares import Normal, always_free, independent
 from kinpole_ros.linkage.limits import DEPENDENT
 from kinpole_ros.mechanism import Dimension, Equations
@@ -41,28 +42,27 @@ class Fault(NamedTuple):
     step: dict[int, float]
     alternatives: tuple[str, ...]
 
-    def message(self, dimensions: Sequence[Dimension]) -> str:
-        """Say what is wrong, by how much, and what would be right."""
+    def finding(self, scene: str, dimensions: Sequence[Dimension]) -> Finding:
+        """Return what is wrong with a scene of this name, by how much, and what would be right."""
         factor, unit = (1e3, 'mm') if self.unit == 'm' else (180 / np.pi, 'deg')
-        off = (
-            f'{self.off * factor:.4g} {unit} off (deviation {self.deviation * factor:.2g} {unit}; '
-            f'{self.deviations:.0f} deviations)'
-        )
-        alternatives = f'; or else {", ".join(self.alternatives)}' if self.alternatives else ''
+        about = {
+            'scene': scene,
+            'name': self.subject,
+            'unit': unit,
+            'off': self.off * factor,
+            'deviation': self.deviation * factor,
+            'deviations': self.deviations,
+            'alternatives': f'; or else {", ".join(self.alternatives)}' * bool(self.alternatives),
+        }
         rows = [k for k, dimension in enumerate(dimensions) if dimension.name == self.subject]
         if not rows:
-            return (
-                f'{self.subject} are {off}, all by the same, from where the scene has them'
-                f'{alternatives}: correct their places in the scene, or the dimensions named'
-            )
+            return Finding('scene_places', values=about)
         before = [dimensions[k].value for k in rows]
         after = [dimensions[k].value + self.step.get(k, 0.0) for k in rows]
-        texts = [', '.join(f'{value:.6g}' for value in values) for values in (before, after)]
-        stated, right = (f'[{text}]' if len(rows) > 1 else text for text in texts)
-        return (
-            f'{self.subject} is {off}: the scene says {stated} {self.unit}, the bodies move as '
-            f'with {right} {self.unit}{alternatives}'
-        )
+        for key, values in (('stated', before), ('right', after)):
+            text = ', '.join(f'{value:.6g}' for value in values)
+            about[key] = f'{f"[{text}]" if len(rows) > 1 else text} {self.unit}'
+        return Finding('scene_dimension', values=about)
 
 
 class _Candidate(NamedTuple):

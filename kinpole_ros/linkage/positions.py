@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.findings import OK, Finding
 from kinpole_ros.linkage._least_squares import (
     Adjustment,
     Normal,
@@ -60,15 +61,15 @@ class PositionReport(NamedTuple):
     """
     Positions compared with a scene: the joints that bodies with markers share, and what is wrong.
 
-    `ratio` is the mean square of all normalized residuals, 1 where the scene is right. `words` say
-    what is wrong, with the fix, in lines; none where nothing is.
+    `ratio` is the mean square of all normalized residuals, 1 where the scene is right. There are no
+    `findings` where nothing is wrong.
     """
 
     joints: list[JointSummary]
     faults: list[Fault]
     ratio: float
     instants: int
-    words: list[str]
+    findings: list[Finding]
 
 
 class Positions:
@@ -135,8 +136,8 @@ class Positions:
                     for values in (adjusted.joint, adjusted.joint_deviations)
                 )
                 joints.append(JointSummary(joint.name, rms, deviations, int(valid.sum())))
-        words = _messages(self.scene, faults, ratio)
-        return PositionReport(joints, faults, ratio, poses.instants, words)
+        found = _findings(self.scene, faults, ratio)
+        return PositionReport(joints, faults, ratio, poses.instants, found)
 
 
 class LivePositions:
@@ -177,19 +178,17 @@ class LivePositions:
             self._early = []
         return self._update(poses, self._ground)
 
-    def diagnose(self, estimate: Estimate) -> tuple[bool, str, dict[str, float]]:
-        """Append one instant; returns whether the scene is off, in words, and figures by name."""
-        report, scene = self.append(estimate), self._positions.scene.name
+    def diagnose(self, estimate: Estimate) -> tuple[list[Finding], dict[str, float]]:
+        """Append one instant; returns what was found of the scene, and figures by name."""
+        report, about = self.append(estimate), {'scene': self._positions.scene.name}
         if report is None:
-            return False, f'too little is known yet to compare the scene {scene}', {}
+            return [Finding('scene_early', values=about, level=OK)], {}
         figures = {}
         for joint in report.joints:
             figures[f'joint {joint.joint}: off (m)'] = joint.rms
             figures[f'joint {joint.joint}: the same in deviations'] = joint.deviations
         figures['residuals of the joints over their noise, rms'] = float(np.sqrt(report.ratio))
-        if report.words:
-            return True, f'off the scene {scene}: ' + '; '.join(report.words), figures
-        return False, f'compared with the scene {scene}', figures
+        return report.findings or [Finding('scene_compared', values=about, level=OK)], figures
 
     def _update(self, poses: ScenePoses, ground: Real) -> PositionReport | None:
         """Add the poses of one instant to the normal equations, and compare."""
@@ -233,7 +232,7 @@ class LivePositions:
             if np.isfinite(deviations)
         ]
         return PositionReport(
-            joints, faults, ratio, round(instants), _messages(scene, faults, ratio)
+            joints, faults, ratio, round(instants), _findings(scene, faults, ratio)
         )
 
 
@@ -274,13 +273,10 @@ def _scene_positions(scene: Scene) -> tuple[Complex, Real]:
     return position, angle
 
 
-def _messages(scene: Scene, faults: list[Fault], ratio: float) -> list[str]:
-    """Say what is wrong, a line each."""
-    lines = [fault.message(scene.equations.dimensions) for fault in faults]
+def _findings(scene: Scene, faults: list[Fault], ratio: float) -> list[Finding]:
+    """Return what is wrong with a scene."""
+    found = [fault.finding(scene.name, scene.equations.dimensions) for fault in faults]
     if not faults and ratio > _MAX_RATIO**2:
-        lines.append(
-            f'the bodies are off the joints by {np.sqrt(ratio):.2g} times their noise, which no '
-            'dimension of the scene explains: see to play in the joints, to bodies that bend, and '
-            'that markers sit where the scene has them'
-        )
-    return lines
+        about = {'scene': scene.name, 'ratio': float(np.sqrt(ratio))}
+        found.append(Finding('scene_joints', values=about))
+    return found

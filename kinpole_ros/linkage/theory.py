@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from kinpole_ros.findings import Finding
 from kinpole_ros.linkage._matches import BodyMatch, MismatchError, match_bodies
 from kinpole_ros.linkage.positions import LivePositions
 from kinpole_ros.mechanism import GROUND, Force, Load, Scene, SceneError, load_scene
@@ -74,7 +75,7 @@ class Theory:
         """Whether the scene has loads, and a tracked body that can balance them."""
         return bool(self.loads) and bool(self.driver or self.scene.held_by)
 
-    def comparison(self) -> Callable[[Estimate], tuple[bool, str, dict[str, float]]]:
+    def comparison(self) -> Callable[[Estimate], tuple[list[Finding], dict[str, float]]]:
         """Return what compares estimates, one after the other, with the joints of the scene."""
         return LivePositions(self.scene, self.matches).diagnose
 

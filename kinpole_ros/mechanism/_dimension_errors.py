@@ -297,16 +297,16 @@ def _quantities(
 
     Linkages that differ in lengths and angles alone are solved together.
     """
-    alike: dict[tuple[bytes | int, ...], list[int]] = {}
+    of_topology: dict[tuple[bytes | int, ...], list[int]] = {}
     for k, (assembly, _) in enumerate(linkages):
         loops = assembly.loops
         same = loops.lengths, loops.angles, loops.loops, loops.ties, assembly.origins
         # The arguments of laws are dimensions too.
         key = *(array.tobytes() for array in same), k if loops.laws else -1
-        alike.setdefault(key, []).append(k)
+        of_topology.setdefault(key, []).append(k)
     most = _MOST_POSITIONS // values.shape[1] + 1
     found = np.empty(0)
-    for numbers in alike.values():
+    for numbers in of_topology.values():
         for first in range(0, len(numbers), most):
             part = numbers[first : first + most]
             solved = _solved([linkages[k] for k in part], points, rows, inputs, values)

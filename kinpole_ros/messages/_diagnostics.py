@@ -1,13 +1,14 @@
 """How the tracking is going, as diagnostic_msgs, for people who watch a rig."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
-from kinpole_ros.findings import OK, STALE, TABLE, WARN, Finding, all_words
+from kinpole_ros.findings import ERROR, OK, STALE, WARN, Finding, all_words, finding_of
 from kinpole_ros.messages import body_faults
 from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyValue, ns_to_stamp
 from kinpole_ros.messages.faults import input_findings, stamp_findings
@@ -17,8 +18,8 @@ from kinpole_ros.tracking.outages import Outage
 from kinpole_ros.tracking.plane import as_parameter
 from kinpole_ros.tracking.tracker import Tracker
 
-# Compares an estimate with a scene: whether it is off, in words, and its figures by name.
-Comparison: TypeAlias = Callable[[Estimate], tuple[bool, str, dict[str, float]]]
+# Compares an estimate with a scene: what was found, OK where nothing is off, and figures by name.
+Comparison: TypeAlias = Callable[[Estimate], tuple[list[Finding], dict[str, float]]]
 
 # Keys of the diagnostics of the input, by the names of the tracker's counts. Where RECEIVED begins
 # again from 0, or RESTARTS goes up, a node was started again.
@@ -76,14 +77,14 @@ class DiagnosticsMaker:
         tracker: Tracker,
         latest: Estimate | None,
         seconds: float,
-        trouble: Mapping[str, str],
+        trouble: Iterable[Finding],
         stamps: Sequence[int] = (),
     ) -> DiagnosticArray:
         """
         Make diagnostics of the `seconds` since the last ones, with a stamp in ns.
 
         `latest` are the newest estimates of this time, of which the last is described. `trouble`
-        are other faults by topic, and `stamps` those of the frames, ns.
+        is what was found before the tracker, and `stamps` are those of the frames, ns.
         """
         now = None if latest is None else latest[-1]
         return self.begin(stamp, tracker, seconds, trouble, stamps)(now)
@@ -93,7 +94,7 @@ class DiagnosticsMaker:
         stamp: int,
         tracker: Tracker,
         seconds: float,
-        trouble: Mapping[str, str],
+        trouble: Iterable[Finding],
         stamps: Sequence[int] = (),
     ) -> Callable[[Estimate | None], DiagnosticArray]:
         """Return a function that completes `make` with an estimate, by the tracker as it is now."""
@@ -144,9 +145,9 @@ class DiagnosticsMaker:
                 values[f'{pair}: the same in deviations'] = float(deviations)
         if self._compare is None:
             return _status(name, OK, 'no scene given', values)
-        is_off, message, figures = self._compare(now)
-        found = [Finding('source', 'linkage', {'text': message})] if is_off else []
-        return _status(name, WARN if is_off else OK, message, values | figures, found)
+        found, figures = self._compare(now)
+        level = max(one.level for one in found)
+        return _status(name, level, all_words(found), values | figures, found if level else ())
 
 
 def _bodies(
@@ -156,66 +157,53 @@ def _bodies(
     outages: Mapping[str, Outage],
 ) -> list['_Body']:
     """Describe the bodies as the tracker has them, `wrong_before` at the last diagnostics."""
-    space, absent = tracker.space(), tracker.absent_markers()
+    absent, erring, wrong = tracker.absent_markers(), tracker.erring(), tracker.wrong()
     noise, angle_noise = tracker.noise().tolist(), tracker.angle_noise()
-    residuals, causes = tracker.rigidity_residual().tolist(), tracker.causes()
-    erring, wrong, smoothed = tracker.erring(), tracker.wrong(), tracker.noise_underestimated()
     new_wrong = wrong if wrong_before is None else wrong - wrong_before
     bodies = []
-    for b, body in enumerate(tracker.bodies):
+    for b, (found, warnings) in enumerate(body_faults.body_findings(tracker, tracker.space())):
+        body = tracker.bodies[b]
         noises = {'noise of a marker per axis (m)': noise[b]}
         if angle_noise is not None:
             noises = {
                 'noise of its position per axis (m)': noise[b],
                 'noise of its angle (rad)': float(angle_noise[b]),
             }
-        absence = None
-        if body in absent:
-            absence = body_faults.absence_finding(body, absent[body], tracker.identities)
-        found = body_faults.unit_findings(body, float(space.size[b]), tracker.settings.scale)
-        found += body_faults.shape_findings(body, b, residuals[b], causes[b], space)
-        if smoothed[b] and not found:
-            found.append(Finding('smoothed', body))
-        warnings = body_faults.marker_findings(body, erring[body], noise[b])
+        values: dict[str, object] = {key: one for key, one in noises.items() if np.isfinite(one)}
+        for marker, deviation in erring[body].items():
+            shown = repr(marker[: body_faults.SHOWN_CHARACTERS])
+            values[f'noise of marker {shown}, which counts for less (m)'] = deviation
+        if wrong[b]:
+            values['frames in which its pose was wrong, left out'] = int(wrong[b])
         if new_wrong[b] > 0:
             warnings.append(Finding('wrong_poses', body, {'count': int(new_wrong[b])}))
         if body in outages:
             warnings.append(body_faults.outage_finding(body, outages[body].latest))
-        bodies.append(
-            _Body(
-                number=b,
-                name=f'{name}: {body}',
-                absent=absence,
-                noises={key: value for key, value in noises.items() if np.isfinite(value)},
-                found=found,
-                erring=erring[body],
-                wrong=int(wrong[b]),
-                warnings=warnings,
-            )
-        )
+        absence = None
+        if body in absent:
+            absence = body_faults.absence_finding(body, absent[body], tracker.identities)
+        bodies.append(_Body(b, f'{name}: {body}', absence, values, found, warnings))
     return bodies
 
 
 class _Body(NamedTuple):
-    """A body at the time of diagnostics: its noise in words, and what was found of it."""
+    """A body at the time of diagnostics: what the tracker knows of it, and what was found."""
 
     number: int
     name: str
     absent: Finding | None
-    noises: dict[str, float]
+    values: dict[str, object]
     found: list[Finding]
-    erring: Mapping[str, float]
-    wrong: int
     warnings: list[Finding]
 
     def status(self, now: Estimate | None, is_receiving: bool, is_idle: bool) -> DiagnosticStatus:
         """Return the status of the body, with its estimate `now`, if any."""
         if is_receiving and self.absent:
             return _status(self.name, WARN, self.absent.words(), {}, [self.absent])
-        values: dict[str, object] = {**self.noises}
+        values = {**self.values}
         found: list[Finding] = []
         if not is_receiving:
-            level, message = STALE, TABLE['nothing'].sentence
+            level, message = STALE, Finding('nothing').words()
         elif now is not None:
             message, found = self._describe(now, values)
             level = WARN if found else OK
@@ -224,11 +212,6 @@ class _Body(NamedTuple):
             message = 'ready: nobody subscribes to a result, so none is computed'
         else:
             level, message = STALE, 'nothing known: too few frames yet'
-        for marker, deviation in self.erring.items():
-            name = repr(marker[: body_faults.SHOWN_CHARACTERS])
-            values[f'noise of marker {name}, which counts for less (m)'] = deviation
-        if self.wrong:
-            values['frames in which its pose was wrong, left out'] = self.wrong
         if self.warnings and level != STALE:
             level, message = WARN, f'{message}; {all_words(self.warnings)}'
             found = [*found, *self.warnings]
@@ -310,3 +293,12 @@ def _status(
     ]
     pairs += [KeyValue(key=f'{FINDING}{one.code}', value=one.as_json()) for one in found]
     return DiagnosticStatus(name=name, level=level, message=message, hardware_id='', values=pairs)
+
+
+def warnings_in(statuses: Iterable[DiagnosticStatus]) -> Iterator[str]:
+    """Yield the warnings among findings of statuses, a line each."""
+    for pair in chain.from_iterable(status.values for status in statuses):
+        if pair.key.startswith(FINDING):
+            finding = finding_of(pair.value)
+            if finding.level in (WARN, ERROR):
+                yield f'{finding.subject or "markers"}: {finding.words()}'

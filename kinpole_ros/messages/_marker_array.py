@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
+from kinpole_ros.findings import Finding
 from kinpole_ros.messages._offsets import Items, MarkerOffsets, MessageOffsets, text_at
 from kinpole_ros.messages._types import Marker, MessageError, NoMarkersError
 
@@ -82,15 +83,10 @@ def drawings_of(entries: Sequence[Entry], rows: Sequence[int]) -> Counter[str]:
     return Counter(_DRAWINGS.get(kind, f'of type {kind}') for kind in kinds)
 
 
-def drawings_text(drawings: Mapping[str, int]) -> str:
-    """Say which drawings are left out, and how many of them a message has; '' without any."""
-    if not drawings:
-        return ''
+def drawings_finding(drawings: Mapping[str, int]) -> Finding | None:
+    """Return which drawings are left out, and how many of them a message has, if any."""
     listed = ', '.join(f'{count} {kind}' for kind, count in drawings.items())
-    return (
-        f'no markers are {listed} of a MarkerArray, which are left out: markers are spheres, '
-        'cubes, cylinders, points and lists of these'
-    )
+    return Finding('drawings', values={'drawings': listed}) if listed else None
 
 
 def header_of(

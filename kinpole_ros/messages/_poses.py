@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from kinpole_ros.findings import ERROR, Finding
 from kinpole_ros.messages._cdr import Writer
 from kinpole_ros.messages._offsets import MessageOffsets, stamp_at, text_at
 from kinpole_ros.messages._points import blank_unseen, rotation_matrices
@@ -106,53 +107,42 @@ class PoseReader:
         """Read serialized messages: their frames in order, and errors."""
         return [result for result, _ in self.read_numbered(messages)]
 
-    def fault(self) -> str:
-        """Say which of the names no message had, or which were stamped too late; '' if neither."""
+    def fault(self) -> Finding | None:
+        """Return which of the names no message had, or which were stamped too late, if any."""
         return self._unseen_names() or self._late_names() or self._stamps_apart()
 
-    def _stamps_apart(self) -> str:
-        """Say which body is on a frame that moves and came with other stamps."""
-        ((name, below), count), *_ = self._transforms.apart.most_common(1) or [(('', ''), 0)]
-        # The first time the frames below may not be known yet.
-        if count < 2:
-            return ''
-        return (
-            f'{_shown(name)} is on {_shown(below)}, and came {count} times with another stamp: its '
-            'pose in the fixed frame is not known then; fix: have both sent with one stamp'
-        )
+    def _stamps_apart(self) -> Finding | None:
+        """Return which body is on a frame that moves and came with other stamps."""
+        for (name, below), times in self._transforms.separate.most_common(1):
+            # The first time the frames below may not be known yet.
+            if times > 1:
+                about = {'name': _shown(name), 'below': _shown(below), 'count': times}
+                return Finding('stamped_apart', '', about, ERROR)
+        return None
 
-    def _late_names(self) -> str:
-        """Say which body on /tf always came with older stamps than another one before it."""
+    def _late_names(self) -> Finding | None:
+        """Return which body on /tf always came with older stamps than another one before it."""
         for name, own in self._stamps_of.items():
             others = {k: one for k, one in self._stamps_of.items() if k != name}
-            if not others or not 0 < own.least_late < END_OF_TIME:
-                continue
-            other, newest = max(others.items(), key=lambda pair: pair[1].last)
-            late = (
-                f'{_shown(name)} has stamps at least {own.least_late / SECOND:.6g} s behind those'
-            )
-            if own.last < newest.first:
-                return (
-                    f'{late} of {_shown(other)}, which came with it: stamps of two clocks; fix: '
-                    'have both stamped by one clock'
-                )
-            return (
-                f'{late} that came before it, as of {_shown(other)}: it comes too late for their '
-                'frames; fix: have the driver send bodies of one frame with one stamp'
-            )
-        return ''
+            if others and 0 < own.least_late < END_OF_TIME:
+                other, newest = max(others.items(), key=lambda pair: pair[1].last)
+                seconds = own.least_late / SECOND
+                about = {'name': _shown(name), 'other': _shown(other), 'seconds': seconds}
+                code = 'two_clocks' if own.last < newest.first else 'stamped_earlier'
+                return Finding(code, '', about, ERROR)
+        return None
 
-    def _unseen_names(self) -> str:
+    def _unseen_names(self) -> Finding | None:
         unseen = [name for name in self._names if name not in self._seen_names]
         if not unseen or not (self._seen_names or self._unused_names):
-            return ''
-        listed = ', '.join(map(_shown, self._unused_names)) or 'no others'
+            return None
         is_list = bool(MESSAGE_TYPES[self._kind].item)
-        what = 'frames' if self._kind == 'tf' else 'names' if is_list else 'places'
-        return (
-            f'no pose came of {", ".join(map(_shown, unseen))}; {what} that came, and no body has: '
-            f'{listed}; fix: name the one of each body, as <body>.markers'
-        )
+        about = {
+            'names': ', '.join(map(_shown, unseen)),
+            'noun': 'frames' if self._kind == 'tf' else 'names' if is_list else 'places',
+            'others': ', '.join(map(_shown, self._unused_names)) or 'no others',
+        }
+        return Finding('unseen_names', '', about, ERROR)
 
     def read_numbered(
         self, messages: Iterable[bytes]

@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.core.bindings import MessageLayout, library, pass_new_array
+from kinpole_ros.findings import Finding
 from kinpole_ros.messages._cdr import LITTLE
-from kinpole_ros.messages._marker_array import Names, drawings_text
+from kinpole_ros.messages._marker_array import Names, drawings_finding
 from kinpole_ros.messages._marker_layouts import Mask, markers_in
 from kinpole_ros.messages._offsets import MessageOffsets, stamp_at, text_at
 from kinpole_ros.messages._points import (
@@ -106,9 +107,9 @@ class MarkerReader:
         self._layouts: list[_Layout] = []
         self._drawings: dict[str, int] = {}  # the most in a message, by their kind
 
-    def fault(self) -> str:
-        """Say what messages had besides markers; '' for nothing."""
-        return drawings_text(self._drawings)
+    def fault(self) -> Finding | None:
+        """Return what messages had besides markers, if anything."""
+        return drawings_finding(self._drawings)
 
     def read(self, messages: Iterable[bytes]) -> list[MarkerFrames | MessageError]:
         """

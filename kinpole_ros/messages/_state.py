@@ -61,8 +61,8 @@ class StateBlock(NamedTuple):
     """
     Messages of the topic in a row that have one layout: `stamps` (T,), ns, and the rest (T, B).
 
-    `quantities` are as `read_state` returns them. `reasons` are codes (T, B) of `pose` and of each
-    of the quantities of `quantity_names`.
+    `quantities` are as `read_state` returns those (B,) of one message. `reasons` are codes (T, B)
+    of `pose` and of each of the quantities of `quantity_names`.
     """
 
     stamps: np.ndarray
@@ -242,15 +242,15 @@ def read_state(data: bytes) -> tuple[int, Quantities]:
     ValueError
         For a cloud of another topic, and for other bytes.
     """
-    ((stamp, quantities),) = read_states([data])
+    (block,) = read_state_blocks([data])
     of_bodies = {
         name: type(quantity)(*(part[0] for part in quantity))
-        for name, quantity in quantities.items()
+        for name, quantity in block.quantities.items()
     }
-    return int(stamp[0]), of_bodies
+    return int(block.stamps[0]), of_bodies
 
 
-def read_states(messages: Iterable[bytes]) -> Iterator[tuple[np.ndarray, Quantities]]:
+def read_state_blocks(messages: Iterable[bytes]) -> Iterator[StateBlock]:
     """
     Read messages of the topic `state` at once, ten times as fast as one by one.
 
@@ -261,34 +261,27 @@ def read_states(messages: Iterable[bytes]) -> Iterator[tuple[np.ndarray, Quantit
 
     Yields
     ------
-    stamps : ndarray
-        Stamps (T,), ns, of messages in a row that have one layout.
-    quantities : dict
-        Their quantities (T, B), as `read_state` returns those (B,) of one message.
+    StateBlock
+        Messages in a row that have one layout.
 
     Raises
     ------
     ValueError
         As `read_state`.
     """
-    return ((block.stamps, block.quantities) for block in read_state_blocks(messages))
-
-
-def read_state_blocks(messages: Iterable[bytes]) -> Iterator[StateBlock]:
-    """Yield messages of the topic `state` as `read_states`, with the codes of reasons."""
-    alike: list[bytes] = []
+    same_layout: list[bytes] = []
     layout: _Layout | None = None
     for data in messages:
-        if layout is not None and len(data) == len(alike[0]):
+        if layout is not None and len(data) == len(same_layout[0]):
             behind = slice(_STAMP.stop, layout.start)
-            if data[:4] == alike[0][:4] and data[behind] == alike[0][behind]:
-                alike.append(data)
+            if data[:4] == same_layout[0][:4] and data[behind] == same_layout[0][behind]:
+                same_layout.append(data)
                 continue
         if layout is not None:
-            yield _read_alike(alike, layout)
-        layout, alike = _layout_of(deserialize_message(data, PointCloud2)), [data]
+            yield _read_same_layout(same_layout, layout)
+        layout, same_layout = _layout_of(deserialize_message(data, PointCloud2)), [data]
     if layout is not None:
-        yield _read_alike(alike, layout)
+        yield _read_same_layout(same_layout, layout)
 
 
 class _Layout(NamedTuple):
@@ -345,7 +338,7 @@ def _added_in(names: list[str]) -> Iterator[tuple[str, list[str]]]:
             first = k
 
 
-def _read_alike(messages: Sequence[bytes], layout: _Layout) -> StateBlock:
+def _read_same_layout(messages: Sequence[bytes], layout: _Layout) -> StateBlock:
     """Read messages of one layout."""
     table = np.frombuffer(b''.join(messages), np.uint8).reshape(len(messages), -1)
     order = '<' if messages[0][1] & 1 else '>'

@@ -40,7 +40,7 @@ class TransformFrames:
         # Whether a frame is complete with each message, though bodies are missing.
         self._is_single = len(self._names) == 1
         # Frames below bodies that came with other stamps, and how often.
-        self.apart: Counter[tuple[str, str]] = Counter()
+        self.separate: Counter[tuple[str, str]] = Counter()
 
     def add_static(self, child: str, parent: str, pose: np.ndarray) -> None:
         """Add a frame that does not move in its parent."""
@@ -99,6 +99,6 @@ class TransformFrames:
         if not chain or chain[0] != self.fixed or name in absent:
             return _UNSEEN
         if absent:
-            self.apart[name, absent[-1]] += 1
+            self.separate[name, absent[-1]] += 1
             return _UNSEEN
         return multiply_out([known[frame] for frame in chain[1:]])

@@ -7,6 +7,7 @@ import numpy as np
 from kinpole_ros.findings import Finding
 from kinpole_ros.tracking.deformation import TISSUE
 from kinpole_ros.tracking.space import MAX_STRETCH_SHARE, SpaceReport
+from kinpole_ros.tracking.tracker import Tracker
 
 # Limits of what is listed: names of markers may be of any number and length.
 _LISTED_NAMES, SHOWN_CHARACTERS = 12, 80
@@ -15,6 +16,26 @@ _PLAUSIBLE_SIZES = (1e-3, 20.0)  # m, of bodies; others are likely in another un
 _LIKELY_SIZES = (0.02, 20.0)  # m, by which the unit is guessed
 _UNITS = {'m': 1.0, 'mm': 1e-3, 'km': 1e3, 'µm': 1e-6}  # in the order in which they are likely
 _MAX_CENTIMETERS = 100.0  # a body of fewer units may be in cm as well as in mm
+
+
+def body_findings(
+    tracker: Tracker, space: SpaceReport
+) -> list[tuple[list[Finding], list[Finding]]]:
+    """
+    Return of each body what is wrong with its shape or its noise, and its noisy markers.
+
+    `space` is how the motion lies in space.
+    """
+    noise, erring = tracker.noise().tolist(), tracker.erring()
+    residuals, causes = tracker.rigidity_residual().tolist(), tracker.causes()
+    found = []
+    for b, body in enumerate(tracker.bodies):
+        own = unit_findings(body, float(space.size[b]), tracker.settings.scale)
+        own += shape_findings(body, b, residuals[b], causes[b], space)
+        if tracker.noise_underestimated()[b] and not own:
+            own.append(Finding('smoothed', body))
+        found.append((own, marker_findings(body, erring[body], noise[b])))
+    return found
 
 
 def shape_findings(body: str, b: int, off: float, cause: str, report: SpaceReport) -> list[Finding]:

@@ -1,6 +1,6 @@
 """Findings about the input: stamps, the plane, and the names of markers."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -17,8 +17,7 @@ from kinpole_ros.tracking.tracker import Tracker
 _LISTED_NOTES, _NOTE_CHARACTERS = 3, 120  # notes on identities may be of any number and length
 _MAX_PACE = 100.0  # of stamps against arrivals: a bag played at ten times its speed is no fault
 _BUNCHED_STEP = 0.25  # of the mean step: the median step of frames that come in bunches is less
-_MIN_STAMPS = 5  # to judge their pace
-_MILD_TROUBLES = ('behind', 'clock', 'other types', 'sources', 'duplicates')  # figures still come
+_MIN_STAMPS = 5  # to know their pace
 _OF_SHAPES = {'mirrored': 'mirrored', 'other': 'other_shape', 'nowhere': 'shape_nowhere'}
 
 
@@ -136,24 +135,20 @@ def stamp_findings(
 
 
 def input_findings(
-    tracker: Tracker, since: Mapping[str, int], trouble: Mapping[str, str], topic: str
+    tracker: Tracker, since: Mapping[str, int], trouble: Iterable[Finding], topic: str
 ) -> list[Finding]:
     """
     Return what is wrong with the input, by the counts `since` the last ones.
 
-    `trouble` are other faults by their kind, in words, and `topic` is that of the markers.
+    `trouble` is what was found before the tracker, and `topic` is that of the markers.
     """
     frames = since.get('frames', 0)
-    mild = {*_MILD_TROUBLES}
-    if frames:
-        mild.add('qos')
+    # Results still come of other publishers, and of other messages.
+    mild = {'less_qos'} if frames else set()
     if frames > since.get('unreadable', 0):
-        mild.add('message')
-    found = [
-        Finding('source', '', {'kind': kind, 'text': text}, WARN if kind in mild else ERROR)
-        for kind, text in trouble.items()
-    ]
-    if not frames and mild.issuperset(trouble):
+        mild.add('unreadable_message')
+    found = [one._replace(level=WARN) if one.code in mild else one for one in trouble]
+    if not frames and all(one.level == WARN for one in found):
         code = 'nothing_on_topic' if topic else 'nothing'
         return [Finding(code, values={'topic': topic}, level=STALE), *found]
     if dropped := since.get('dropped'):

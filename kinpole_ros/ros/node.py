@@ -28,6 +28,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from kinpole_ros.findings import ERROR, Finding
 from kinpole_ros.messages import (
     RIG,
     TF,
@@ -75,9 +76,10 @@ class KinpoleNode(ParameterNode):
         # Stamps and newest estimate of the frames since the last diagnostics.
         self._stamps: list[int] = []
         self._latest: Estimate | None = None
-        # Present faults, and the keys of those noted since the last diagnostics.
-        self._faults: dict[str, str] = {}
+        # Present findings by their kind, and the kinds of those noted since the last diagnostics.
+        self._faults: dict[str, Finding] = {}
         self._noted: set[str] = set()
+        self._refusal = ''  # why the last activation failed
         self._last_diagnostics = self._steady.now()
         self._status_publisher: Any = None
         self._rig_publisher: Any = None
@@ -98,7 +100,7 @@ class KinpoleNode(ParameterNode):
         if self.get_parameter('autostart').value:
             self.trigger_configure()
             if self.trigger_activate() != TransitionCallbackReturn.SUCCESS:
-                raise ParameterError(self._faults['start'])
+                raise ParameterError(self._refusal)
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., Any], *args: Any, **kwargs: Any
@@ -109,11 +111,8 @@ class KinpoleNode(ParameterNode):
             if message.clock.sec >= 0:
                 callback(message)
                 return
-            self._note(
-                'clock',
-                f'/clock tells of {message.clock.sec} s, and ROS has no time before 0; that is '
-                'left out: see to what publishes it',
-            )
+            about = {'seconds': message.clock.sec}
+            self._note('clock', Finding('negative_time', values=about))
 
         checked = take_clock if msg_type is ClockMessage else callback
         return super().create_subscription(msg_type, topic, checked, *args, **kwargs)
@@ -189,7 +188,7 @@ class KinpoleNode(ParameterNode):
             self._discover()
         except ParameterError as error:
             self.on_deactivate(state)
-            self._faults['start'] = str(error)
+            self._refusal = str(error)
             if not self.get_parameter('autostart').value:
                 self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
@@ -256,7 +255,8 @@ class KinpoleNode(ParameterNode):
         for frames in results:
             if isinstance(frames, MessageError):
                 self._tracker.count('unreadable')
-                self._note('message', str(frames))
+                about = {'problem': str(frames)}
+                self._note('message', Finding('unreadable_message', '', about, ERROR))
                 continue
             self._stamps.extend(frames.stamps.tolist())
             for estimate in self._tracker.add(frames, order, needs_events):
@@ -270,15 +270,15 @@ class KinpoleNode(ParameterNode):
         self._is_processing = False
         self._failures = 0
 
-    def _note(self, key: str, text: str) -> None:
-        """Keep a fault for the diagnostics, and log it when it begins; without text it is over."""
-        if not text:
-            self._faults.pop(key, None)
+    def _note(self, kind: str, finding: Finding | None) -> None:
+        """Keep a finding for the diagnostics, and log it when it begins; None ends its kind."""
+        if finding is None:
+            self._faults.pop(kind, None)
             return
-        if key not in self._faults:
-            self.get_logger().warning(text)
-        self._faults[key] = text
-        self._noted.add(key)
+        if kind not in self._faults:
+            self.get_logger().warning(finding.words())
+        self._faults[kind] = finding
+        self._noted.add(kind)
 
     def _publish_diagnostics(self) -> None:
         now = self._steady.now()
@@ -289,11 +289,11 @@ class KinpoleNode(ParameterNode):
         self.source.note_several_publishers()
         self.source.note_pose_fault()
         self._note_duplicate_publishers()
-        for key in _PASSING_FAULTS - self._noted:
-            self._note(key, '')
+        for kind in _PASSING_FAULTS - self._noted:
+            self._note(kind, None)
         self._noted.clear()
         array = self._diagnostics.make(
-            stamp, self._tracker, self._latest, seconds, self._faults, self._stamps
+            stamp, self._tracker, self._latest, seconds, self._faults.values(), self._stamps
         )
         self._stamps, self._latest = [], None
         self._status_publisher.publish(serialize_message(array))
@@ -302,7 +302,7 @@ class KinpoleNode(ParameterNode):
     def _note_duplicate_publishers(self) -> None:
         """Note other nodes that publish the same results."""
         topic = self.results.first_topic
-        text = ''
+        finding = None
         # The count is cheaper than the names.
         if self.count_publishers(topic) > 1:
             names = publishers_of(self, topic)
@@ -311,12 +311,8 @@ class KinpoleNode(ParameterNode):
                 names.remove(own)
             if names:
                 listed = ', '.join('another node of this name' if n == own else n for n in names)
-                text = (
-                    f'{topic} and the like are published by {listed} too: give each node a '
-                    'name of its own (-r __node:=NAME), and play of a bag the markers alone; what '
-                    'was killed counts for some seconds more'
-                )
-        self._note('duplicates', text)
+                finding = Finding('duplicate_results', values={'topic': topic, 'names': listed})
+        self._note('duplicates', finding)
 
     def recover(self, error: Exception) -> None:
         """Note an error that no callback caught; the tracker forgets as little as helps."""
@@ -329,7 +325,8 @@ class KinpoleNode(ParameterNode):
         *_, place = traceback.extract_tb(error.__traceback__)
         cause = f'{type(error).__name__}: {" ".join(str(error).split())}'
         where = f'{Path(place.filename).name}:{place.lineno}'
-        self._note('failure', f'the node failed ({cause}, {where}) and {outcome}')
+        about = {'cause': cause, 'place': where, 'outcome': outcome}
+        self._note('failure', Finding('node_failed', '', about, ERROR))
 
 
 def _change_if_possible(change: Callable[..., Any], request: Any, response: Any) -> Any:

@@ -9,7 +9,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.subscription import Subscription
 
 from kinpole_ros.bags import RECORDER, BagError, BagWriter
@@ -129,6 +129,8 @@ class Recorder(Node):
                 self._request_less(recorded)
 
     def _subscribe(self, name: str, kind: str, qos: QoSProfile) -> None:
+        if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+            self._writer.add_topic(name, kind, is_latched=True)
         save = self._saver(name, kind)
         events = SubscriptionEventCallbacks(
             incompatible_qos=lambda _: self._incompatible.add(subscription)

@@ -19,11 +19,11 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.type_support import check_is_valid_msg_type
 
+from kinpole_ros.findings import ERROR, WARN, Finding
 from kinpole_ros.messages import (
     AUTO_TYPES,
     INPUT_TYPE_NAMES,
     MessageError,
-    PoseReader,
     installed_class,
     reader_of,
 )
@@ -53,8 +53,8 @@ class MarkerSource:
     The subscription to the markers.
 
     `on_markers` is called with a message and its info, by rclpy or by `take_messages`; it calls
-    `take` to read it and all that wait. `note(key, text)` is called for each fault, and with an
-    empty text when the fault is over.
+    `take` to read it and all that wait. `note(kind, finding)` is called for each fault, and with
+    None when that kind of fault is over.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class MarkerSource:
         node: Node,
         settings: Settings,
         on_markers: Callable[[bytes, Mapping[str, Any]], None],
-        note: Callable[[str, str], None],
+        note: Callable[[str, Finding | None], None],
     ) -> None:
         self._node, self._settings = node, settings
         self._on_markers, self._note = on_markers, note
@@ -99,6 +99,17 @@ class MarkerSource:
         """Take a message, if one waits, and have it processed."""
         for taken in [*take(self._subscription, 1)]:
             self._on_markers(*taken)
+
+    def _take_waiting(self) -> None:
+        """Have what waits now processed; of a stream faster than the node, more waits then."""
+        now = time.time_ns()
+        for _ in range(0, self._depth, _BATCH):
+            waiting = [*take(self._subscription, 1)]
+            if not waiting:
+                return
+            self._on_markers(*waiting[0])
+            if (received_at(waiting[0][1]) or 0) >= now:
+                return
 
     def close(self) -> None:
         """Unsubscribe; the next `update` may subscribe again."""
@@ -143,17 +154,15 @@ class MarkerSource:
                 subscribed_class(kinds[0])
                 reader_of(kinds[0], self._settings)
             except ParameterError as error:
-                fault = f'{INPUT_TYPE_NAMES[kinds[0]]} on {self.topic} cannot be read: {error}'
-                kinds = []
+                about = {'type': INPUT_TYPE_NAMES[kinds[0]], 'problem': str(error)}
+                kinds, fault = [], self._finding('unusable_type', ERROR, **about)
         self._note('type', fault)
         if kinds and self._kind not in kinds:
             self.close()
             self._subscribe(kinds[0], offers)
             self._publishers = seen
         elif self.is_subscribed and self._is_other_qos_due(offers):
-            # What waits now, and no more: a stream that is faster than the node has no end.
-            for waiting in [*take(self._subscription, self._depth)]:
-                self._on_markers(*waiting)
+            self._take_waiting()
             self._unsubscribe()
             self._subscribe(self._kind, offers)
         if self.is_subscribed:
@@ -164,20 +173,25 @@ class MarkerSource:
         self._note_incompatible(offers)
         return is_replaced
 
-    def _readable_kinds(self, published: set[str]) -> tuple[list[str], str]:
+    def _finding(self, code: str, level: int, **values: Any) -> Finding:
+        """Return a finding about the topic."""
+        return Finding(code, values={'topic': self.topic, **values}, level=level)
+
+    def _readable_kinds(self, published: set[str]) -> tuple[list[str], Finding | None]:
         """Return the input types that can be subscribed to, and the fault if none is published."""
         marker_type = self._settings.marker_type
         is_auto = marker_type == 'auto'
         readable = list(AUTO_TYPES) if is_auto else [marker_type]
         matching = [kind for kind in readable if INPUT_TYPE_NAMES[kind] in published]
-        fault = ''
+        fault = None
         if published and not matching:
-            fault = (
-                f'{self.topic} is published as {", ".join(sorted(published))}; it must be '
-                f'one of {", ".join(INPUT_TYPE_NAMES[kind] for kind in readable)}'
+            is_tf = INPUT_TYPE_NAMES['tf'] in published and is_auto
+            fault = self._finding(
+                'wrong_type_or_tf' if is_tf else 'wrong_type',
+                ERROR,
+                published=', '.join(sorted(published)),
+                readable=', '.join(INPUT_TYPE_NAMES[kind] for kind in readable),
             )
-            if INPUT_TYPE_NAMES['tf'] in published and is_auto:
-                fault += ', or marker_type must be tf and <body>.markers name its frame'
         return matching if is_auto else readable, fault
 
     def _highest_depth(self) -> int:
@@ -233,30 +247,23 @@ class MarkerSource:
 
     def _note_incompatible(self, offers: Sequence[TopicEndpointInfo]) -> None:
         """Note a publisher that offers too little QoS; rclpy reports it only when it appears."""
-        text = ''
+        fault = None
         for offer in offers:
             if offer.topic_type != INPUT_TYPE_NAMES.get(self._kind):
                 continue
             match, reason = qos_check_compatible(offer.qos_profile, self._subscription.qos_profile)
             if match == QoSCompatibility.ERROR:
-                why = reason.replace('ERROR: ', '').rstrip(';')
-                text = (
-                    f'a publisher of {self.topic} offers less QoS than this node asks for, and '
-                    f'nothing is received from it ({why}): set the parameters '
-                    f'qos_overrides.{self.topic}.subscription... to what it offers'
-                )
-        self._note('qos', text)
+                problem = reason.replace('ERROR: ', '').rstrip(';')
+                fault = self._finding('less_qos', ERROR, problem=problem)
+        self._note('qos', fault)
 
     def _note_other_types(self, published: set[str]) -> None:
         followed = INPUT_TYPE_NAMES.get(self._kind)
-        text = ''
+        fault = None
         if followed in published and len(published) > 1:
-            listed = ', '.join(sorted(published - {followed}))
-            text = (
-                f'{self.topic} is published as {listed} too, and that is not read: {followed} is '
-                'followed; set the parameter marker_type, or publish only one of them'
-            )
-        self._note('other types', text)
+            others = ', '.join(sorted(published - {followed}))
+            fault = self._finding('other_types', WARN, others=others, type=followed)
+        self._note('other types', fault)
 
     def _note_publishers(self, seen: set[bytes]) -> bool:
         """Note the present publishers; return whether they have replaced all earlier ones."""
@@ -311,12 +318,8 @@ class MarkerSource:
         elif self._is_behind():
             began, cpu_time = self._behind_since
             share = (time.process_time() - cpu_time) / (time.monotonic() - began)
-            self._note(
-                'behind',
-                f'the node is slower than the stream: frames wait {seconds:.1f} s while it has '
-                f'{share:.0%} of a processor; fix: send fewer frames, read fewer results, or stop '
-                'what else runs',
-            )
+            about = {'seconds': seconds, 'share': share}
+            self._note('behind', Finding('behind', values=about))
 
     def _count_lost(self, numbers: Iterable[int | None]) -> int:
         """Count the messages missing between these, where one publisher numbers them."""
@@ -339,22 +342,17 @@ class MarkerSource:
     def note_pose_fault(self) -> None:
         """Note names of poses that no message has, or stamped too late, and what is no marker."""
         reader = self._reader if self._kind else None
-        fault = reader.fault() if reader is not None else ''
-        key = 'names' if isinstance(reader, PoseReader) else 'drawings'
-        self._note(key, f'on {self.topic} {fault}' if fault else '')
+        self._note('names', reader.fault() if reader is not None else None)
 
     def note_several_publishers(self) -> None:
         """Note whether several publishers have sent alternately since the last call."""
-        text = ''
+        fault = None
         # Once may be a driver that was killed and has restarted, before its end was noticed.
         # Several nodes may publish on /tf.
         if self._alternations > 1 and self._kind != 'tf':
             names = ', '.join(publishers_of(self._node, self.topic))
-            text = (
-                f'several publishers send markers on {self.topic} in turn ({names}), and results '
-                'are of all of them mixed: stop all but one'
-            )
-        self._note('sources', text)
+            fault = self._finding('several_publishers', WARN, names=names)
+        self._note('sources', fault)
         self._alternations = 0
 
 

@@ -7,7 +7,7 @@ the same things in the same words.
 
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -155,6 +155,11 @@ class Settings:
     def highest_order(self) -> int:
         """The highest derivative of all results, also of those that no live topic asks for."""
         return self.derivative_order or 4
+
+    def of_recording(self) -> 'Settings':
+        """Return these for a recording known as a whole: a default lag becomes half a window."""
+        is_default = self.lag == PARAMETERS['lag'].default
+        return replace(self, lag=self.window / 2) if is_default else self
 
     @cached_property
     def window_ns(self) -> int:

@@ -1,5 +1,6 @@
 """What is known of the bodies: shapes, weights and noise of their markers, pins, hubs."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -73,7 +74,7 @@ class Fitting(NamedTuple):
     size: Real
     middle: Complex
     mature: np.ndarray
-    error: Real
+    marker_variance: Real
     fit_noise: Real
     information_factor: Real
     reason: np.ndarray
@@ -214,7 +215,9 @@ class Bodies:
         placement, mature = self.placement, self.fits >= MIN_SAMPLES
         spread = placement.spread
         size = 2 * np.sqrt(spread / np.maximum(placement.learned_count, 1))
-        limits = marker_limits(mature, self.misfit, self.error, spread, size, self.relative)
+        limits = marker_limits(
+            mature, self.misfit, self.marker_variance, spread, size, self.relative
+        )
         middle, factor = placement.factors.mean, np.ones((2, self.count))
         if self.are_measured:
             # Distance from their mean of markers with such noise.
@@ -226,7 +229,7 @@ class Bodies:
             size=size,
             middle=middle,
             mature=mature,
-            error=self.error,
+            marker_variance=self.marker_variance,
             fit_noise=np.where(self.noise > 0, self.noise, 1.0),
             information_factor=factor,
             reason=reasons_of(self.noise, spread, self.angle_noise),
@@ -242,7 +245,7 @@ class Bodies:
         return np.where(self.hub == 0, self.fitting.middle, self.hub)
 
     @property
-    def error(self) -> Real:
+    def marker_variance(self) -> Real:
         """Variance (B,) of a coordinate of a marker, m^2: the misfit, no less than rounding."""
         return np.maximum(self.misfit, self.least_noise**2)
 
@@ -288,12 +291,16 @@ class Bodies:
 
     def restart(self, which: np.ndarray) -> 'Bodies':
         """Forget some bodies (B,), which start again when they are seen next."""
-        fresh = new_bodies(self.count, self.width)
-        parts = dict.fromkeys(_FORGOTTEN, which) | dict.fromkeys(_OF_MARKERS, which[:, None])
-        arrays = {
-            name: np.where(part, getattr(fresh, name), getattr(self, name))
-            for name, part in parts.items()
-        }
+        return self.take(new_bodies(self.count, self.width), which, (*_FORGOTTEN, *_OF_MARKERS))
+
+    def take(self, other: 'Bodies', which: np.ndarray, names: Iterable[str]) -> 'Bodies':
+        """Return bodies with arrays of `other`, by their `names`, for those of `which` (B,)."""
+        if which.all():
+            return self.change(**{name: getattr(other, name) for name in names})
+        arrays = {}
+        for name in names:
+            part = which[:, None] if name in _OF_MARKERS else which
+            arrays[name] = np.where(part, getattr(other, name), getattr(self, name))
         return self.change(**arrays)
 
     def widen(self, width: int) -> 'Bodies':

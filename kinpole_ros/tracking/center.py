@@ -89,7 +89,7 @@ def update_pins(
     information = history['information'][rows] * bodies.fitting.information_factor
     has_pose = (information > 0).all(axis=1)
     with np.errstate(divide='ignore', invalid='ignore'):
-        variance = bodies.error / information
+        variance = bodies.marker_variance / information
     off = has_pose & _off_pins(bodies, position, angle, variance)
     bodies, search = _drop(bodies, search, _any_run(off, CONFIRMING_FRAMES))
     usable = has_pose & ~off
@@ -113,7 +113,7 @@ def update_pins(
         search.last_angle[b] = angle[at[-1], b]
         search.count[b] += len(at)
     # Poses are weighed by their noise, which is 0 until it is known.
-    which = np.flatnonzero((search.count >= MIN_SAMPLES) & (bodies.error > 0))
+    which = np.flatnonzero((search.count >= MIN_SAMPLES) & (bodies.marker_variance > 0))
     bodies = bodies.change(pin_since=since)
     return _fit_pins(bodies, search, which) if len(which) else (bodies, search)
 
@@ -134,7 +134,7 @@ def _fit_pins(bodies: Bodies, search: PinSearch, which: np.ndarray) -> tuple[Bod
     is_pose = (is_pose & np.isfinite(fit.angle))[:, which]
     z = np.where(is_pose, fit.position[:, which], 0)
     e = np.where(is_pose, np.exp(1j * fit.angle[:, which]), 0)
-    misfit, factor = bodies.error[which], bodies.fitting.information_factor[:, which]
+    misfit, factor = bodies.marker_variance[which], bodies.fitting.information_factor[:, which]
     information = fit.weight[:, which] * factor[1], fit.spread[:, which] * factor[0]
     with np.errstate(divide='ignore', invalid='ignore'):
         even, of_angle = (np.where(is_pose, misfit / part, 0.0) for part in information)
@@ -234,7 +234,7 @@ def find_hubs(bodies: Bodies, history: History, window: int, before: Complex) ->
     times = (time[rows] - time[first][:, None]) / window
     sums = np.where(usable, _residual_sums(times, values, visible), 0.0)  # (3, D, W, B)
     with np.errstate(divide='ignore', invalid='ignore'):
-        variance = np.where(visible[:, :, None], bodies.error / information, 0.0)
+        variance = np.where(visible[:, :, None], bodies.marker_variance / information, 0.0)
     variance = variance.sum(axis=1) / np.maximum(count, 1)[:, None]
     freedom = np.where(usable, count - 1 - _DEGREES[..., None], 0)
     return _hubs_of_sums(sums, variance, freedom, before)

@@ -125,7 +125,7 @@ def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.
     """
     resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
     if before is not None and len(stamps) > SEARCHED and before.resolution == resolution:
-        near = _counts_if_near(stamps, before)
+        near = counts_if_near(stamps, before)
         if near is not None:
             return before, near
     origin = int(stamps[0])
@@ -282,7 +282,7 @@ def count_until_slip(stamps: np.ndarray, clock: Clock, before: int, slipped_at: 
     return int(slips.argmax()) if slips.any() else len(stamps)
 
 
-def _counts_if_near(stamps: np.ndarray, clock: Clock) -> np.ndarray | None:
+def counts_if_near(stamps: np.ndarray, clock: Clock) -> np.ndarray | None:
     """Counts (N,) of frames by their clock, if all stamps (N,) are near its ticks."""
     counts = count_frames(stamps, clock)
     late = stamps - clock.origin - clock.phase - counts * clock.interval

@@ -6,7 +6,8 @@ import numpy as np
 
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex
-from kinpole_ros.tracking.correction import correct_markers, predict_angle
+from kinpole_ros.tracking.correction import correct_markers
+from kinpole_ros.tracking.identity import predict_poses
 from kinpole_ros.tracking.rejection import SPOILING_LIMITS
 from kinpole_ros.tracking.statistics import bulk_maximum, mean_square
 
@@ -54,11 +55,15 @@ def consensus_shape(
         return None
     points, counts = points.copy(), Counter[str]()
     angles = np.where(worst > limit, np.nan, fits.angle[best])
+    weights, limits = (~np.isnan(shape)).astype(float), np.full(len(shape), limit)
+    middle = full[best, ~np.isnan(full[best])].mean()
+    positions = fits.position[best] + np.exp(1j * fits.angle[best]) * middle
     for frame in np.flatnonzero(worst > limit):
-        weights = (~np.isnan(shape)).astype(float)
         is_after = np.isfinite(angles[:frame]).any()
-        predicted, _ = predict_angle(angles[:frame] if is_after else angles[:frame:-1])
-        correction = correct_markers(points[frame], shape, weights, limit, predicted)
+        before = slice(frame) if is_after else slice(None, frame, -1)
+        known = angles[before, None], positions[before, None]
+        predicted = predict_poses(np.arange(len(known[0]) + 1), *known)
+        correction = correct_markers(points[frame], shape, weights, limits, predicted)
         points[frame] = correction.points
         counts.update(correction.counts)
     weights = (~np.isnan(points) & ~np.isnan(shape)).astype(float)

@@ -1,13 +1,11 @@
 """
 Correct the markers of a frame that is not usual: names first, then markers that do not fit.
 
-A tracker may exchange two markers of a body, or see one where it is not. A body that does not fit
-its shape is fitted with its markers permuted, or without the fewest of them.
+A tracker may exchange two markers of a body, or see one where it is not. Of all ways to place a
+body that does not fit on its markers, the likeliest is taken.
 """
 
 from collections import Counter
-from functools import partial
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -16,24 +14,23 @@ from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.candidates import find_candidates, fit_points
+from kinpole_ros.tracking.identity import Prediction, predict_poses
 from kinpole_ros.tracking.placed_frames import PlacedFrames
 from kinpole_ros.tracking.rejection import (
     DROPPED,
+    EXCHANGE_NATS,
     EXCHANGED,
     LEFT_OUT,
     MAX_SEARCH_INTERVAL,
-    MAX_SQUARE_RATIO,
+    MIRROR_NATS,
     MIRRORED,
     NAME_DOUBTFUL,
-    NEAR_ANGLE,
     NO_MARKER_REPEATS,
     ODD,
-    REVERSED,
-    SLOW_STEP,
+    OUTLIER_NATS,
 )
 from kinpole_ros.tracking.state import NameSearch, State, put_bodies, restart_bodies
-from kinpole_ros.tracking.statistics import mean_square
-from kinpole_ros.tracking.thresholds import MIN_SAMPLES, RECENT_FRAMES
+from kinpole_ros.tracking.thresholds import MIN_SAMPLES
 
 _NOWHERE = complex(np.nan, np.nan)
 
@@ -76,10 +73,9 @@ def correct_next(state: State, placed: PlacedFrames, k: int) -> Complex:
     if not unusual & ODD:
         return markers
     odd = (state.step.tracks['unusual'] & ODD) > 0
-    end = state.history.end
-    rows = slice(max(state.history.first, end - 2 * MIN_SAMPLES), end)
-    angles = state.history.columns['angle'][rows]
-    fitted, order, corrected = correct_frame(bodies, angles, markers, odd)
+    stamp = placed.frames.stamps[k]
+    predicted = predict_poses(*state.history.poses_before(stamp, 2 * MIN_SAMPLES))
+    fitted, order, corrected = correct_frame(bodies, predicted, markers, odd)
     counts.update(corrected)
     if (order != np.arange(order.shape[1])).any():
         markers[...] = np.take_along_axis(markers, order, axis=1)
@@ -111,7 +107,7 @@ def _correct_names(
 
 
 def correct_frame(
-    bodies: Bodies, angles: Real, markers: Complex, odd: np.ndarray
+    bodies: Bodies, predicted: Prediction, markers: Complex, odd: np.ndarray
 ) -> tuple[Complex, np.ndarray, Counter[str]]:
     """
     Correct the markers of the bodies of one frame that do not fit.
@@ -123,8 +119,8 @@ def correct_frame(
     ----------
     bodies : Bodies
         What is known.
-    angles : (N, B) float
-        Angles of the bodies in the frames before, rad, NaN for a body that was not seen.
+    predicted : Prediction
+        The poses that are expected.
     markers : (B, n) complex
         Markers in the plane, m, NaN for those not seen.
     odd : (B,) bool
@@ -143,76 +139,38 @@ def correct_frame(
     fitted, counts = markers.copy(), Counter[str]()
     order = np.tile(np.arange(markers.shape[1]), (len(markers), 1))
     for b in np.flatnonzero(odd).tolist():
-        fitted[b], order[b], of_body = _correct_body(bodies, angles[:, b], markers[b], b)
+        fitted[b], order[b], of_body = _correct_body(bodies, predicted, markers[b], b)
         counts.update(of_body)
     return fitted, order, counts
 
 
-def _correct_body(bodies: Bodies, angles: Real, markers: Complex, b: int) -> Correction:
+def _correct_body(bodies: Bodies, predicted: Prediction, markers: Complex, b: int) -> Correction:
     """Correct the markers (n,) of one body."""
-    fitting, placement, shape = bodies.fitting, bodies.placement, bodies.shape[b]
-    limit = float(fitting.limit[b])
-    weights = np.where(np.isnan(markers), 0.0, placement.weights[b])
-    predicted, is_slow = predict_angle(angles)
-    fit = fit_pose(markers, shape, weights)
-    order, counts = np.arange(len(markers)), Counter[str]()
-    is_reversed = is_slow and np.cos(fit.angle - predicted) < np.cos(REVERSED)
-    if is_reversed and limit**2 < placement.spread[b]:
-        turned = half_turn_order(shape, weights, limit)
-        if turned is not None:
-            order, markers = turned, markers[turned]
-            fit = fit_pose(markers, shape, weights)
-    if not (fitting.mature[b] and (np.abs(fit.residual) > np.sqrt(fitting.largest[b])).any()):
-        return Correction(markers, order, counts)
-    noise_ratio = np.sqrt(bodies.relative[b])
-    found = correct_markers(markers, shape, placement.weights[b], limit, predicted, noise_ratio)
-    points, counts = found.points, found.counts
-    fit = fit_pose(points, shape, np.where(np.isnan(points), 0, weights))
-    square = mean_square(fit.residual / noise_ratio, fit.freedom)[0]
-    if square > MAX_SQUARE_RATIO * bodies.misfit[b]:
-        # Where one marker is wrong another may be, by less than makes it an outlier.
-        counts[DROPPED] += int(np.count_nonzero(~np.isnan(points)))
-        points = np.full_like(points, _NOWHERE)
+    fitting, weights, shape = bodies.fitting, bodies.placement.weights[b], bodies.shape[b]
+    limits = fitting.limit[b] * np.sqrt(bodies.relative[b])
+    points, order, counts = correct_markers(markers, shape, weights, limits, predicted, b)
+    if not (fitting.mature[b] and counts):
+        # Nothing is left out while residuals are not known.
+        return Correction(markers[order], order, Counter())
     # Exchanged markers are counted in every frame that has them: see `count_exchanged`.
     del counts[EXCHANGED]
-    return Correction(points, order[found.order], counts)
-
-
-def predict_angle(angles: Real) -> tuple[float, bool]:
-    """The angle of a body in the frame after `angles` (N,), and whether it turned slowly."""
-    seen = np.flatnonzero(np.isfinite(angles[-RECENT_FRAMES:]))
-    seen += max(len(angles) - RECENT_FRAMES, 0)
-    if not len(seen):
-        return np.nan, False
-    last = int(seen[-1])
-    predicted = float(angles[last])
-    if len(seen) > 1:
-        step = _wrap(angles[last] - angles[seen[-2]]) / (last - seen[-2])
-        predicted += step * (len(angles) - last)
-    steps = np.abs(_wrap(np.diff(angles)))
-    is_slow = np.isfinite(steps).sum() >= MIN_SAMPLES // 2 and not (steps > SLOW_STEP).any()
-    return predicted, bool(is_slow and np.abs(predicted - angles[last]) < SLOW_STEP)
-
-
-def _wrap(angle: Real | float) -> Real:
-    """Angles in [-pi, pi)."""
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+    return Correction(points, order, counts)
 
 
 def correct_markers(
     points: Complex,
     shape: Complex,
     weights: Real,
-    limit: float,
-    angle: float = np.nan,
-    noise_ratio: Real | float = 1.0,
+    limits: Real,
+    predicted: Prediction,
+    b: int = 0,
 ) -> Correction:
     """
     Correct the markers of one body that do not fit its shape.
 
-    Tries, in this order, to permute the markers, to leave one out, to permute all but one, and to
-    leave two out. The first kind with all residuals within the limit is taken, at its best. A body
-    that none of these corrects, or that fits mirrored, is left out.
+    Each way to place the body on them costs what makes it unlikely, in nats: residuals, markers
+    that are left out or exchanged, a mirrored body, a pose that was not expected. The least cost
+    wins. A body that none of them places, or that is mirrored, is left out.
 
     Parameters
     ----------
@@ -220,12 +178,10 @@ def correct_markers(
         Markers in the plane, NaN where hidden, and their slots in the frame of the body, m.
     weights : (n,) float
         Weights of the slots, 0 for a marker whose place on the body is not known.
-    limit : float
-        Largest residual of a marker, m.
-    angle : float
-        Predicted angle of the body, rad; NaN if unknown.
-    noise_ratio : (n,) float
-        Standard deviation of each marker over that of the others, a factor of the limit.
+    limits : (n,) float
+        Residuals of outliers, m.
+    predicted, b : Prediction, int
+        The poses that are expected, and which of them is of this body.
 
     Returns
     -------
@@ -236,61 +192,30 @@ def correct_markers(
     slots = np.arange(len(points))
     seen = np.flatnonzero((weights > 0) & ~np.isnan(points))
     in_order = np.where(np.isin(slots, seen), slots, -1)
-    learned = np.where(weights > 0, shape, _NOWHERE)
-
-    def without(count: int) -> list[np.ndarray]:
-        return [np.where(np.isin(slots, out), -1, in_order) for out in combinations(seen, count)]
-
-    best_of = partial(_best_of, points, seen, shape, weights, limit, angle, noise_ratio)
-    if len(seen) > 2:
-        orders = find_candidates(points, seen, learned, limit).indices
-        full = _complete_orders(orders, points, seen, learned, limit * noise_ratio)
-        if correction := best_of(full):
-            return correction
-        if _fits_mirrored(points, shape, weights, in_order, limit, noise_ratio):
-            return _leave_out_body(points, seen, MIRRORED)
-        correction = best_of(without(1))
-        if correction is None and len(seen) > 3:
-            correction = best_of(orders[(orders >= 0).sum(axis=1) == len(seen) - 1])
-        # Nothing would tell whether two remaining markers are right.
-        if correction is None and len(seen) > 4:
-            correction = best_of(without(2))
-        if correction is not None:
-            return correction
-    return _leave_out_body(points, seen, DROPPED)
-
-
-def _best_of(
-    points: Complex,
-    seen: np.ndarray,
-    shape: Complex,
-    weights: Real,
-    limit: float,
-    angle: float,
-    noise_ratio: Real | float,
-    orders: np.ndarray | list[np.ndarray],
-) -> Correction | None:
-    """Return the markers in the best of the orders (m, n), -1 for none; None if none fits."""
-    if not len(orders):
-        return None
-    rows = np.where(np.array(orders) < 0, _NOWHERE, points[orders])
-    used = np.where(np.isnan(rows), 0.0, weights)
-    best, worst = _best_fit(rows, shape, used, limit, angle, noise_ratio)
-    return _apply_order(points, seen, orders[best]) if worst <= limit else None
-
-
-def _fits_mirrored(
-    points: Complex,
-    shape: Complex,
-    weights: Real,
-    in_order: np.ndarray,
-    limit: float,
-    noise_ratio: Real | float,
-) -> bool:
-    """Whether the markers seen, `in_order` (n,) with -1 for the others, fit the mirrored body."""
-    mirrored = np.where(in_order < 0, _NOWHERE, points.conj())[None]
-    used = np.where(in_order < 0, 0.0, weights)
-    return bool(_best_fit(mirrored, shape, used, noise_ratio=noise_ratio)[1] <= limit)
+    without_one = np.where(slots == seen[:, None], -1, in_order)
+    others = _orders(points, seen, shape, weights, limits)
+    orders = np.vstack((in_order, in_order, without_one, others))
+    # The second row is the mirrored body. Two markers are their own mirror image.
+    is_mirrored = np.arange(len(orders)) == 1
+    rows = np.where(orders < 0, _NOWHERE, points[orders])
+    rows[1] = rows[1].conj()
+    fit = fit_pose(rows, np.broadcast_to(shape, rows.shape), np.where(np.isnan(rows), 0.0, weights))
+    number = (orders >= 0).sum(axis=1)
+    has_moved = ((orders >= 0) & (orders != slots)).any(axis=1)
+    costs = np.nansum(np.abs(fit.residual / limits) ** 2, axis=1) * OUTLIER_NATS
+    costs += OUTLIER_NATS * (len(seen) - number) + EXCHANGE_NATS * has_moved
+    surprise = predicted.costs(b, fit.angle, fit.position, limits.min())
+    costs += np.where(is_mirrored, MIRROR_NATS, surprise)
+    # Two of more markers are as far apart as others by chance.
+    credible = (2 * number > len(seen)) & (~has_moved | (number > 2) | (number == len(seen)))
+    credible &= np.isfinite(fit.angle) & ~(is_mirrored & (len(seen) == 2))
+    best = int(np.where(credible, costs, np.inf).argmin())
+    # If all markers are anywhere, there is no pose, which is worth one of them.
+    if not (credible[best] and costs[best] < OUTLIER_NATS * (len(seen) - 1)):
+        return _leave_out_body(points, seen, DROPPED)
+    if is_mirrored[best]:
+        return _leave_out_body(points, seen, MIRRORED)
+    return _apply_order(points, seen, orders[best])
 
 
 def _leave_out_body(points: Complex, seen: np.ndarray, kind: str) -> Correction:
@@ -315,67 +240,21 @@ def _apply_order(points: Complex, seen: np.ndarray, order: np.ndarray) -> Correc
     return Correction(placed, order, +counts)
 
 
-def _complete_orders(
-    orders: np.ndarray, points: Complex, seen: np.ndarray, shape: Complex, limits: Real
+def _orders(
+    points: Complex, seen: np.ndarray, shape: Complex, weights: Real, limits: Real
 ) -> np.ndarray:
     """
-    Orders (m, n) that have all markers that are `seen`.
+    Return the orders (m, n) in which markers that are `seen` fit the shape, -1 for those left out.
 
-    A marker with more noise than the others, of its own limit (n,), m, goes to the nearest free
-    slot.
+    A marker with more noise than the others goes to the nearest free slot within its limit.
     """
-    orders = orders.copy()
-    positions, turns, _ = fit_points(points, np.nan_to_num(shape), orders)
+    learned = np.where(weights > 0, shape, _NOWHERE)
+    orders = find_candidates(points, seen, learned, limits.min()).indices
+    positions, turns, _ = fit_points(points, np.nan_to_num(learned), orders)
     for order, position, turn in zip(orders, positions, turns, strict=True):
         for marker in np.setdiff1d(seen, order):
-            distance = np.abs(position + turn * shape - points[marker])
+            distance = np.abs(position + turn * learned - points[marker])
             distance = np.where((order < 0) & (distance <= limits), distance, np.inf)
             if np.isfinite(distance).any():
                 order[distance.argmin()] = marker
-    return orders[(orders >= 0).sum(axis=1) == len(seen)]
-
-
-def half_turn_order(shape: Complex, weights: Real, limit: float) -> np.ndarray | None:
-    """
-    Return the order of the markers (n,) after half a turn about their mean.
-
-    None if the shape (n,), m, has no such symmetry: if a marker with a weight would be farther than
-    `limit`, m, from the slot of another.
-    """
-    seen = np.flatnonzero(weights > 0)
-    arms = shape[seen] - shape[seen].mean()
-    distance = np.abs(arms[:, None] + arms)
-    opposite = distance.argmin(axis=1)
-    is_symmetric = (opposite[opposite] == np.arange(len(seen))).all()
-    if distance.min(axis=1).max() > limit or not is_symmetric:
-        return None
-    order = np.arange(len(shape))
-    order[seen] = seen[opposite]
-    return order
-
-
-def _best_fit(
-    points: Complex,
-    shape: Complex,
-    weights: Real,
-    limit: float = 0.0,
-    angle: float = np.nan,
-    noise_ratio: Real | float = 1.0,
-) -> tuple[int, float]:
-    """
-    The row (m, n) that fits the shape best, and its largest residual, m, over the noise ratio.
-
-    A row near the predicted angle goes first, if its residuals are within the limit, m. Of rows
-    with two markers it is the nearest, since a wrong marker may be as far from another as its slot.
-    """
-    fit = fit_pose(points, np.broadcast_to(shape, points.shape), weights)
-    residual = np.abs(fit.residual) / noise_ratio
-    worst = np.where(np.isnan(residual), 0.0, residual).max(axis=-1)
-    worst = np.where(np.isnan(residual).all(axis=-1), np.inf, worst)
-    with np.errstate(invalid='ignore'):
-        near = (np.cos(fit.angle - angle) > np.cos(NEAR_ANGLE)) & (worst <= limit)
-    rank = worst
-    if near.any() and np.count_nonzero(weights, axis=-1).max() == 2:
-        rank = 1 - np.cos(fit.angle - angle)
-    best = int(np.where(near | ~near.any(), rank, np.inf).argmin())
-    return best, float(worst[best])
+    return orders

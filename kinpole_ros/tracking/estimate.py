@@ -334,37 +334,37 @@ class Estimate:
     @cached_property
     def icr_velocity(self) -> Vectors:
         """Velocity of the ICR along both centrodes (m/s)."""
-        value, spread, flags, _ = compute_quantity(VELOCITY, self.compiled_motion)
-        return Vectors(value, spread, (flags & DETERMINED) > 0)
+        value, covariance, flags, _ = compute_quantity(VELOCITY, self.compiled_motion)
+        return Vectors(value, covariance, (flags & DETERMINED) > 0)
 
     @cached_property
     def centrode_curvature(self) -> Numbers:
         """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
-        value, spread, flags, _ = compute_quantity(CURVATURE, self.compiled_motion)
-        return Numbers(value.real, spread[..., 0, 0], (flags & DETERMINED) > 0)
+        value, covariance, flags, _ = compute_quantity(CURVATURE, self.compiled_motion)
+        return Numbers(value.real, covariance[..., 0, 0], (flags & DETERMINED) > 0)
 
     @cached_property
     def inflection_circle(self) -> Vectors:
         """Center of the inflection circle (m); undetermined where the ICR stands still."""
-        value, spread, flags, _ = compute_quantity(CIRCLE_CENTER, self.compiled_motion)
-        return Vectors(value, spread, (flags & DETERMINED) > 0)
+        value, covariance, flags, _ = compute_quantity(CIRCLE_CENTER, self.compiled_motion)
+        return Vectors(value, covariance, (flags & DETERMINED) > 0)
 
     @cached_property
     def inflection_diameter(self) -> Numbers:
         """Diameter of the inflection circle (m); undetermined where the ICR stands still."""
-        value, spread, flags, _ = compute_quantity(CIRCLE_DIAMETER, self.compiled_motion)
-        return Numbers(value.real, spread[..., 0, 0], (flags & DETERMINED) > 0)
+        value, covariance, flags, _ = compute_quantity(CIRCLE_DIAMETER, self.compiled_motion)
+        return Numbers(value.real, covariance[..., 0, 0], (flags & DETERMINED) > 0)
 
     @cached_property
     def ball_point(self) -> Vectors:
         """Ball's point (m); undetermined where it does not stand out of its noise on the circle."""
         motion = self.position[:4], self.angle[:4]
-        spreads = self.position_covariance[:4, :4], self.angle_covariance[:4, :4]
-        value, spread = planar.propagate(ball_of_motion, *motion, *spreads)
+        covariances = self.position_covariance[:4, :4], self.angle_covariance[:4, :4]
+        value, covariance = planar.propagate(ball_of_motion, *motion, *covariances)
         with np.errstate(invalid='ignore'):
-            deviation = np.sqrt(np.trace(spread, axis1=-2, axis2=-1))
+            deviation = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1))
             known = SIGNIFICANT * deviation < self.inflection_diameter.value
-        return Vectors(value, spread, self.inflection_diameter.determined & known)
+        return Vectors(value, covariance, self.inflection_diameter.determined & known)
 
     def quantities(self, order: int) -> dict[str, Numbers | Vectors]:
         """Return the quantities of `quantity_names`."""
@@ -411,8 +411,8 @@ class Estimate:
 
         From the velocities as measured, pins or no: what bends both cancels between them.
         """
-        value, spread, flags = relative_centers(self.compiled_motion, np.array(self.pairs))
-        return Vectors(value, spread, flags > 0)
+        value, covariance, flags = relative_centers(self.compiled_motion, np.array(self.pairs))
+        return Vectors(value, covariance, flags > 0)
 
     def reasons(self, body: int) -> dict[str, str]:
         """Return why quantities of a body at one instant are undetermined, by name, in words."""
@@ -449,8 +449,8 @@ def _rate(order: int, estimate: Estimate) -> Numbers:
 
 def _pole(order: int, estimate: Estimate) -> Vectors:
     """Return a pole, with pins, or without for FREE + its order."""
-    value, spread, flags, _ = compute_quantity(order, estimate.compiled_motion)
-    return Vectors(value, spread, flags > 0)
+    value, covariance, flags, _ = compute_quantity(order, estimate.compiled_motion)
+    return Vectors(value, covariance, flags > 0)
 
 
 def _at(instant: int, arrays: _Arrays) -> _Arrays:
@@ -489,7 +489,7 @@ def estimate_of(
         stored = results[0].column
 
     def column(name: str) -> np.ndarray:
-        return stored('freedom') - 1 if name == 'degree' else stored(name)
+        return stored('parameters') - 1 if name == 'degree' else stored(name)
 
     def frame_poses() -> FramePoses:
         turned, placed = stored('information').swapaxes(0, 1)

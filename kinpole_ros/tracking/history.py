@@ -57,6 +57,19 @@ class History:
             more = (0, 0), (0, 0), (0, markers - column.shape[2])
             self.columns[name] = np.pad(column, more, constant_values=missing)
 
+    def poses_before(self, stamp: int, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """
+        Return the last `count` poses of each body that are used, NaN for the others.
+
+        Their stamps (N + 1,), ns, the last of which is `stamp`; angles and positions (N, B).
+        """
+        rows = slice(max(self.first, self.end - count), self.end)
+        stamps, information, angle, position = (
+            self.columns[name][rows] for name in ('stamp', 'information', 'angle', 'position')
+        )
+        angle = np.where(information[:, 0] > 0, angle, np.nan)
+        return np.append(stamps, stamp), angle, position
+
     def drop(self, count: int) -> None:
         """Drop the `count` oldest rows."""
         self.first += count

@@ -67,7 +67,7 @@ def _count_turns(history: History, restarted: np.ndarray) -> None:
 
 def learn(
     bodies: Bodies, history: History, window: int, given: float
-) -> tuple[Bodies, np.ndarray, Counter[str]]:
+) -> tuple[Bodies, np.ndarray, np.ndarray, Counter[str]]:
     """
     Learn shapes, misfit, noise and weights, and fit the history again where these change.
 
@@ -86,16 +86,20 @@ def learn(
         What is known now.
     restarted : (B,) bool
         Which bodies started again.
+    moved : (B, n) bool
+        Which markers are surely at other places than before.
     counts : Counter
         Numbers of corrected markers by kind.
 
     """
     bodies, restarted, counts = _restart_with_outliers(bodies, history)
-    bodies, has_moved = _relearn_moved_markers(bodies, history)
-    if restarted.any() or has_moved:
+    before = bodies.shape
+    bodies, moved = _relearn_moved_markers(bodies, history)
+    if restarted.any() or moved.any():
         refit(bodies, history)
         _count_turns(history, restarted)
-    bodies, has_changed = _update_shapes(bodies, history)
+    moved &= bodies.shape != before
+    bodies, has_changed, contradicted = _update_shapes(bodies, history)
     if has_changed:
         refit(bodies, history)
     bodies = _update_noise(bodies, history, window, given)
@@ -103,7 +107,7 @@ def learn(
     if has_changed:
         refit(bodies, history)
         bodies = _update_noise(bodies, history, window, given)
-    return bodies, restarted, counts
+    return bodies, restarted, moved | contradicted, counts
 
 
 def forget_held_markers(
@@ -176,16 +180,16 @@ def _restart_with_outliers(
     return bodies, restarted, counts
 
 
-def _relearn_moved_markers(bodies: Bodies, history: History) -> tuple[Bodies, bool]:
-    """Learn the places of markers again that did not fit for long; whether there were any."""
-    rows = slice(-MOVED_FRAMES, None)
+def _relearn_moved_markers(bodies: Bodies, history: History) -> tuple[Bodies, np.ndarray]:
+    """Learn the places of markers again that did not fit for long; which (B, n) they are."""
+    rows, none = slice(-MOVED_FRAMES, None), np.zeros(bodies.shape.shape, bool)
     if len(history) < MOVED_FRAMES:
-        return bodies, False
+        return bodies, none
     used = history['used'][rows]
     seen = ~np.isnan(history['markers'][rows]) & np.isfinite(history['angle'][rows])[..., None]
     moved = (seen.sum(axis=0) >= 0.5 * MOVED_FRAMES) & ~used.any(axis=0) & (bodies.frames > 0)
     if not moved.any():
-        return bodies, False
+        return bodies, none
     shape, frames = bodies.shape.copy(), bodies.frames.copy()
     for b, k in zip(*moved.nonzero(), strict=True):
         at = np.flatnonzero(seen[:, b, k])
@@ -198,11 +202,15 @@ def _relearn_moved_markers(bodies: Bodies, history: History) -> tuple[Bodies, bo
         shape[b, k] = local[near].mean()
         frames[b, k] = near.sum()
         used[at[near], b, k] = True
-    return bodies.change(shape=shape, frames=frames), True
+    return bodies.change(shape=shape, frames=frames), moved
 
 
-def _update_shapes(bodies: Bodies, history: History) -> tuple[Bodies, bool]:
-    """Move places of markers by mean residuals; whether shapes, or the used markers, changed."""
+def _update_shapes(bodies: Bodies, history: History) -> tuple[Bodies, bool, np.ndarray]:
+    """
+    Move places of markers by mean residuals.
+
+    Return also whether shapes, or the used markers, changed, and which settled places (B, n) did.
+    """
     has_pose = np.isfinite(history['angle']) & (history['information'] > 0).all(axis=1)
     residual = np.where(has_pose[..., None], history['residual'], np.nan)
     used = ~np.isnan(residual)
@@ -236,7 +244,8 @@ def _update_shapes(bodies: Bodies, history: History) -> tuple[Bodies, bool]:
     uses_changed = bool((history['used'].sum(axis=0) != count).any() and not is_settled.all())
     frames = np.minimum(np.maximum(frames, count), SETTLED_FRAMES)
     has_changed = has_new or bool(step.any()) or uses_changed
-    return bodies.change(shape=shape + step, frames=frames), has_changed
+    bodies = bodies.change(shape=shape + step, frames=frames)
+    return bodies, has_changed, contradicted
 
 
 def _without_noisy(bodies: Bodies, residual: Complex) -> Complex:

@@ -24,6 +24,7 @@ from kinpole_ros.tracking.identity import (
     match,
     merge_names,
     predict_poses,
+    unpredicted,
 )
 from kinpole_ros.tracking.placed_frames import PlacedFrames, count_misnamed
 from kinpole_ros.tracking.placing import MarkerAssignment
@@ -33,7 +34,6 @@ from kinpole_ros.tracking.thresholds import (
     MIN_SAMPLES,
     N_SIGMA,
     NEGLIGIBLE,
-    RECENT_FRAMES,
 )
 
 # What is counted in `Tracker.update_counts`.
@@ -72,6 +72,18 @@ def given_shapes(settings: Settings, width: int) -> GivenShapes:
     has_shape = ~np.isnan(shapes).all(axis=1)
     on_ground = np.array(pins, complex) if settings.pins else None
     return GivenShapes(names, shapes, has_shape, on_ground, settings.marker_identity == 'shape')
+
+
+class KnownNames(NamedTuple):
+    """
+    What is learned of the names of markers since a start.
+
+    `regrouped` and `full_count` are those of `Matcher`; None for a count that may still change.
+    """
+
+    assignment: MarkerAssignment
+    regrouped: list[tuple[str, str, str]]
+    full_count: int | None
 
 
 class Matcher:
@@ -121,6 +133,19 @@ class Matcher:
     def disordered(self) -> bool:
         """Whether points came in random order before the shapes were known."""
         return self._disordered_frames >= CONFIRMING_FRAMES
+
+    def known_names(self) -> KnownNames:
+        """Return what is learned of names."""
+        is_learned = self._arranged >= MIN_SAMPLES
+        full_count = self.full_count if is_learned else None
+        return KnownNames(self._assignment, self.regrouped, full_count)
+
+    def take_names(self, known: KnownNames) -> None:
+        """Take what another matcher learned of names, before the first frame."""
+        self._assignment.take_names(known.assignment)
+        self.regrouped = known.regrouped
+        if known.full_count is not None:
+            self.full_count, self._arranged = known.full_count, MIN_SAMPLES
 
     def is_incomplete_cloud(self, placed: PlacedFrames) -> bool:
         """
@@ -370,25 +395,18 @@ class Matcher:
         variance = np.inf
         if len(self._variances) >= MIN_SAMPLES:
             variance = float(np.median(self._variances))
-        position, turn = self._predict(placed.frames.stamps[k])
-        expected = Expected(position, turn, named, fits, variance, pins=self.given.pins)
+        stamp = placed.frames.stamps[k]
+        predicted = predict_poses(*self._history.poses_before(stamp, 2 * MIN_SAMPLES))
+        expected = Expected(predicted, named, fits, variance, pins=self.given.pins)
         found = match(points, shapes, self.bodies.fitting.limit, expected)
         self._variances.extend(found.variance[np.isfinite(found.variance)].tolist())
         return found
-
-    def _predict(self, stamp: int) -> tuple[Complex, Complex]:
-        """Poses (B,) of the bodies in the next frame, predicted from those before."""
-        columns, end = self._history.columns, self._history.end
-        rows = slice(max(self._history.first, end - RECENT_FRAMES), end)
-        position, angle = columns['position'][rows], columns['angle'][rows]
-        return predict_poses(columns['stamp'][rows], position, angle, int(stamp))
 
     def _fits_mirrored(self, placed: PlacedFrames | None, b: int) -> bool:
         """Whether the points of the last frame have a body's given shape mirrored."""
         assert placed is not None
         points, _ = self._assignment.project_all(placed, -1)
         shapes = self.given.shapes[b : b + 1].conj()
-        nowhere = np.full(1, complex(np.nan, np.nan))
-        expected = Expected(nowhere, nowhere, np.full(shapes.shape, -1), np.zeros(1, bool))
+        expected = Expected(unpredicted(1), np.full(shapes.shape, -1), np.zeros(1, bool))
         found = match(points, shapes, self.bodies.fitting.limit[b : b + 1], expected)
         return bool(np.isfinite(found.turn[0]) or found.uncertain[0])

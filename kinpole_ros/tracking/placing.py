@@ -282,6 +282,14 @@ class MarkerAssignment:
         self._layouts.clear()
         self._aliases.clear()
 
+    def take_names(self, other: 'MarkerAssignment') -> None:
+        """Take what another learned of names, before the first frame."""
+        if self.takes_all:
+            self._take_new(tuple(other.markers[0]))
+        self._regrouped, self.names_come = other._regrouped, other.names_come
+        self.ordered_size = other.ordered_size
+        self.withhold(other.withheld)
+
     def absent_of_bodies(self, placed: PlacedFrames) -> list[list[str]]:
         """Return the markers that a message lacks, of bodies with less than two in it."""
         if self._settings.marker_identity == 'shape':

@@ -16,11 +16,10 @@ here.
 | a body | ODD | turned by more than a quarter in a frame | `fit` in C | - |
 | a marker | NAME_DOUBTFUL | ODD, by `YOUNG_OUTLIER` of the size | `verdict_on_marker` in C | - |
 | a marker | NEW_MARKER | no place on its body yet | `fit` in C | - |
-| a marker | LEFT_OUT | ODD, and its body fits without it | `correct_frame` | markers_left_out |
-| a marker | EXCHANGED | ODD, and fits elsewhere | `correct_frame` | markers_exchanged |
-| a body | MIRRORED | ODD, and fits mirrored | `correct_frame` | markers_mirrored |
-| a body | DROPPED | ODD, no correction fits | `correct_frame` | markers_of_misfits |
-| a body | DROPPED | corrected, above `MAX_SQUARE_RATIO` | `_correct_body` | markers_of_misfits |
+| a marker | LEFT_OUT | ODD: the least cost is without it | `correct_markers` | markers_left_out |
+| a marker | EXCHANGED | ODD: the least is elsewhere | `correct_markers` | markers_exchanged |
+| a body | MIRRORED | ODD: the least is mirrored | `correct_markers` | markers_mirrored |
+| a body | DROPPED | ODD: no pose costs less | `correct_markers` | markers_of_misfits |
 | a body | UNCERTAIN | points fit it in several ways | `match` | bodies_ambiguous |
 | a pose | NOT_SEEN | less than two markers, or all at one place | `fit` in C | a reason |
 | a marker | HELD | repeats the last two | `kinpole_is_marker_held` in C | markers_held |
@@ -65,18 +64,12 @@ MAX_ANGLE_NOISE = 0.15
 # A pose, or a marker, that repeats the one before to the last bit is held by the tracker if noise
 # repeats it with less than this probability.
 MAX_REPEAT_CHANCE = 1e-6
-# Mean square residual of a corrected body over that of the body; 0.1% of chi-squares of three
-# degrees exceed it.
-MAX_SQUARE_RATIO = 5.4
-# A point is taken for a predicted marker if the second nearest point is this many times as far, and
-# a match for the best if the second best is.
+# A point is taken for a predicted marker if the second nearest point is this many times as far.
 DISTANCE_RATIO = 2.0
-# rad. An exchange of markers that turns the body farther from its prediction comes last: any two
-# markers of an equilateral triangle may be exchanged, and it fits.
-NEAR_ANGLE = 0.25 * np.pi
-# Markers may be exchanged if a body is this far, rad, from its predicted angle, while it turns by
-# less than the second angle, rad per frame.
-REVERSED, SLOW_STEP = 0.75 * np.pi, 0.25 * np.pi
+# nats. What makes a way to place a body on its markers unlikely: a marker left out, which costs as
+# much as one at the limit of outliers, markers exchanged, and a mirrored body.
+OUTLIER_NATS = OUTLIER_SIGMAS**2 / 2
+EXCHANGE_NATS, MIRROR_NATS = 0.5 * OUTLIER_NATS, 0.75 * OUTLIER_NATS
 # Most frames between two searches for the names of markers after searches without a result.
 MAX_SEARCH_INTERVAL = 16
 # An outlier of so many limits spoils a learned shape for longer than a new start takes.
@@ -114,7 +107,12 @@ class MarkerLimits(NamedTuple):
 
 
 def marker_limits(
-    mature: np.ndarray, misfit: Real, error: Real, spread: Real, size: Real, relative: Real
+    mature: np.ndarray,
+    misfit: Real,
+    marker_variance: Real,
+    spread: Real,
+    size: Real,
+    relative: Real,
 ) -> MarkerLimits:
     """
     Compute how far markers may be off their places.
@@ -123,7 +121,7 @@ def marker_limits(
     ----------
     mature : (B,) bool
         Whether there are enough fits for the misfit.
-    misfit, error : (B,) float
+    misfit, marker_variance : (B,) float
         Variance of a coordinate of a marker about its place, and the same with rounding, m^2.
     spread, size : (B,) float
         Sum of squared arms, m^2, and diameter, m.
@@ -137,7 +135,7 @@ def marker_limits(
     largest = np.where(mature, usual**2, np.inf)[:, None] * relative
     # A marker on soft tissue that moves by less keeps its name.
     doubtful = (np.maximum(limit, YOUNG_OUTLIER * size) ** 2)[:, None] * relative
-    return MarkerLimits(limit, largest, doubtful, error / MAX_ANGLE_NOISE**2)
+    return MarkerLimits(limit, largest, doubtful, marker_variance / MAX_ANGLE_NOISE**2)
 
 
 def reasons_of(noise: Real, spread: Real, angle_noise: Real) -> np.ndarray:

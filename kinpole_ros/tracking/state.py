@@ -17,6 +17,7 @@ from kinpole_ros.tracking.names import Matcher
 from kinpole_ros.tracking.outages import no_outages
 from kinpole_ros.tracking.placed_frames import PlacedFrames
 from kinpole_ros.tracking.placing import MarkerAssignment
+from kinpole_ros.tracking.recording import Recording
 from kinpole_ros.tracking.space import Space
 from kinpole_ros.tracking.step import Step, new_tracks
 from kinpole_ros.tracking.timeline import Timeline
@@ -64,6 +65,8 @@ class State:
     ----------
     settings : Settings
         The parameters.
+    recording : Recording or None
+        What the first pass over a recording learns, and the second one knows; None for neither.
     totals : Totals
         What is counted over restarts.
     run : int
@@ -99,6 +102,7 @@ class State:
     """
 
     settings: Settings
+    recording: Recording | None
     totals: Totals
     run: int
     timeline: Timeline
@@ -122,7 +126,13 @@ class State:
     name_search: NameSearch = _NOT_SEARCHED
 
 
-def start(settings: Settings, are_measured: bool, totals: Totals, before: Timeline | None) -> State:
+def start(
+    settings: Settings,
+    are_measured: bool,
+    totals: Totals,
+    before: Timeline | None,
+    recording: Recording | None,
+) -> State:
     """
     Return the state before the first frame, of bodies whose poses are measured or not.
 
@@ -135,6 +145,7 @@ def start(settings: Settings, are_measured: bool, totals: Totals, before: Timeli
     bodies, history, pins, matcher, step = _new_bodies(settings, totals, assignment, are_measured)
     return State(
         settings=settings,
+        recording=recording,
         totals=totals,
         run=next(_run_numbers),
         timeline=Timeline(settings, totals.counts, before),
@@ -177,6 +188,12 @@ def put_bodies(state: State, bodies: Bodies) -> None:
     state.step.bind(bodies, state.history)
 
 
+def forget_earlier(state: State, which: np.ndarray) -> None:
+    """Forget what earlier stretches of a recording say of bodies (B,) that were never so."""
+    if state.recording is not None and which.any():
+        state.recording.forget(which)
+
+
 def widen(state: State) -> None:
     """Make room for more markers, of a body that takes all markers."""
     width = state.assignment.width
@@ -190,6 +207,7 @@ def widen(state: State) -> None:
 def restart_bodies(state: State, bodies: Bodies, which: np.ndarray) -> Bodies:
     """Return `bodies` with everything learned of some (B,) forgotten, as in history and pins."""
     bodies = bodies.restart(which)
+    forget_earlier(state, which)
     state.assignment.restore_order(which)
     given = state.matcher.given
     if given.has_shape.any():

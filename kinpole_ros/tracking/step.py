@@ -64,7 +64,7 @@ class Step:
 
     Attributes
     ----------
-    columns, known, incoming : HistoryColumns, BodyArrays, NewFrames
+    limits, columns, known, incoming : FrameLimits, HistoryColumns, BodyArrays, NewFrames
         The parts of `Frames` that the library works on: they hold the arrays.
     tracks : dict of str to ndarray
         What only the library writes: see `new_tracks`.
@@ -83,7 +83,8 @@ class Step:
         )
         fields = Frames(limits)
         self._frames = byref(fields)
-        self.columns, self.known, self.incoming = fields.history, fields.known, fields.incoming
+        self.limits, self.columns = fields.limits, fields.history
+        self.known, self.incoming = fields.known, fields.incoming
         self.tracks, passed = tracks, fields.tracks
         for name in BodyTracks.elements:
             passed.bind(name, tracks[name])
@@ -160,6 +161,16 @@ class Step:
             finish_call(call, code)
         history.end = columns.end
         return bool(code == UNUSUAL)
+
+    def wait_for_window(self, waits: bool) -> None:
+        """Whether the first results are those of a full window, also of its older instants."""
+        self.limits.waits = waits
+
+    def follow_to_end(self, results: Results) -> None:
+        """Compute the results of all frames that are left from the newest window."""
+        lag, self.limits.lag_ns, self.limits.waits = self.limits.lag_ns, 0.0, 0
+        self.follow(0, results)
+        self.limits.lag_ns = lag
 
     def try_next(self, markers: np.ndarray) -> int:
         """Fit markers (B, n), complex, of the next frame; return what is unusual."""

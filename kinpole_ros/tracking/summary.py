@@ -45,7 +45,7 @@ class TrackerSummary:
     @property
     def samples(self) -> int:
         """Number of frames in the window."""
-        return int(self.state.step.columns.samples)
+        return int(self.state.step.columns.window_frames)
 
     @property
     def interval(self) -> float:

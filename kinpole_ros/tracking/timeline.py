@@ -21,6 +21,7 @@ from kinpole_ros.tracking.clock import (
     clock_of,
     count_frames,
     count_until_slip,
+    counts_if_near,
     estimate_clock,
     even_clock,
 )
@@ -81,6 +82,8 @@ class Timeline:
         # Whether even stamps may slip; the last stamp that did, and whether it is the next one.
         self._may_slip = self._has_slipped = False
         self._slipped_at: int | None = None
+        # The clock that is known beforehand, and whether frames are at its ticks.
+        self._known: tuple[Clock, bool] | None = None
         # None while frames are at their stamps.
         self._counter: FrameCounter | None = None
         # Frames that wait for their count, and the counts that the first of them got since.
@@ -88,6 +91,12 @@ class Timeline:
         self._waiting_counts = _NO_COUNTS
         # The time, ns, of some count.
         self._anchor = 0, 0
+
+    def know(self, clock: Clock, at_ticks: bool) -> None:
+        """Take the clock of the next frames as it is known from all of them."""
+        self._known = clock, at_ticks
+        if not self._seen:
+            self.at_ticks = at_ticks
 
     def stamp_state(self) -> StampState | None:
         """Return how the stamps lie on the clock; None while too few have come."""
@@ -190,14 +199,15 @@ class Timeline:
             Frames to be appended to the history, in parts of one layout.
 
         """
+        if self._known is not None and self.at_ticks and self.clock is None:
+            self._begin_at_ticks(self._known[0], int(frames.stamps[0]))
         if self._counter is None and not self._waiting:
             counts = np.zeros(len(numbers), np.int64)
             times = _times_at_stamps([frames.stamps], history, self.at_ticks)
             return [TimedFrames(frames, times, counts, numbers)]
         parts = [*self._waiting, frames]
         if self._counter is None:
-            times = _times_at_stamps([part.stamps for part in parts], history, self.at_ticks)
-            counts = np.zeros(len(times), np.int64)
+            times, counts = self._times_without_clock(parts, history)
             numbers = np.concatenate((np.repeat(numbers[:1], len(times) - len(numbers)), numbers))
         else:
             # A new counter may have counted frames that wait.
@@ -209,6 +219,33 @@ class Timeline:
         self._waiting_counts = _NO_COUNTS
         certain, self._waiting = split_certain(parts, times, counts, numbers)
         return certain
+
+    def _begin_at_ticks(self, clock: Clock, first_stamp: int) -> None:
+        """Count the first frame, with this stamp, ns, and those after it, by a known clock."""
+        before = int(clock.ticks(np.array(first_stamp))) - 1
+        self.clock, self._counter = clock, FrameCounter(clock, before)
+        self._anchor = clock.origin + round(clock.phase + before * clock.interval), before
+
+    def time_waiting(self, history: History, number: int) -> list[TimedFrames]:
+        """Return the frames that wait with their likeliest times, as of the frame `number`."""
+        if not self._waiting:
+            return []
+        if self._counter is None:
+            times, counts = self._times_without_clock(self._waiting, history)
+        else:
+            counts = np.concatenate((self._waiting_counts, self._counter.take_pending()))
+            times = self._times_of(counts)
+        self._waiting_counts = _NO_COUNTS
+        numbers = np.full(len(times), number)
+        certain, self._waiting = split_certain(self._waiting, times, counts, numbers)
+        return certain
+
+    def _times_without_clock(
+        self, parts: list[MarkerFrames], history: History
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the times (T,) of frames at their stamps, ns, and their counts, which are 0."""
+        times = _times_at_stamps([part.stamps for part in parts], history, self.at_ticks)
+        return times, np.zeros(len(times), np.int64)
 
     def _times_of(self, counts: np.ndarray) -> np.ndarray:
         """Times (T,) of the ticks with these counts (T,), ns."""
@@ -250,7 +287,11 @@ class Timeline:
         kept, is_used = (np.concatenate(arrays) for arrays in zip(*self._appended, strict=True))
         stamps, is_used = kept[-MEMORY:], is_used[-MEMORY:]
         uncounted = sum(len(part.stamps) for part in self._waiting)
-        clock, counts = estimate_clock(stamps, self.clock)
+        near = None if self._known is None else counts_if_near(stamps, self._known[0])
+        if self._known is not None and near is not None:
+            clock, counts = self._known[0], near
+        else:
+            clock, counts = estimate_clock(stamps, self.clock)
         if self._counter is not None and self._counter.keeps_pace:
             # The frames of the history were counted by the motion: the clock is that of the counts.
             which = np.flatnonzero(is_used)
@@ -309,6 +350,8 @@ class Timeline:
         clock = self.clock
         if self._settings.stamps != 'auto' or clock is None:
             return self.at_ticks
+        if self._known is not None:
+            return self._known[1]
         rounded = clock.is_rounded or self._has_slipped
         rounded = rounded and self._seen >= MIN_SAMPLES and self._evidence.nats > -DECISIVE_NATS
         self._has_slipped = False

@@ -18,25 +18,41 @@ from kinpole_ros.tracking.events import FRAMES_BEHIND, BodyEvent
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.outages import note_gap
 from kinpole_ros.tracking.placed_frames import PlacedFrames
+from kinpole_ros.tracking.recording import Recording
 from kinpole_ros.tracking.rejection import EXCHANGED
 from kinpole_ros.tracking.result_layout import DEFORMED, FILLED
 from kinpole_ros.tracking.state import new_totals, start, widen
 from kinpole_ros.tracking.summary import TrackerSummary
 from kinpole_ros.tracking.timed_frames import TimedFrames
 from kinpole_ros.tracking.timeline import Timeline
-from kinpole_ros.tracking.update import learn_if_due, recover, update_clock, update_if_due
+from kinpole_ros.tracking.update import (
+    begin_known,
+    end_learned,
+    learn_if_due,
+    recover,
+    update_clock,
+    update_if_due,
+)
 
 
 class Tracker(TrackerSummary):
-    """Tracks the bodies of `settings` from frame to frame."""
+    """
+    Tracks the bodies of `settings` from frame to frame.
 
-    def __init__(self, settings: Settings) -> None:
+    A `recording` is learned from its frames, or known already: see recording.py.
+    """
+
+    def __init__(self, settings: Settings, recording: Recording | None = None) -> None:
         self.settings = settings
         self.frame_id = ''
         self._results: list[tuple[Results, np.ndarray]] = []
         self._events: list[BodyEvent] = []
         self._events_needed = False
-        self.state = start(settings, False, new_totals(len(self.bodies)), before=None)
+        # Before those of this call.
+        self._frames_before = 0
+        totals = new_totals(len(self.bodies))
+        self.state = start(settings, False, totals, before=None, recording=recording)
+        begin_known(self.state)
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -61,8 +77,11 @@ class Tracker(TrackerSummary):
     def _start(self, are_measured: bool, before: Timeline | None = None) -> None:
         """Start from nothing, but with the clock of the timeline `before` a jump of the stamps."""
         self._events = []
-        self.state.timeline.count_lost()
-        self.state = start(self.settings, are_measured, self.state.totals, before)
+        state = self.state
+        state.timeline.count_lost()
+        end_learned(state)
+        self.state = start(self.settings, are_measured, state.totals, before, state.recording)
+        begin_known(self.state)
 
     def add(self, frames: MarkerFrames, order: int | None, events: bool = False) -> list[Estimate]:
         """
@@ -97,21 +116,49 @@ class Tracker(TrackerSummary):
         self._results, self._events_needed = [], events
         if not events:
             self.state.event_search.pause()
-        number = 0
+        number, self._frames_before = 0, self.state.totals.counts['frames']
         for frames in parts:
             if not len(frames.stamps):
                 continue
             is_other = (frames.axes is not None) != self.state.bodies.are_measured
+            self._note_number(number)
             if frames.frame_id != self.frame_id or is_other:
-                estimates += self._change_frame(frames)
+                estimates += self._change_frame(frames, number, order)
             estimates += self._accept(frames, number, order)
             number += len(frames.stamps)
         return estimates + self._flush_results()
 
-    def _change_frame(self, frames: MarkerFrames) -> list[Estimate]:
+    def _note_number(self, number: int) -> None:
+        """Note the number of the next frame, of those of this call, where a recording counts it."""
+        if self.state.recording is not None:
+            self.state.recording.number = self._frames_before + number
+
+    def finish(self, order: int | None) -> list[Estimate]:
+        """
+        Return the results that are left after the last frame of a known recording, see `add`.
+
+        They are of the last `lag`, from the frames that there are. Their `due` is the last frame of
+        the last call of `add`.
+        """
+        return self._finish(self.state.totals.counts['frames'] - self._frames_before - 1, order)
+
+    def _finish(self, number: int, order: int | None) -> list[Estimate]:
+        """Return all results up to the frame `number` of this call, after which others start."""
+        state, estimates = self.state, []
+        if state.recording is not None and state.recording.is_learned and len(state.history):
+            for part in state.timeline.time_waiting(state.history, number):
+                estimates += self._take(part, order)
+            results = state.step.reserve_results(0, order)
+            state.step.follow_to_end(results)
+            if results.fields[DEFORMED]:
+                add_deformation(results, 0, state.bodies, state.history)
+            self._keep_results(results, np.full(state.step.incoming.frames, max(number, 0)))
+        return estimates + self._flush_results()
+
+    def _change_frame(self, frames: MarkerFrames, number: int, order: int | None) -> list[Estimate]:
         """Start again with another frame_id, or with poses instead of markers."""
         state = self.state
-        estimates = self._flush_results()
+        estimates = self._finish(number - 1, order)
         used = len(state.history) > 0
         state.totals.counts['frame_changes'] += used
         self.frame_id = frames.frame_id
@@ -127,6 +174,7 @@ class Tracker(TrackerSummary):
         first = 0
         while first < len(stamps):
             state = self.state
+            self._note_number(number + first)
             if state.timeline.until_update <= 0:
                 update_clock(state)
             used, end, restarts = state.timeline.accept(stamps[first:], frames.points[first:])
@@ -137,7 +185,8 @@ class Tracker(TrackerSummary):
                     estimates += self._take(part, order)
             first += end
             if restarts:
-                estimates += self._flush_results()
+                self._note_number(number + first)
+                estimates += self._finish(number + first - 1, order)
                 self._restart(int(stamps[first]))
         counts['markers_unknown'] = self.state.assignment.unknown
         return estimates
@@ -164,6 +213,7 @@ class Tracker(TrackerSummary):
         while first < count:
             self._search_events(times[0][:first], numbers)
             learns = state.frame_count >= state.next_update or state.names_changed
+            self._note_number(int(numbers[first]))
             if learns and update_if_due(state):
                 state.assignment.assign_again(placed, first)
                 unassigned = state.assignment.layout_of(placed).unassigned
@@ -265,3 +315,15 @@ class Tracker(TrackerSummary):
         state = self.state
         if state.frame_count >= state.next_update or state.timeline.until_update <= 0:
             learn_if_due(state)
+
+
+def learn_recording(settings: Settings, parts: Iterable[MarkerFrames]) -> tuple[Tracker, Recording]:
+    """Return a tracker after all frames of a recording, and what it learned for another."""
+    recording = Recording()
+    tracker = Tracker(settings, recording)
+    for frames in parts:
+        tracker.add(frames, None)
+    recording.number = tracker.state.totals.counts['frames']
+    end_learned(tracker.state)
+    recording.is_learned, recording.number = True, 0
+    return tracker, recording

@@ -1,20 +1,33 @@
 """Learn from the history when an update is due: the last stage of a frame."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import find_hubs, update_pins
+from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.learn import (
     MISFIT_FRAMES,
     find_deformed,
     forget_held_markers,
     learn,
     path_scale,
+    refit,
 )
 from kinpole_ros.tracking.noise import find_repetition
+from kinpole_ros.tracking.other_noise import has_other_noise
 from kinpole_ros.tracking.pose_noise import learn_poses
+from kinpole_ros.tracking.recording import Recording, Stretch
 from kinpole_ros.tracking.rejection import HELD, HELD_MARKERS, NO_MARKER_REPEATS
-from kinpole_ros.tracking.state import MIN_HISTORY_FRAMES, State, put_bodies, restart_bodies
+from kinpole_ros.tracking.state import (
+    MIN_HISTORY_FRAMES,
+    State,
+    forget_earlier,
+    put_bodies,
+    restart_bodies,
+    widen,
+)
 
 # The history has at least this many windows, and at most so many bytes, whatever the window: 30 s
 # of 20 bodies with four markers at 200 Hz. Results of a longer window are from what is kept of it.
@@ -48,6 +61,9 @@ def learn_if_due(state: State) -> None:
 
 def _update(state: State) -> bool:
     """Learn from the history; return whether names stand for other markers since."""
+    if state.recording is not None and state.recording.is_learned:
+        recall(state, state.recording)
+        return False
     state.next_update = state.frame_count + max(
         1, min(int(state.frame_count * UPDATE_SHARE), MAX_UPDATE_INTERVAL)
     )
@@ -55,7 +71,8 @@ def _update(state: State) -> bool:
         drop_old_frames(state)
         return False
     count_new_frames(state)
-    bodies, restarted = _learn_shapes_and_noise(state, state.bodies)
+    bodies, restarted, moved = _learn_shapes_and_noise(state, state.bodies)
+    forget_earlier(state, restarted)
     new = min(state.frame_count - state.learned_count, len(state.history))
     pins = state.pins.forget(restarted)
     bodies, state.pins = update_pins(bodies, pins, state.history, new)
@@ -76,21 +93,85 @@ def _update(state: State) -> bool:
     if regrouped.any():
         bodies = restart_bodies(state, bodies, regrouped)
     put_bodies(state, bodies)
+    if state.recording is not None:
+        is_other = has_other_noise(bodies, state.history, state.recording.count, new)
+        state.recording.note(bodies, moved, is_other, new, state.timeline)
     return changed
 
 
-def _learn_shapes_and_noise(state: State, bodies: Bodies) -> tuple[Bodies, np.ndarray]:
-    """Learn what fits need; return also which bodies (B,) started again from earlier frames."""
+def end_learned(state: State) -> None:
+    """Keep what a first pass learned of the frames since the start."""
+    recording = state.recording
+    if recording is not None and not recording.is_learned:
+        names = state.matcher.known_names()
+        recording.end_run(state.bodies, state.timeline, state.assignment.plane, names)
+
+
+def begin_known(state: State) -> None:
+    """Begin with what a first pass learned of the frames after the start."""
+    recording = state.recording
+    if recording is None or not recording.is_learned:
+        return
+    stretch = recording.stretch()
+    if stretch.names is None or stretch.bodies.are_measured != state.bodies.are_measured:
+        return
+    state.matcher.take_names(stretch.names)
+    if state.assignment.width > state.step.known.width:
+        widen(state)
+    state.space.plane = state.space.plane or stretch.plane
+    state.assignment.set_plane(state.space.plane)
+    state.step.wait_for_window(True)
+    recall(state, recording)
+
+
+def recall(state: State, recording: Recording) -> None:
+    """Let the next frames use what is known of them from the first pass over the recording."""
+    stretch = recording.stretch()
+    state.next_update = state.frame_count + max(
+        1, min(stretch.end - recording.number, MAX_UPDATE_INTERVAL)
+    )
+    count_new_frames(state)
+    drop_old_frames(state)
+    before, bodies = state.bodies, stretch.bodies
+    if bodies.are_measured != before.are_measured or bodies.width != before.width:
+        return
+    if stretch.clock is not None:
+        state.timeline.know(stretch.clock, stretch.at_ticks)
+    # Without what follows from it, which is not kept.
+    bodies = replace(bodies)
+    if stretch is not recording.recalled and len(state.history) and stretch.changed.any():
+        _change_history(state.history, before, bodies, stretch)
+    recording.recalled = stretch
+    put_bodies(state, bodies)
+
+
+def _change_history(history: History, before: Bodies, bodies: Bodies, stretch: Stretch) -> None:
+    """Fit the frames before a stretch to its bodies, without markers that moved since."""
+    history['used'][:, stretch.moved] = False
+    if not bodies.are_measured:
+        refit(bodies, history)
+    with np.errstate(invalid='ignore', divide='ignore'):
+        ratio = np.where(stretch.changed, bodies.noise / before.noise, 1.0)
+    history['information'][...] *= np.where(np.isfinite(ratio), ratio, 1.0) ** 2
+
+
+def _learn_shapes_and_noise(state: State, bodies: Bodies) -> tuple[Bodies, np.ndarray, np.ndarray]:
+    """
+    Learn what fits need.
+
+    Return also which bodies (B,) started again from earlier frames, and which markers (B, n) moved.
+    """
     settings, history, tracks = state.settings, state.history, state.step.tracks
     if bodies.are_measured:
         bodies = bodies.change(learned_tilt_turn=tracks['sure_tilt_turn'].copy())
-        return learn_poses(bodies, history, settings.noise), np.zeros(bodies.count, bool)
-    bodies, restarted, counts = learn(bodies, history, settings.window_ns, settings.noise)
+        none = np.zeros(bodies.shape.shape, bool)
+        return learn_poses(bodies, history, settings.noise), none.any(axis=1), none
+    bodies, restarted, moved, counts = learn(bodies, history, settings.window_ns, settings.noise)
     state.totals.counts.update(counts)
     for b in np.flatnonzero(restarted).tolist():
         angle = history['angle'][:, b]
         tracks['last_angle'][b] = angle[np.isfinite(angle)][-1]
-    return bodies, restarted
+    return bodies, restarted, moved
 
 
 def _learn_without_held_markers(state: State, bodies: Bodies) -> Bodies:
@@ -104,6 +185,7 @@ def _learn_without_held_markers(state: State, bodies: Bodies) -> Bodies:
     begins = (repetition == NO_MARKER_REPEATS) & (before != NO_MARKER_REPEATS)
     if not begins.any():
         return bodies
+    forget_earlier(state, begins)
     last = history['markers'][-2:].copy()
     bodies, lacking = forget_held_markers(bodies, history, begins)
     if not lacking.any():
@@ -151,10 +233,12 @@ def count_new_frames(state: State) -> None:
 def drop_old_frames(state: State) -> None:
     """Drop frames that neither the window nor the next update needs."""
     history, columns = state.history, state.step.columns
-    samples = int(columns.samples)
+    samples = int(columns.window_frames)
     most = max(MIN_HISTORY_FRAMES, MAX_HISTORY_BYTES // history.row_bytes)
     kept = min(max(MIN_HISTORY_FRAMES, MIN_HISTORY_WINDOWS * samples), most)
     drop = len(history) - kept
     if drop > 0:
         history.drop(drop)
+        # A history that is full gets no longer.
+        state.step.wait_for_window(False)
         columns.next_result = max(0, columns.next_result - drop)

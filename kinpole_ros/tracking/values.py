@@ -51,15 +51,15 @@ def known_arrays(quantities: Mapping[str, Numbers | Vectors]) -> dict[str, np.nd
     A number also has NAME_sigma, a vector, complex, NAME_covariance (..., 2, 2).
     """
     arrays = {}
-    for name, (value, spread, determined) in quantities.items():
-        if spread.ndim == value.ndim:
+    for name, (value, covariance, determined) in quantities.items():
+        if covariance.ndim == value.ndim:
             arrays[name] = np.where(determined, value, np.nan)
             with np.errstate(invalid='ignore'):
-                arrays[f'{name}_sigma'] = np.where(determined, np.sqrt(spread), np.nan)
+                arrays[f'{name}_sigma'] = np.where(determined, np.sqrt(covariance), np.nan)
         else:
             arrays[name] = np.where(determined, value, complex(np.nan, np.nan))
             is_known = determined[..., None, None]
-            arrays[f'{name}_covariance'] = np.where(is_known, spread, np.nan)
+            arrays[f'{name}_covariance'] = np.where(is_known, covariance, np.nan)
     return arrays
 
 

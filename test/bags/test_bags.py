@@ -28,7 +28,7 @@ from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import Header
+from std_msgs.msg import Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from kinpole_ros.bags import (
@@ -595,6 +595,19 @@ def test_written_records_follow_rosbag2(tmp_path):
             assert channel.metadata == {'offered_qos_profiles': ''}
             assert message.publish_time == message.log_time
             assert message.sequence == message.log_time // 10
+
+
+def test_a_latched_topic_has_its_qos_as_rosbag2_writes_it(tmp_path):
+    """So `ros2 bag play` offers it as the node does; without, it takes its default, volatile."""
+    with BagWriter(tmp_path / 'out.mcap') as bag:
+        bag.add_topic('/kinpole/rig', String, is_latched=True)
+        bag.write('/kinpole/rig', String(data='{}'), 1)
+        bag.write('/other', String(data='{}'), 2)
+    with open(tmp_path / 'out.mcap', 'rb') as file:
+        found = {c.topic: c.metadata for _, c, _ in make_reader(file).iter_messages()}
+    assert found['/other'] == {'offered_qos_profiles': ''}
+    (qos,) = yaml.safe_load(found['/kinpole/rig']['offered_qos_profiles'])
+    assert (qos['reliability'], qos['durability']) == ('reliable', 'transient_local')
 
 
 def test_equal_data_make_equal_files(tmp_path):

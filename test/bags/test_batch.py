@@ -111,6 +111,8 @@ def test_no_cell_of_a_table_is_a_formula(simulated: Simulated, tmp_path: Path, f
     batch([bag], tmp_path / 'out', settings, kinds=('csv',), workers=1)
     (row,) = summary(tmp_path / 'out')
     assert row['results'].startswith(f"'{first}cmd-")
+    spans = [float(row[name]) for name in ('start', 'end', 'seconds')]
+    assert spans == [1.0, 1.59, 0.59]
     with open(tmp_path / 'out' / row['results'][1:], newline='', encoding='utf-8') as file:
         for cells in csv.reader(file):
             for cell in cells:
@@ -174,7 +176,7 @@ def test_each_bag_has_its_result_and_a_failed_one_costs_only_itself(
     assert [row['bag'] for row in rows] == [str(path) for path in (broken, *good, cut)]
     assert [bool(row['error']) for row in rows] == [True, False, False, False]
     assert [bool(row['truncated']) for row in rows] == [False, False, False, True]
-    replay_one(bag, SETTINGS, tmp_path / 'one.mcap', tmp_path / 'one.csv')
+    replay_one(bag, SETTINGS, tmp_path / 'one.mcap', tmp_path / 'one.csv', whole=True)
     expected = decoded(tmp_path / 'one.mcap')
     assert len({row['results'] for row in rows}) == 4
     for row in rows[1:3]:
@@ -569,7 +571,7 @@ def test_results_of_other_settings_are_none_of_these(simulated: Simulated, tmp_p
     row = replay_bag(Job(bag, out, other, ['csv']))
     assert [name[-4:] for name in row['results'].split()] == ['mcap', '.csv']
     assert finished(Job(bag, out, other, ['csv', 'mcap'])) == row
-    replay_one(bag, other, csv=tmp_path / 'one.csv')
+    replay_one(bag, other, csv=tmp_path / 'one.csv', whole=True)
     assert next(out.glob('*.csv')).read_bytes() == (tmp_path / 'one.csv').read_bytes()
 
 
@@ -764,7 +766,9 @@ def test_progress_goes_by_bytes_within_bags_and_over_what_is_left(
     batch([bag, short], tmp_path, SETTINGS, workers=1, progress=told.append)
     assert (told[0], told[-1]) == (0.0, 1.0)  # what was finished before is none of it
 
-    told.clear()
+
+def test_progress_is_of_all_bags_by_their_bytes_and_never_goes_back() -> None:
+    told: list[float] = []
     share = module._share_of_all([300, 100], told.append, threading.Lock())
     share(0, 0.5)
     share(0, 1.0)
@@ -883,7 +887,7 @@ def test_bags_and_results_may_be_in_a_store(
     names = ['memory://lab/runs/one.mcap', 'memory://lab/runs/two', local.as_uri()]
     rows = batch([*names, 'memory://lab/runs/three.mcap'], 'memory://lab/out', SETTINGS)
     assert [row['bag'] for row in rows[:3]] == [*names[:2], str(local)]
-    replay_one(bag, SETTINGS, tmp_path / 'one.mcap')
+    replay_one(bag, SETTINGS, tmp_path / 'one.mcap', whole=True)
     expected = decoded(tmp_path / 'one.mcap')
     for row in rows[:3]:
         (tmp_path / 'got.mcap').write_bytes(store.cat(f'/lab/out/{row["results"]}'))

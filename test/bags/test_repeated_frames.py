@@ -63,7 +63,7 @@ def test_the_rate_before_a_conversion_is_found(
     assert np.ptp(off) < 1e-5
     assert (np.diff(taken[kept.is_kept]) > 0).all()
     repeats = len(stamps) - len(kept.stamps)
-    assert kept.note == (
+    assert kept.finding is not None and kept.finding.words() == (
         f'{repeats} of {len(stamps)} pictures repeat the one before, as a converter makes them '
         f'from {before:.4g} to {after:.4g} Hz, and are left out'
     )
@@ -83,7 +83,8 @@ def test_repeats_that_a_tracker_saw_with_noise_are_found() -> None:
     points = points + 4e-4 * random.standard_normal(points.shape)
     kept = leave_out_repeats('f', 'pictures', stamps, points)
     assert np.ptp(kept.stamps * 1e-9 - taken[kept.is_kept]) < 1e-5
-    assert 'from 24 to 30 Hz' in kept.note
+    assert kept.finding is not None and kept.finding.code == 'repeats_converted'
+    assert kept.finding.values['before'] == pytest.approx(24)
 
 
 def test_uneven_stamps_that_were_made_even_are_not_known() -> None:
@@ -99,7 +100,8 @@ def test_where_the_last_picture_stands_for_a_lost_one_stamps_are_right() -> None
     stamps, points, shown = converted(taken, 30, 5e-5, turning)
     kept = leave_out_repeats('f', 'pictures', stamps, points)
     np.testing.assert_allclose(kept.stamps * 1e-9, shown[kept.is_kept], atol=1e-8)
-    assert kept.note == '4 of 149 pictures repeat the one before, and are left out'
+    assert kept.finding is not None
+    assert (kept.finding.code, kept.finding.values['repeats']) == ('repeats', 4)
 
 
 @pytest.mark.parametrize('motion', [turning, swinging])
@@ -112,7 +114,8 @@ def test_pictures_that_a_converter_left_out_are_lost_frames(
     taken = (frames * before + 10) // after / before
     points = motion(taken) + noise * np.random.default_rng(0).standard_normal((len(taken), 3, 2))
     kept = leave_out_repeats('f', 'pictures', np.rint(frames * 1e9 / after).astype(int), points)
-    assert kept.is_kept.all() and f'from {before} to {after} Hz left out pictures' in kept.note
+    assert kept.is_kept.all() and kept.finding is not None
+    assert f'from {before} to {after} Hz left out pictures' in kept.finding.words()
     assert np.ptp(kept.stamps * 1e-9 - taken) < 1e-6
 
 
@@ -136,15 +139,18 @@ def test_a_given_rate_is_that_of_pictures_that_repeat_no_other() -> None:
         dwelling(np.arange(200) / 30),
         swinging(np.arange(200) / 30),
         turning(np.arange(200) / 6) + 0.02 * turning(np.arange(200) * 4),
+        # A vibration of 8.4 Hz at 25 Hz, by which a drift stops at about each third frame.
+        0.1 * turning(np.zeros(200))
+        + (0.0165 * np.arange(200) + 0.01 * np.sin(2.11 * np.arange(200)))[:, None, None],
         np.round(turning(np.arange(200) / 3000), 4),
         turning(np.arange(200) / 30000)
         + 1e-4 * np.random.default_rng(1).standard_normal((200, 3, 2)),
     ],
-    ids=['still', 'dwell', 'swing', 'shake', 'rounded', 'noise'],
+    ids=['still', 'dwell', 'swing', 'shake', 'drift', 'rounded', 'noise'],
 )
 def test_slow_and_rounded_motion_is_no_repeat(points: np.ndarray) -> None:
     kept = leave_out_repeats('f', 'rows', np.arange(200) * 33_333_333, points)
-    assert kept.is_kept.all() and not kept.note
+    assert kept.is_kept.all() and kept.finding is None
 
 
 def test_a_table_of_such_a_film_is_imported_at_the_rate_of_the_film(tmp_path: Path) -> None:
@@ -162,15 +168,18 @@ def test_a_table_of_such_a_film_is_imported_at_the_rate_of_the_film(tmp_path: Pa
     np.testing.assert_allclose(np.diff(read), 1e9 / 24, atol=2)
 
 
-@pytest.mark.parametrize('is_film', [True, False])
-def test_replay_blames_a_tracker_for_no_repeats_of_a_film(is_film: bool, tmp_path: Path) -> None:
-    number = np.arange(300)
+@pytest.mark.parametrize(('is_film', 'count'), [(True, 300), (True, 45), (False, 300)])
+def test_replay_blames_a_tracker_for_no_repeats_of_a_film(
+    is_film: bool, count: int, tmp_path: Path
+) -> None:
+    """Also of one of 1.5 s, in which the tracker has not learned yet that poses never repeat."""
+    number = np.arange(count)
     shown = number * 4 // 5 if is_film else number - (number % 9 == 8)
     points = turning(number / (24 if is_film else 30))[:, :2]
     points = (points + 2e-5 * np.random.default_rng(2).standard_normal(points.shape))[shown]
     stamps = np.rint(number * 1e9 / 30).astype(np.int64)
     bag = tmp_path / 'markers.mcap'
     write_points(bag, ['a', 'b'], stamps, np.pad(points, ((0, 0), (0, 0), (0, 1))))
-    (found,) = replay(bag, Settings()).misnamed
-    assert found.code == ('source' if is_film else 'poses_held')
-    assert ('as a converter makes them from 24 to 30 Hz, and' in found.words()) == is_film
+    codes = [finding.code for finding in replay(bag, Settings()).findings]
+    assert ('repeats_converted' in codes) == is_film
+    assert ('poses_held' in codes) != is_film

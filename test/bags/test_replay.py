@@ -23,7 +23,6 @@ from kinpole_ros.bags import (
     read_messages,
     replay,
     type_name,
-    warnings_of,
 )
 from kinpole_ros.bags import topics as topics_of
 from kinpole_ros.messages import (
@@ -850,7 +849,7 @@ def test_rows_of_a_table_in_which_nothing_was_seen_are_left_out(
             writer.write('/markers', MarkerArray() if k in (20, 21, 40) else message, k)
     result = replay(tmp_path / 'all.mcap', CARDAN)
     assert (result.frames, result.empty, result.resets, result.lost) == (57, 3, 0, 0)
-    assert not warnings_of(result, CARDAN)
+    assert not result.warnings
     with BagWriter(tmp_path / 'none.mcap') as writer:
         writer.write('/markers', MarkerArray(), 0)
     with pytest.raises(BagError, match='no message on /markers has markers; fix: '):
@@ -867,14 +866,14 @@ def test_half_of_the_stamps_repeated_is_a_warning_with_its_fix(tmp_path):
     with BagWriter(path) as bag:
         bag.write_many([('/markers', INPUT_TYPES['marker_array'], logs, data)])
     settings = settings_from({'window': 0.3, 'lag': 0.1})
-    lines = warnings_of(replay(path, settings), settings)
+    lines = replay(path, settings).warnings
     assert '30 of 60 messages have the stamp of the one before, and are left out' in lines[0]
 
 
 def test_the_outcome_of_a_replay_is_made_once_and_has_shares() -> None:
     settings = settings_from({'window': 0.3, 'lag': 0.1})
     tracker = Tracker(settings)
-    so_far = _replayed.begin(settings, tracker)
+    so_far = _replayed.begin(settings, tracker, is_whole=False)
     turn = np.exp(0.05j * np.arange(200))[:, None] * [0.1, 0.1j, -0.1]
     points = np.stack((turn.real, turn.imag, 0 * turn.real), axis=-1)
     frames = MarkerFrames(10**9 + 5_000_000 * np.arange(200), 'world', ('a', 'b', 'c'), points)
@@ -887,3 +886,29 @@ def test_the_outcome_of_a_replay_is_made_once_and_has_shares() -> None:
     assert (outcome.frames, outcome.first, outcome.unknown) == (200, 10**9, {})
     with pytest.raises(FrozenInstanceError):
         outcome.frames = 0  # type: ignore[misc]
+
+
+def test_a_whole_bag_has_results_to_both_ends_and_says_how_much_is_read(tmp_path: Path) -> None:
+    bag, settings = tmp_path / 'run.mcap', settings_from({'derivative_order': 1})
+    stamps = 10**9 + 10_000_000 * np.arange(120)
+    turn = np.exp(1j * 3e-9 * stamps)[:, None] * np.array([0.1, 0.1j, -0.05])
+    noise = 1e-4 * np.random.default_rng(0).normal(size=(120, 3, 2)) @ (1, 1j)
+    with BagWriter(bag) as writer:
+        for stamp, row in zip(stamps.tolist(), turn + noise, strict=True):
+            points = np.stack((row.real, row.imag, 0 * row.real), axis=-1)
+            message = to_message('marker_array', stamp, 'world', ['0', '1', '2'], points)
+            writer.write('/markers', message, stamp + 1)
+    shares: list[float] = []
+    outputs = [tmp_path / f'{name}.csv' for name in 'ab']
+    for output in outputs:
+        shares.clear()
+        whole = replay(bag, settings, tmp_path / 'o.mcap', output, None, shares.append, whole=True)
+    live = replay(bag, settings)
+    assert outputs[0].read_bytes() == outputs[1].read_bytes()
+    assert (whole.frames, whole.estimates) == (120, 120)
+    assert live.estimates < 120 and not live.unknown and not whole.unknown
+    assert shares == sorted(shares) and shares[0] < 0.2 and shares[-1] == 1.0
+    logged = [
+        message.log_time for message in read_messages(tmp_path / 'o.mcap', ['/kinpole/state'])
+    ]
+    assert len(logged) == 120 and logged == sorted(logged) and logged[-1] == stamps[-1] + 1

@@ -15,7 +15,7 @@ import numpy as np
 
 from derivatives_reference._evidence import KNOWN, Found, derive, weights_of
 from derivatives_reference._hub import find_hub, turning_of
-from derivatives_reference._models import FLAT, _layout, modes_of, stencils_of
+from derivatives_reference._models import LOG_PRIOR_WIDTH, _layout, modes_of, stencils_of
 from derivatives_reference._samples import Window, seen_of
 from derivatives_reference._segments import add_segments, divide, nearest_event
 from kinpole_ros.planar._plane import Real
@@ -104,8 +104,8 @@ def derive_even(window: Window, samples: Real, weights: Real | None, radians: Re
     whole = derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking)
     if window.exact:
         return whole
-    simple = (whole.best >= -_WORTH * FLAT * np.array((1, 2))[:, None]).all(axis=0)
-    for k, is_simple in enumerate(simple):
+    least = -_WORTH * LOG_PRIOR_WIDTH * np.array((1, 2))[:, None]
+    for k, is_simple in enumerate((whole.best >= least).all(axis=0)):
         weight = np.ones((window.size, 2)) if weights is None else weights[..., k]
         found = _derive_signal(window, samples[..., k], weight, bool(is_simple))
         for all_, part in zip(whole, found or (), strict=found is not None):

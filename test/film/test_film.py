@@ -325,7 +325,7 @@ def test_a_live_camera_has_to_stand_still(tmp_path: Path) -> None:
     shake = np.stack((8 * np.sin(5 * t), 6 * np.cos(4 * t)), axis=-1)
     corners = Film(t, FOUR_BAR[:1], SMALL).corners()[0] + shake[:, None]
     live = LiveTags(OPTIONS)
-    with pytest.raises(FilmError, match=r'the camera moves by .* live it has to stand still'):
+    with pytest.raises(FilmError, match=r'the camera moves against .* live it has to stand still'):
         for places in corners:
             live.place([0], places[None], SMALL.size, '36h11')
     with pytest.raises(FilmError, match='--line-time is for videos'):

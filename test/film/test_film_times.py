@@ -37,7 +37,11 @@ BEGIN = 1_700_000_000_000_000_000  # ns
 
 
 def write(
-    path: Path, times: Sequence[float], tags: dict[str, str] | None = None, **options: Any
+    path: Path,
+    times: Sequence[float],
+    tags: dict[str, str] | None = None,
+    codec: dict[str, str] | None = None,
+    **options: Any,
 ) -> Path:
     """Write a video of small pictures, each brighter than the one before."""
     with av.open(str(path), 'w', options={'movflags': 'use_metadata_tags'}, **options) as container:
@@ -45,6 +49,7 @@ def write(
         stream: Any = container.add_stream('libx264', rate=30)
         stream.width, stream.height, stream.pix_fmt = 64, 64, 'yuv420p'
         stream.codec_context.time_base = Fraction(1, 90_000)
+        stream.options = codec or {}
         for k, time in enumerate(times):
             picture = np.full((96, 64), 20 + 5 * k, np.uint8)
             frame = av.VideoFrame.from_ndarray(picture, 'yuv420p')
@@ -56,6 +61,21 @@ def write(
 
 def stamps_of(video: Video) -> np.ndarray:
     return np.array([picture.stamp for picture in video.pictures()])
+
+
+@pytest.mark.parametrize('name', ['film.mp4', 'film.mkv', 'film.avi', 'film.ts', 'film.mpg'])
+@pytest.mark.parametrize('rate', [None, 50.0])
+def test_a_film_is_read_again_from_any_picture(
+    name: str, rate: float | None, tmp_path: Path
+) -> None:
+    codec = {'g': '5', 'bf': '2', 'sc_threshold': '0'}
+    film = write(tmp_path / name, np.arange(24) / 30, codec=codec)
+    video = Video(film, rate)
+    grays = [picture.gray for picture in video.pictures()]
+    for first in range(len(grays)):
+        again = list(video.read_again(first))
+        assert len(again) == len(grays) - first
+        np.testing.assert_array_equal(again, grays[first:])
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message
 from recordings import START
 
-from kinpole_ros.bags import BagWriter, warnings_of
+from kinpole_ros.bags import BagWriter
 from kinpole_ros.bags import replay as replay_bag
 from kinpole_ros.findings import all_words
 from kinpole_ros.mechanism import load_scene, marker_positions
@@ -331,12 +331,12 @@ def test_a_replay_says_the_same_and_plots_are_of_any_plane(tmp_path) -> None:
             assert isinstance(message, MARKER_TYPES['point_cloud2'])
             writer.write('/markers', message, stamp)
     level = settings_from({})
-    lines = warnings_of(replay_bag(bag, level), level)
+    lines = replay_bag(bag, level).warnings
     assert any('tilted by 30 degrees against the plane xy; fix: set plane' in x for x in lines)
     assert not any('one link only' in line for line in lines)
     fitted = settings_from({'plane': 'fit'})
     result = replay_bag(bag, fitted, output)
-    assert not warnings_of(result, fitted)
+    assert not result.warnings
     assert result.space.plane is not None
     np.testing.assert_allclose(result.space.plane.normal, turn[:, 2], atol=7e-4)
     record = read_record(output)
@@ -411,4 +411,4 @@ def test_a_scene_is_held_against_bodies_in_any_plane() -> None:
     report = positions.report()
     assert report is not None
     assert len(report.joints) == 4
-    assert report.words == []
+    assert report.findings == []

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from conftest import decoded
 
-from kinpole_ros.bags import BagError, BagWriter, replay, simulate, warnings_of
+from kinpole_ros.bags import BagError, BagWriter, replay, simulate
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import (
     INPUT_TYPES,
@@ -331,7 +331,7 @@ def results(
         settings = settings_from({**values_of(kind), 'scale': scale, 'plane': plane})
         found: list[Estimate] = []
         result = replay(bag, settings, written, take=found.append)
-        return found[-1], warnings_of(result, settings), written
+        return found[-1], result.warnings, written
 
     return make
 
@@ -364,7 +364,7 @@ def test_frames_of_a_scene_are_held_against_it(
     bag = results('tf')[2].with_name('tf.mcap')
     values = {**values_of('tf'), 'scene': 'four_bar'}
     found = replay(bag, settings_from(values)).scene_positions
-    assert found is not None and not found.words
+    assert found is not None and not found.findings
     assert found.ratio == pytest.approx(1.0, abs=0.2)
 
 
@@ -483,7 +483,9 @@ def test_a_chain_of_other_stamps_is_not_known_and_says_why() -> None:
     frames, errors = read(reader, *messages)
     assert not errors
     assert all(np.isnan(one.points[:, 1]).all() for one in frames)
-    assert "'coupler' is on 'crank', and came 2 times with another stamp" in reader.fault()
+    fault = reader.fault()
+    assert fault is not None and fault.code == 'stamped_apart'
+    assert fault.sentence().startswith("'coupler' is on 'crank', and came 2 times with another")
 
 
 def test_frames_that_do_not_move_are_links_of_a_chain() -> None:
@@ -534,8 +536,9 @@ def test_names_that_never_come_are_said_with_those_that_do(tmp_path: Path) -> No
     reader = PoseReader('tf', ('crank',))
     assert not reader.fault()
     read(reader, tf(10, robot=(1.0,), lidar=(2.0,)))
-    assert "no pose came of 'crank'" in reader.fault()
-    assert "'robot', 'lidar'" in reader.fault()
+    fault = reader.fault()
+    assert fault is not None and fault.code == 'unseen_names'
+    assert (fault.values['names'], fault.values['others']) == ("'crank'", "'robot', 'lidar'")
     bag = tmp_path / 'tf.mcap'
     simulate(FOUR_BAR, bag, duration=0.5, message='tf')
     with pytest.raises(BagError, match="no pose came of 'arm'; frames that came"):
@@ -578,7 +581,7 @@ def test_a_body_stamped_behind_the_others_is_named_as_the_cause(
 ) -> None:
     names = {'arm.markers': ['arm'], 'rod.markers': ['rod'], 'bodies': ['arm', 'rod']}
     settings = settings_from({'marker_type': 'tf', 'marker_topic': '/tf', **names})
-    lines = warnings_of(replay(two_bodies(tmp_path / 'tf.mcap', shift), settings), settings)
+    lines = replay(two_bodies(tmp_path / 'tf.mcap', shift), settings).warnings
     assert any(words in line for line in lines)
     assert not any('never estimated' in line or 'raise' in line for line in lines)
     assert any('two clocks' in line for line in lines) == (shift == 10**15)
@@ -589,7 +592,7 @@ def test_bodies_stamped_alike_are_not_said_to_be_late(tmp_path: Path) -> None:
     settings = settings_from({'marker_type': 'tf', 'marker_topic': '/tf', **names})
     result = replay(two_bodies(tmp_path / 'tf.mcap', 0), settings)
     assert result.estimates > 200
-    assert not result.pose_problem
+    assert not result.findings
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from kinpole_ros.tracking.consensus import consensus_shape
 from kinpole_ros.tracking.correction import correct_markers
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.identity import unpredicted
 from kinpole_ros.tracking.tracker import Tracker
 
 SCENE = load_scene('four_bar')
@@ -342,6 +343,32 @@ def test_of_exchanges_that_fit_alike_the_one_counts_that_goes_on(count: int, tur
     np.testing.assert_array_equal(found, straight)
 
 
+def test_names_that_go_round_a_triangle_leave_no_trace() -> None:
+    """The body fits turned by a third, and nothing but its last poses tells."""
+    shape = 0.1 * np.exp(2j * np.pi * np.arange(3) / 3)
+    points = markers(shape, 140)
+    spoiled = points.copy()
+    spoiled[90:95] = np.roll(points[90:95], 1, axis=1)
+    tracker, found = fitted(spoiled)
+    assert corrected(tracker) == {'markers_exchanged': 15}
+    np.testing.assert_array_equal(found, straight_turns(tuple(shape), 140))
+
+
+def test_half_a_turn_after_a_frame_without_the_body_leaves_no_trace() -> None:
+    points = markers(KITE[:2], 140)
+    points[89] = np.nan
+    _, straight = fitted(points)
+    tracker, found = fitted(exchange(points, 90, 5))
+    assert corrected(tracker) == {'markers_exchanged': 10}
+    np.testing.assert_array_equal(found, straight)
+
+
+def test_a_mirrored_rectangle_is_not_taken_for_one_whose_names_are_exchanged() -> None:
+    points = markers(RECTANGLE, 140)
+    points[90:93] = 1 + points[90:93].conj()
+    assert corrected(fitted(points)[0]) == {'markers_mirrored': 12}
+
+
 @pytest.mark.parametrize('shape', [KITE[:2], RECTANGLE], ids=['two', 'rectangle'])
 def test_markers_exchanged_for_good_are_taken_so_and_no_pose_jumps(shape: np.ndarray) -> None:
     points = markers(shape, 400)
@@ -428,7 +455,7 @@ def test_a_marker_far_noisier_than_the_others_is_permuted_with_them() -> None:
     points = 1j * shape + noise * (rng.normal(size=(5, 2)) @ (1, 1j))
     points[4] = 1j * shape[4] + 2e-3
     order = np.array([1, 4, 0, 2, 3])
-    found = correct_markers(points[order], shape, weights, 6e-4, np.pi / 2, noise / 1e-4)
+    found = correct_markers(points[order], shape, weights, 6 * noise, unpredicted(1))
     assert np.array_equal(found.points, points)
     assert found.counts == {'markers_exchanged': 5}
 

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from kinpole_ros import __version__
-from kinpole_ros.bags import BagError, Replayed, bag_files, warnings_of
+from kinpole_ros.bags import BagError, Replayed, bag_files
 from kinpole_ros.bags._replay import replay_into
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.files import lock, read_limited, whole_file
@@ -156,7 +156,7 @@ def _name_results(job: Job, folder: Path, fingerprint: list[Any], outcome: Repla
         'unreadable': outcome.unreadable,
         'problem': outcome.problem,
         'unknown': ' '.join(outcome.unknown),
-        'warnings': '; '.join(warnings_of(outcome, job.settings)),
+        'warnings': '; '.join(outcome.warnings),
     }
     for body, poles in outcome.determined.items():
         row[f'{body}_noise'] = outcome.noise[body] if outcome.noise[body] >= 0 else None

@@ -296,8 +296,9 @@ def _observations(
         if not isinstance(frames, messages.MessageError) and frames.identities:
             stamp, values = int(frames.stamps[0]), frames.points.ravel().tolist()
             yield _Observation('', frames.identities, stamp, values)
-        note = f'{file.path}: {reader.fault()}'
-        file.notes += [note] if reader.fault() and note not in file.notes else []
+        if fault := reader.fault():
+            note = f'{file.path}: {fault.words()}'
+            file.notes += [note] if note not in file.notes else []
         return
     items = [content]
     if kind != 'pose':

@@ -93,14 +93,14 @@ def without_stand_ins(points: np.ndarray) -> np.ndarray:
     alike_at = [(rows[..., 0] == rows[..., 1]).any(axis=0) for rows in _slices(points)]
     for k in np.flatnonzero(np.any(alike_at, axis=0)).tolist():
         own = points[:, k, : 2 if flat else 3]
-        alike = (own == own[:, :1]).all(axis=-1) & (own[:, 0] == np.rint(own[:, 0]))
-        others = own[~alike & np.isfinite(own).all(axis=-1)] if alike.any() else own[:0]
+        is_constant = (own == own[:, :1]).all(axis=-1) & (own[:, 0] == np.rint(own[:, 0]))
+        others = own[~is_constant & np.isfinite(own).all(axis=-1)] if is_constant.any() else own[:0]
         if len(others) < _FEWEST_SEEN:
             continue
         usual = float(np.quantile(np.linalg.norm(np.diff(others, axis=0), axis=1), _MOST_STEPS))
-        for value in np.unique(own[alike, 0]).tolist():
+        for value in np.unique(own[is_constant, 0]).tolist():
             if np.linalg.norm(others - value, axis=1).min() > _FAR_STEPS * usual:
-                result[alike & (own[:, 0] == value), k] = True
+                result[is_constant & (own[:, 0] == value), k] = True
     return result
 
 

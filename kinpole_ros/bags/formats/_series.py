@@ -110,10 +110,10 @@ def check_clocks(file: File, series: list[MessageSeries]) -> None:
         came_together = first[2] < span[3] and span[2] < first[3]
         if came_together and (first[1] < span[0] or span[1] < first[0]):
             cause = 'by two clocks' if first[1] and span[1] else 'one of them with 0'
-            apart = abs(int(span[0]) - int(first[0])) / _SECOND
+            gap = abs(int(span[0]) - int(first[0])) / _SECOND
             raise BagError(
                 f'{file.path}: {shown(one)} and {shown(other)} came together, and are stamped '
-                f'{apart:.6g} s apart, {cause}; fix: stamp both by one clock, or record each in a '
+                f'{gap:.6g} s apart, {cause}; fix: stamp both by one clock, or record each in a '
                 'bag of its own'
             )
     if steps and max(steps.values()) > (1 + _SAME_RATE) * min(steps.values()):

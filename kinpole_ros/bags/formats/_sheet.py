@@ -54,7 +54,7 @@ class Sheet:
         # Of the row that is being read.
         self._row_separators = self._row_characters = self._row_lines = 0
         self._may_be_cut = self._is_short = False  # the last number
-        self.left_out: tuple[int, str] | None = None  # line of a last row, and the note on it
+        self.left_out: int | None = None  # line of a last row
         self._count_rows()
 
     def __len__(self) -> int:
@@ -160,23 +160,25 @@ class Sheet:
             if is_left_out
             else 'end the line if it is not, or delete the line'
         )
-        self.notes.append(
-            f'{self.path}, line {self.lines[-1]}: the file ends without the end of a line, so the '
-            f'last number may be cut off; {fix}'
-        )
+        self.notes.append(self._cut_note(self.lines[-1], fix))
         if is_left_out:
-            self.left_out = self.lines[-1], self.notes[-1]
+            self.left_out = self.lines[-1]
             self._drop_rows(len(self) - 1)
+
+    def _cut_note(self, line: int, fix: str) -> str:
+        return (
+            f'{self.path}, line {line}: the file ends without the end of a line, so the last '
+            f'number may be cut off; {fix}'
+        )
 
     def restore_last_row(self) -> None:
         """Have the row again that was left out, since the head of the file counts it."""
         assert self.left_out is not None
-        line, note = self.left_out
-        self.lines.append(line)
+        self.lines.append(self.left_out)
         if len(self) <= _HEAD_ROWS:
             self._head = list(islice(self.rows(), len(self)))
         kept = 'the file counts that row, so it is kept: see that its last number is whole'
-        self.notes[:] = [note.replace('the row is left out', kept)]
+        self.notes[:] = [self._cut_note(self.left_out, kept)]
 
     def rows(self) -> Iterator[list[str]]:
         """Split the file into rows of cells, from its beginning."""

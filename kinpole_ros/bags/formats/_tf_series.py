@@ -49,11 +49,11 @@ def multiplied_out(file: File, series: list[MessageSeries], links: Links) -> lis
     parents = {name: next(iter(links.parents[name])) for name in of_frame}
     chains = chains_of(moving, parents, links.static)
     fixed, _ = Counter(chain[0] for chain in chains.values()).most_common(1)[0]
-    apart = [shown(name) for name, chain in chains.items() if chain[0] != fixed]
-    if apart:
+    separate = [shown(name) for name, chain in chains.items() if chain[0] != fixed]
+    if separate:
         file.notes.append(
             f'{file.path}: frames that nothing connects to {shown(fixed)} were not read: '
-            f'{listed(apart)}'
+            f'{listed(separate)}'
         )
     result = [part for part in series if part.source not in links.parents]
     chained = []

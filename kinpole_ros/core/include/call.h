@@ -17,7 +17,7 @@
     VALUE(long long, block, "frames of which a sample is the mean")                 \
     VALUE(long long, exact, "1 if rounding matters, in motion far above the noise") \
     VALUE(long long, orders, "TABLE_ORDERS, or K for stencils")                     \
-    VALUE(double, at, "instant of the stencils, samples from the middle")           \
+    VALUE(double, from_middle, "samples: instant of stencils, after the middle")    \
     ARRAY(const long long, integers, "(I)", "sizes and indices: see models.h")      \
     ARRAY(const double, numbers, "(M)", "values of the models: see models.h")
 
@@ -30,8 +30,8 @@ typedef STRUCT(TABLE_FIELDS) Table;
     ARRAY(double, position_covariance, "(K, K, T, B)", "m^2/s^(k + l): of one coordinate")   \
     ARRAY(double, angle_covariance, "(K, K, T, B)", "rad^2/s^(k + l): of the angle")         \
     ARRAY(double, span, "(T, B)", "s: length of the window")                                 \
-    ARRAY(double, freedom, "(T, B)", "effective parameters of the angle; 2 if it is steady") \
-    ARRAY(Number, reference, "(T, B)", "m: point of this position, in its frame")
+    ARRAY(double, parameters, "(T, B)", "effective parameters of the angle; 2 if it is steady") \
+    ARRAY(Number, reference, "(T, B)", "m: this point less the given one, in the body frame")
 
 typedef STRUCT(DERIVATIVE_ARRAYS_FIELDS) DerivativeArrays;
 
@@ -47,13 +47,13 @@ typedef int (*TableMaker)(Table *table);
     VALUE(long long, orders, "K")                                                                 \
     VALUE(long long, table_count, "number of tables")                                             \
     VALUE(double, window, "s: length of a full window")                                           \
-    VALUE(double, flat, "log of prior over noise, standard deviations, of mean and slope")        \
+    VALUE(double, log_prior_width, "log of prior over noise, of mean and slope")                  \
     ARRAY(const long long, time, "(N)", "ns: when each frame was, by the clock")                  \
-    ARRAY(const long long, windows, "(3, T)", "frames: the instant, oldest, newest")              \
+    ARRAY(const long long, windows, "(3, T)", "frames of the instant, the oldest, the newest")    \
     ARRAY(const long long, left_out, "(T, B)", "newest frames that are not used")                 \
     ARRAY(const double, angle, "(N, B)", "rad: angle of the body")                                \
-    ARRAY(const double, turns, "(N, B)", "whole turns beyond the angle")                          \
-    ARRAY(const Number, position, "(N, B)", "m: position of a point of the body")                 \
+    ARRAY(const double, turns, "(N, B)", "whole turns to add to the angle")                       \
+    ARRAY(const Number, position, "(N, B)", "m: position of the given point of the body")         \
     ARRAY(const double, angle_information, "(N, B)", "squared noise over variance; 0 if unknown") \
     ARRAY(const double, position_information, "(N, B)", "the same, of a coordinate")              \
     ARRAY(const double, noise, "(T, B)", "m: standard deviation at an information of 1")          \

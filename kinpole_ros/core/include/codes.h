@@ -48,7 +48,7 @@ enum { TABLE_ORDERS(DECLARE_CODE) };
 
 enum { UNUSUAL_BITS(DECLARE_CODE) };
 
-/* Why a body has no result, up to PLANE_UNKNOWN, of which the larger go first up to OFF_PATH; and
+/* Why a body has no result, up to PLANE_UNKNOWN: of several up to OFF_PATH it is the largest; and
    why a quantity of a body with a pose is undetermined. The texts are in reasons.py, and programs
    read these numbers in the topic `state`: a number is never used again for something else. */
 #define REASONS(CODE)      \
@@ -81,8 +81,9 @@ enum { REPETITIONS(DECLARE_CODE) };
 
 /* What a quantity is. A pole has its order, and FREE plus that order is the pole by the motion
    alone; RATE plus its order is a derivative of the angle. VELOCITY is that of the ICR, CURVATURE
-   that of the centrode, CIRCLE_CENTER and CIRCLE_DIAMETER are of the inflection circle, and GIVEN
-   is a quantity that a row of messages has with it. */
+   that of the centrode, CIRCLE_CENTER and CIRCLE_DIAMETER are of the inflection circle,
+   RELATIVE_RATE and RELATIVE_CENTER are of two bodies, and GIVEN is a quantity that a row of
+   messages has with it. */
 #define QUANTITIES(CODE)      \
     CODE(POLE_1, 1)           \
     CODE(POLE_2, 2)           \

@@ -4,7 +4,8 @@
  * Shapes have B bodies with up to n markers, T instants, N new frames, and the rows of the history
  * that there is memory for. Arrays are row-major. Complex numbers are points or vectors of the
  * plane of the motion. The frame of a body is fixed to it. Information is an inverse variance,
- * times the variance of a coordinate of a marker.
+ * times the variance of a coordinate of a marker. A tilt is the sine of half the angle between the
+ * normals of the plane and of a body, in the direction in which the body sees the former lean.
  */
 
 #ifndef KINPOLE_FRAMES_H
@@ -16,6 +17,7 @@
 #define FRAME_LIMITS_FIELDS(VALUE, BLOCK, ARRAY)                                           \
     VALUE(long long, window_ns, "ns: length of the window")                                \
     VALUE(double, lag_ns, "ns: age of a frame when its result is due")                     \
+    VALUE(long long, waits, "1 if the first results wait until the window is full")        \
     VALUE(double, far, "a pose farther off its path, in standard deviations, is not used") \
     VALUE(double, newest_factor, "the same of the newest poses, over `far`")               \
     VALUE(double, near, "rad, or body sizes: a pose nearer to its path is always used")    \
@@ -29,7 +31,7 @@ typedef STRUCT(FRAME_LIMITS_FIELDS) FrameLimits;
     VALUE(long long, first, "first row in use")                                                    \
     VALUE(long long, end, "row after the last one in use")                                         \
     VALUE(long long, next_result, "row of which the next result is, from `first` on")              \
-    VALUE(long long, samples, "frames of the window")                                              \
+    VALUE(long long, window_frames, "frames of the window")                                        \
     VALUE(double, interval, "ns: mean interval of these")                                          \
     ARRAY(long long, stamp, "(rows)", "ns: stamp as the message has it")                           \
     ARRAY(long long, time, "(rows)", "ns: when each frame was, by the clock")                      \
@@ -37,7 +39,7 @@ typedef STRUCT(FRAME_LIMITS_FIELDS) FrameLimits;
     ARRAY(Flag, goes_on, "(rows)", "whether there is no gap before the frame")                     \
     ARRAY(Flag, used, "(rows, B, n)", "whether the pose is fitted to the marker")                  \
     ARRAY(double, angle, "(rows, B)", "rad: angle of the body, in [-pi, pi]; NaN if unknown")      \
-    ARRAY(double, turns, "(rows, B)", "whole turns beyond the angle")                              \
+    ARRAY(double, turns, "(rows, B)", "whole turns to add to the angle")                           \
     ARRAY(double, information, "(rows, 2, B)", "m^2, 1: of angle and position; 0 if not used")     \
     ARRAY(double, height, "(rows, B)", "m: mean height of the markers seen")                       \
     ARRAY(double, heights, "(rows, B, n)", "m: heights of the markers over the plane")             \
@@ -54,20 +56,20 @@ typedef STRUCT(HISTORY_COLUMNS_FIELDS) HistoryColumns;
     VALUE(long long, width, "n: slots of markers of a body")                                       \
     ARRAY(Number, shape, "(B, n)", "m: markers in the body frame; 0 if not seen yet")              \
     ARRAY(Number, reference, "(B)", "m: point whose position is derived, in the body frame")       \
-    ARRAY(Number, middle, "(B)", "m: where errors of position and angle are independent")          \
+    ARRAY(Number, middle, "(B)", "m: point whose position and angle have independent errors")      \
     ARRAY(Number, pin, "(B)", "m: fixed point that the body turns about; NaN for none")            \
-    ARRAY(Number, pin_arm, "(B)", "m: the pin in its frame")                                       \
+    ARRAY(Number, pin_arm, "(B)", "m: the pin, in the body frame")                                 \
     ARRAY(Number, places, "(B, n)", "m: `shape`, NaN for markers not seen yet")                    \
     ARRAY(double, weights, "(B, n)", "weights of the markers in a fit; 0 for those not seen yet")  \
     ARRAY(double, largest, "(B, n)", "m^2: a marker whose squared residual is larger is unusual")  \
     ARRAY(double, doubtful, "(B, n)", "m^2: the same of a marker whose name is doubtful")          \
     ARRAY(double, spread, "(B)", "m^2: sum of squared distances of the markers from their mean")   \
     ARRAY(double, loosest, "(B)", "m^2: least spread of markers that show an angle")               \
-    ARRAY(double, jump_scale, "(2, B)", "rad, m: deviations of angle and position from paths")     \
+    ARRAY(double, jump_scale, "(2, B)", "rad, m: sigma of angle and position about their paths")   \
     ARRAY(double, size, "(B)", "m: diameter of the body")                                          \
-    ARRAY(double, error, "(B)", "m^2: variance of a coordinate of a marker, with rounding")        \
-    ARRAY(double, information_factor, "(2, B)", "factors of `information`, for poses")             \
-    ARRAY(double, fit_noise, "(B)", "m: deviation of a coordinate of a marker; 1 if unknown")      \
+    ARRAY(double, marker_variance, "(B)", "m^2: of a coordinate, no less than rounding")           \
+    ARRAY(double, information_factor, "(2, B)", "factors of `information` of angle and position")  \
+    ARRAY(double, fit_noise, "(B)", "m: sigma of a coordinate of a marker; 1 if unknown")          \
     ARRAY(double, angle_noise, "(B)", "rad: of measured poses; NaN for poses fitted to markers")   \
     ARRAY(double, freedom, "(B)", "degrees of freedom of a deformed body; 0 for a rigid one")      \
     ARRAY(double, pin_variance, "(B)", "m^2: variance of a coordinate of the pin")                 \
@@ -100,22 +102,22 @@ typedef STRUCT(GAPS_FIELDS) Gaps;
     ARRAY(double, sure_tilt_turn, "(B)", "rad: `tilt_turn` of the last pose that is surely right") \
     ARRAY(double, sure_angle, "(B)", "rad: angle of this pose")                                    \
     ARRAY(double, last_angle, "(B)", "rad: last angle that was known; NaN for none")               \
-    ARRAY(Number, sure_tilt, "(B)", "tilt of this pose: see pose_points.py")
+    ARRAY(Number, sure_tilt, "(B)", "tilt of this pose")
 
 typedef STRUCT(BODY_TRACKS_FIELDS) BodyTracks;
 
 /* Frames that are to be taken. */
-#define NEW_FRAMES_FIELDS(VALUE, BLOCK, ARRAY)                                                   \
-    VALUE(long long, frame, "next frame to take")                                                \
-    VALUE(long long, frames, "N")                                                                \
-    VALUE(long long, until_update, "frames to take before the next update")                      \
-    VALUE(long long, hidden_is_unusual, "1 if a frame with a hidden marker is unusual")          \
-    ARRAY(const long long, stamp, "(N)", "ns: stamp as the message has it")                      \
-    ARRAY(const long long, time, "(N)", "ns: when each frame was, by the clock")                 \
-    ARRAY(const long long, tick, "(N)", "number of the tick of the clock")                       \
-    ARRAY(const Number, points, "(N, B, n)", "m: markers; NaN for those not seen")               \
-    ARRAY(const double, heights, "(N, B, n)", "m: heights of the markers over the plane")        \
-    ARRAY(const Number, tilts, "(N, B)", "tilts of poses, see pose_points.py; NULL for markers") \
+#define NEW_FRAMES_FIELDS(VALUE, BLOCK, ARRAY)                                            \
+    VALUE(long long, frame, "next frame to take")                                         \
+    VALUE(long long, frames, "N")                                                         \
+    VALUE(long long, until_update, "frames to take before the next update")               \
+    VALUE(long long, hidden_is_unusual, "1 if a frame with a hidden marker is unusual")   \
+    ARRAY(const long long, stamp, "(N)", "ns: stamp as the message has it")               \
+    ARRAY(const long long, time, "(N)", "ns: when each frame was, by the clock")          \
+    ARRAY(const long long, tick, "(N)", "number of the tick of the clock")                \
+    ARRAY(const Number, points, "(N, B, n)", "m: markers; NaN for those not seen")        \
+    ARRAY(const double, heights, "(N, B, n)", "m: heights of the markers over the plane") \
+    ARRAY(const Number, tilts, "(N, B)", "tilts of poses; NULL for markers")              \
     ARRAY(const Number, corrected, "(B, n)", "m: markers to fit the next frame to, or NULL")
 
 typedef STRUCT(NEW_FRAMES_FIELDS) NewFrames;
@@ -133,7 +135,7 @@ typedef STRUCT(FRAMES_FIELDS) Frames;
 #define RESULTS_FIELDS(VALUE, BLOCK, ARRAY)                                                      \
     VALUE(long long, instants, "T, the instants that there is memory for")                       \
     VALUE(long long, filled, "number of instants that have results")                             \
-    VALUE(long long, fewest, "frames of a window for which there is no result with less")        \
+    VALUE(long long, fewest, "frames of the window that a result needs")                         \
     VALUE(long long, deformed, "number of instants with results of deformed bodies")             \
     VALUE(DerivativeArrays, derivatives, "derivatives; NaN where `reason` says so")              \
     ARRAY(long long, stamp, "(T)", "ns: the instant, a stamp")                                   \
@@ -143,10 +145,10 @@ typedef STRUCT(FRAMES_FIELDS) Frames;
     ARRAY(double, height, "(T, B)", "m: mean height of the markers seen")                        \
     ARRAY(double, pin_variance, "(T, B)", "m^2: variance of a coordinate of the pin")            \
     ARRAY(double, frame_angle, "(T, B)", "rad: angle fitted to the frame alone, with its turns") \
-    ARRAY(double, information, "(T, 2, B)", "m^2, 1: of angle and position")                     \
+    ARRAY(double, information, "(T, 2, B)", "m^2, 1: of angle and position, times its factors")  \
     ARRAY(double, noise, "(T, B)", "m: standard deviation of a coordinate of a marker")          \
     ARRAY(Number, pin, "(T, B)", "m: fixed point that the body turns about; NaN for none")       \
-    ARRAY(Number, shape, "(T, B, n)", "m: markers in the body frame; NaN if not seen yet")       \
+    ARRAY(Number, shape, "(T, B, n)", "m: `places` when the result was computed")                \
     ARRAY(Number, frame_position, "(T, B)", "m: position fitted to the frame alone")             \
     ARRAY(Number, middle, "(T, B)", "m: `middle` of this pose, in the body frame")               \
     ARRAY(unsigned char, reason, "(T, B)", "REASONS: why there is no result")
@@ -154,11 +156,13 @@ typedef STRUCT(FRAMES_FIELDS) Frames;
 typedef STRUCT(RESULTS_FIELDS) Results;
 
 /* Fits poses to `markers` (B, n), m, as if they were the next frame. Writes the row after the last
-   one in use, which stays out of use, and `unusual`. Returns the UNUSUAL_BITS of all bodies. */
+   one in use, for which there is memory, which stays out of use, and `unusual`. Returns the
+   UNUSUAL_BITS of all bodies. */
 API int kinpole_try_frame(Frames *f, const Number *markers);
 /* Takes frames while they are usual, until the next update, and computes the results that are due.
-   Changes the history, the tracks, `incoming`, `r` and what `kinpole_derive` changes of `call`.
-   Returns DONE, UNUSUAL if Python has to take the next frame, or an error below 0. */
+   There is memory for the rows of all new frames. Changes the history, the tracks, `incoming`, `r`
+   and what `kinpole_derive` changes of `call`. Returns DONE, UNUSUAL if Python has to take the
+   next frame, or an error below 0. */
 API int kinpole_follow(Frames *f, Call *call, Results *r);
 
 #endif

@@ -53,7 +53,8 @@ typedef STRUCT(MESSAGE_LAYOUT_FIELDS) MessageLayout;
 API long long kinpole_count_matches(const MessageLayout *layout, const unsigned char *messages,
                                     long long first, long long end);
 /* Reads the messages from `first` to before `end`, which are of the layout. Writes `stamps` (T),
-   ns, and `points` (T, P, 3); one with a coordinate that is not finite is NaN. */
+   ns, and `points` (T, P, 3), in the unit of the messages; one with a coordinate that is not finite
+   is NaN. */
 API void kinpole_read_messages(const MessageLayout *layout, const unsigned char *messages,
                                long long first, long long end, long long *stamps, double *points);
 
@@ -66,7 +67,7 @@ API void kinpole_read_messages(const MessageLayout *layout, const unsigned char 
     VALUE(long long, body, "the body, or that with respect to which `other` is")      \
     VALUE(long long, other, "the second body of a pair")                              \
     VALUE(long long, is_deviation, "1 for the standard deviation of the quantity")    \
-    VALUE(long long, added_count, "A: numbers of each body behind its reasons")    \
+    VALUE(long long, added_count, "A: numbers of each body behind its reasons")       \
     VALUE(long long, head, "bytes before the doubles of the message")                 \
     VALUE(long long, message_bytes, "length of a message")                            \
     ARRAY(const unsigned char, template, "(message_bytes)", "the message with zeros") \
@@ -92,10 +93,10 @@ typedef struct {
     TwistDoubles twist;
 } OdometryDoubles;
 
-#define MESSAGE_DOUBLES(CODE)                                                    \
-    CODE(VECTOR_DOUBLES, 3)                                                      \
+#define MESSAGE_DOUBLES(CODE)                                                      \
+    CODE(VECTOR_DOUBLES, 3)                                                        \
     CODE(FRAME_DOUBLES, (int)(offsetof(PoseDoubles, covariance) / sizeof(double))) \
-    CODE(POSE_DOUBLES, (int)(sizeof(PoseDoubles) / sizeof(double)))              \
+    CODE(POSE_DOUBLES, (int)(sizeof(PoseDoubles) / sizeof(double)))                \
     CODE(ODOMETRY_DOUBLES, (int)(sizeof(OdometryDoubles) / sizeof(double)))
 
 enum { MESSAGE_DOUBLES(DECLARE_CODE) };
@@ -109,7 +110,8 @@ typedef double Axis[3];
 typedef STRUCT(PLANE_FIELDS) Plane;
 
 /* Writes the messages of `number` rows, of all instants of each, one after the other, to `out`.
-   Writes to `made` (rows, T) whether there is one; the bytes of others mean nothing. */
+   `motion` has so many `bodies` at each instant. Writes to `made` (rows, T) whether there is one;
+   the bytes of others mean nothing. */
 API void kinpole_write_rows(const Motion *motion, long long bodies, const Plane *plane,
                             const Row *rows, long long number, unsigned char *out,
                             unsigned char *made);

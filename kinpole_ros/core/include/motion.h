@@ -5,8 +5,8 @@
  * instant. Covariances are between derivatives of order k and l.
  */
 
-#ifndef KINPOLE_QUANTITIES_H
-#define KINPOLE_QUANTITIES_H
+#ifndef KINPOLE_MOTION_H
+#define KINPOLE_MOTION_H
 
 #include "codes.h"
 
@@ -22,7 +22,7 @@
     ARRAY(const double, size, "(T, B)", "m: diameter of the body")                               \
     ARRAY(const Number, pin, "(T, B)", "m: fixed point that the body turns about; NaN for none") \
     ARRAY(const double, pin_variance, "(T, B)", "m^2: variance of a coordinate of the pin")      \
-    ARRAY(const Number, reference, "(T, B)", "m: point of this position, in its frame")          \
+    ARRAY(const Number, reference, "(T, B)", "m: point of this position, in the body frame")     \
     ARRAY(const double, height, "(T, B)", "m: mean height of the markers seen")                  \
     ARRAY(const long long, stamp, "(T)", "ns: the instant, a stamp")                             \
     ARRAY(const unsigned char, reason, "(T, B)", "REASONS: why there is no result; NULL: none")
@@ -34,8 +34,9 @@ typedef STRUCT(MOTION_FIELDS) Motion;
    The covariance of a real quantity is its variance, in the first element. */
 API void kinpole_quantities(int quantity, const Motion *m, Number *values, double *covariances,
                             unsigned char *flags, unsigned char *reasons);
-/* Computes the instant center of body j with respect to body i, for `number` pairs (2, P): all j,
-   then all i. Writes `values` (T, P), m, `covariances` (T, P, 2, 2), and `flags` (T, P). */
+/* Computes the instant center of body j with respect to body i, of so many `bodies`, for the
+   `number` P of `pairs` (2, P): all j, then all i. Writes `values` (T, P), m, `covariances` (T, P,
+   2, 2), and `flags` (T, P). */
 API void kinpole_relative_centers(const Motion *m, long long bodies, const long long *pairs,
                                   long long number, Number *values, double *covariances,
                                   unsigned char *flags);

@@ -34,8 +34,8 @@ typedef unsigned char Flag;
 #define DECLARE_VALUE(type, name, meaning) type name;
 #define DECLARE_BLOCK(type, name, count, meaning) type name[count];
 #define DECLARE_ARRAY(type, name, shape, meaning) type *name;
-#define STRUCT(FIELDS)                                       \
-    struct {                                                 \
+#define STRUCT(FIELDS)                                      \
+    struct {                                                \
         FIELDS(DECLARE_VALUE, DECLARE_BLOCK, DECLARE_ARRAY) \
     }
 #define DECLARE_CODE(name, value) name = value,

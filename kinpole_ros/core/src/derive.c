@@ -3,8 +3,8 @@
  * _pose_derivatives.py.
  * __init__.py has an overview of the algorithm.
  *
- * One instant of one body is a signal of an angle and two coordinates. Its result depends on the
- * poses in its window alone:
+ * One instant of one body is a signal of an angle and two coordinates; its number is the instant
+ * times the bodies, plus the body. Its result depends on the poses in its window alone:
  *
  *   derive_signal    finds the grid, fills cells and blocks (window.c, samples.c)
  *   derive_uneven    fills missing samples, moves others to the even grid (samples.c, mean.c)
@@ -47,17 +47,17 @@
 typedef struct {
     long long block, orders;
     int exact;
-    double at;      /* the instant, samples from the middle */
-    double radians; /* the unit of the angle */
+    double from_middle; /* the instant, samples after the middle of the window */
+    double radians;     /* the unit of the angle */
 } Window;
 
 /* Find or make the table of a window of `count` samples: MODELS, SLOPES, or stencils of so many
-   `orders` at the instant `at`. Writes `table`. Returns DONE or NO_TABLE. */
+   `orders` at the instant `from_middle`. Writes `table`. Returns DONE or NO_TABLE. */
 static int
-find_table(Call *call, const Window *window, long long count, long long orders, double at,
-           Table *table)
+find_table(Call *call, const Window *window, long long count, long long orders,
+           double from_middle, Table *table)
 {
-    *table = (Table){count, window->block, window->exact, orders, at, NULL, NULL};
+    *table = (Table){count, window->block, window->exact, orders, from_middle, NULL, NULL};
     for (const Table *t = call->tables; t < call->tables + call->table_count; t++)
         if (!memcmp(t, table, offsetof(Table, integers))) {
             *table = *t;
@@ -87,75 +87,77 @@ unpack_models(const Table *table, Models *m)
     if (m->exact)
         m->residual_factor = m->shrinkage + m->chunks * m->rows;
     m->log_prior = m->residual_factor + m->chunks * m->rows;
-    m->freedom = m->log_prior + 2 * m->groups;
-    m->step_squares = (const double *)(m->freedom + m->groups);
+    m->parameters = m->log_prior + 2 * m->groups;
+    m->step_squares = (const double *)(m->parameters + m->groups);
 }
 
-/* Lay out the arrays of a window. The set has the samples with a weight below 1 and no steps; the
-   scratch memory of `w` suffices for sets with steps. */
+/* Lay out the arrays of `w` and `set` for a window and so many `orders`. The set has the samples
+   with a weight below 1, and their coefficients, and no steps; the scratch memory of `w` suffices
+   for sets with steps. Returns DONE or NO_MEMORY. */
 static int
 prepare_window(Call *call, const Models *m, long long orders, const Samples *s, Work *w, Set *set)
 {
-    long long cells = 0;
+    long long low = 0;
     int parts = 1;
     w->prior_samples = NOISE_PRIOR_SAMPLES, w->total_weight[0] = w->total_weight[1] = 0.0;
     for (long long k = 0; k < s->count; k++) {
         double a = s->weight[0][k], p = s->weight[1][k];
         w->total_weight[0] += a, w->total_weight[1] += p;
-        cells += a < 1.0 || p < 1.0;
+        low += a < 1.0 || p < 1.0;
         if (a != p)
             parts = 2;
     }
-    long long most = cells + (m->exact ? 0 : EVENT_COLUMNS), pairs = most * (most + 1) / 2;
+    long long most = low + (m->exact ? 0 : EVENT_COLUMNS), pairs = most * (most + 1) / 2;
     long long half = m->half + LANES, terms = pairs + (3 + orders) * most + 3 * orders + 6;
     long long of_lanes = 3 * m->groups + pairs + 3 * most + half + (3 * orders + 1) * most +
                          6 * SLOPE_ORDERS * (half / LANES);
     long long of_numbers = 6 * m->rows + terms * half;
-    size_t of_set = size_of_set(m, orders, cells, 0, parts);
+    size_t of_set = size_of_set(m, orders, low, 0, parts);
     char *data = kinpole_buffer(call, OF_MODELS, of_set + 8 * (of_lanes * LANES + of_numbers));
     if (!data)
         return NO_MEMORY;
-    data = lay_out_set(m, orders, cells, 0, parts, data, set);
+    data = lay_out_set(m, orders, low, 0, parts, data, set);
     TAKE(w->residual, 3 * m->groups), TAKE(w->column_products, pairs + 3 * most + half);
     TAKE(w->column_effects, 2 * orders * most), TAKE(w->over_pivots, (orders + 1) * most);
     TAKE(w->slopes, 6 * SLOPE_ORDERS * (half / LANES));
     TAKE(w->coefficients, 3 * m->rows), TAKE(w->squares, 3 * m->rows), TAKE(w->terms, terms * half);
-    set->cells = cells;
+    set->low_samples = low;
     for (long long k = 0, x = 0; k < s->count; k++)
         if (s->weight[0][k] < 1.0 || s->weight[1][k] < 1.0) {
-            set->cell[x] = k;
+            set->low_sample[x] = k;
             for (int part = 0; part < parts; part++) {
-                set->weight[part * cells + x] = s->weight[part][k];
-                set->root[part * cells + x] = sqrt(1.0 - s->weight[part][k]);
+                set->weight[part * low + x] = s->weight[part][k];
+                set->root[part * low + x] = sqrt(1.0 - s->weight[part][k]);
             }
             x++;
         }
-    project_cells(m, set);
+    project_low_samples(m, set);
     return DONE;
 }
 
 /* Replace the position in `out` by that of a hub of the samples, if there is one; its path has no
-   events. `none` is the set without events, whose evidence changes. Returns NO_MEMORY or DONE. */
+   events. Then `w` and `none`, the set without events, become those of its samples. Returns
+   NO_MEMORY or DONE. */
 static int
-derive_hub(Call *call, const Window *window, const Models *m, const Stencils *by, const Samples *s,
-           Work *w, Set *none, Estimate *out)
+derive_hub(Call *call, const Window *window, const Models *m, const Stencils *stencils,
+           const Samples *s, Work *w, Set *none, Estimate *out)
 {
     Samples own = *s;
     Estimate moved;
     Hub hub;
-    if (find_hub(call, by, window->radians, out->evidence[1], &own, &hub))
+    if (find_hub(call, stencils, window->radians, out->evidence[1], &own, &hub))
         return NO_MEMORY;
     if (!hub.growth)
         return DONE;
     project_samples(m, &own, w);
     evaluate_models(m, &own, w, none);
-    differentiate(m, by, w, none, 1, &moved);
-    take_hub(&hub, &moved, window->radians, by->orders, out);
+    differentiate(m, stencils, w, none, 1, &moved);
+    take_hub(&hub, &moved, window->radians, stencils->orders, out);
     return DONE;
 }
 
-/* Differentiate even samples at the instant of a window, in samples and deviations of their noise.
-   Returns the same as `kinpole_derive`. */
+/* Differentiate even samples at the instant of a window, into `out`. Returns the same as
+   `kinpole_derive`. */
 static int
 derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
 {
@@ -164,9 +166,9 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
     Set sets[MAX_SETS];
     Division d = {.count = 0};
     int number = 1, code = DONE;
-    Table models, stencils;
+    Table models, of_instant;
     if (find_table(call, window, s->count, MODELS, 0.0, &models) ||
-        find_table(call, window, s->count, window->orders, window->at, &stencils))
+        find_table(call, window, s->count, window->orders, window->from_middle, &of_instant))
         return NO_TABLE;
     unpack_models(&models, &m);
     if (prepare_window(call, &m, window->orders, s, &w, sets))
@@ -174,23 +176,24 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
     project_samples(&m, s, &w);
     evaluate_models(&m, s, &w, sets);
     long long modes = window->orders * m.rows;
-    Stencils by = {window->orders, window->at + (s->count - 1) / 2.0, stencils.numbers,
-                   (const Lanes *)(stencils.numbers + modes)};
+    Stencils stencils = {window->orders, window->from_middle + (s->count - 1) / 2.0,
+                         of_instant.numbers, (const Lanes *)(of_instant.numbers + modes)};
     if (!window->exact)
-        code = search_events(call, &m, &by, s, &w, window->block, sets, &number, &d);
+        code = search_events(call, &m, &stencils, s, &w, window->block, sets, &number, &d);
     if (!code)
-        differentiate(&m, &by, &w, sets, number, out);
+        differentiate(&m, &stencils, &w, sets, number, out);
     if (!code && d.count)
-        add_segments(&by, s, &d, out);
+        add_segments(&stencils, s, &d, out);
     if (!code && !window->exact)
-        code = derive_hub(call, window, &m, &by, s, &w, sets, out);
+        code = derive_hub(call, window, &m, &stencils, s, &w, sets, out);
     return code;
 }
 
 /* Move samples to the even grid along the estimated motion, and estimate it again, until angle and
    position settle, each by itself. Writes the moved samples to `s`, and to `factor` (2) by how much
-   the last movement, as if it were noise, increases the standard deviation of the noise. `scratch`
-   is memory for 6 signals. Returns the same as `kinpole_derive`. */
+   the last movement, as if it were noise, increases the standard deviation of the noise. The
+   signals of `s` follow each other in memory; `scratch` is memory for 6 signals. Returns the same
+   as `kinpole_derive`. */
 static int
 move_until_settled(Call *call, const Window *window, Samples *s, double *scratch, double *factor)
 {
@@ -236,41 +239,43 @@ move_until_settled(Call *call, const Window *window, Samples *s, double *scratch
     return DONE;
 }
 
-/* Multiply derivatives and standard deviations of angle and position by the numbers `by` (2). */
+/* Multiply derivatives, standard deviations and hub of an estimate by the numbers `factor` (2). */
 static void
-scale_estimate(Estimate *found, const double *by)
+scale_estimate(Estimate *found, const double *factor)
 {
-    found->hub *= by[1];
+    found->hub *= factor[1];
     for (int k = 0; k < MAX_ORDERS; k++) {
         for (int c = 0; c < 3; c++)
-            found->mean[c][k] *= by[c > 0];
+            found->mean[c][k] *= factor[c > 0];
         for (int j = 0; j < MAX_ORDERS; j++)
             for (int c = 0; c < 2; c++)
-                found->covariance[c][k][j] *= by[c] * by[c];
+                found->covariance[c][k][j] *= factor[c] * factor[c];
     }
 }
 
-/* Differentiate samples some of which may be missing, of low weight, or off the even grid.
-   `scratch` is memory for 12 signals. Returns the same as `kinpole_derive`. */
+/* Differentiate samples some of which may be missing, of low weight, or off the even grid, into
+   `out`. `scratch` is memory for 12 signals. The arrays of `uneven` follow each other in memory,
+   and stay, unless the motion is exact and comes out infinite. Returns the same as
+   `kinpole_derive`. */
 static int
-derive_uneven(Call *call, const Window *window, const Samples *given, double *scratch,
+derive_uneven(Call *call, const Window *window, const Samples *uneven, double *scratch,
               Estimate *out)
 {
-    long long n = given->count, low_weights = 0;
-    Samples s = *given;
+    long long n = uneven->count, low_samples = 0;
+    Samples s = *uneven;
     double noise[2] = {1.0, 1.0}, moving[2] = {1.0, 1.0};
     int is_uneven = 0;
-    memcpy(scratch, given->x[0], 6 * n * sizeof(double));
+    memcpy(scratch, uneven->x[0], 6 * n * sizeof(double));
     for (int c = 0; c < 3; c++)
         s.x[c] = scratch + c * n;
     s.weight[0] = scratch + 3 * n, s.weight[1] = scratch + 4 * n;
     for (long long k = 0; k < n; k++) {
-        low_weights += s.weight[0][k] < 1 || s.weight[1][k] < 1;
+        low_samples += s.weight[0][k] < 1 || s.weight[1][k] < 1;
         is_uneven |= s.off[k] != 0.0;
     }
     /* The cost goes by the square of the low weights. If there are many, all samples that are not
        missing get the mean variance. */
-    for (int c = 0; c < (low_weights > MAX_LOW_WEIGHT ? 2 : 0); c++) {
+    for (int c = 0; c < (low_samples > MAX_LOW_WEIGHT ? 2 : 0); c++) {
         double sum = 0.0, number = 0.0;
         for (long long k = 0; k < n; k++)
             if (s.weight[c][k] > 0)
@@ -278,7 +283,7 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sc
         noise[c] = sqrt(sum / larger(number, 1.0));
     }
     divide_samples(&s, noise);
-    if (low_weights)
+    if (low_samples)
         fill_missing(&s);
     int code = is_uneven ? move_until_settled(call, window, &s, scratch + 6 * n, moving) : DONE;
     Window in_noise = *window;
@@ -300,16 +305,17 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sc
     Window noisy = *window;
     noisy.exact = 0;
     for (int c = 0; c < 2; c++)
-        noise[c] = larger(largest_sample(given, c) / EXACT_RATIO, 1.0);
-    divide_samples(given, noise);
+        noise[c] = larger(largest_sample(uneven, c) / EXACT_RATIO, 1.0);
+    divide_samples(uneven, noise);
     noisy.radians *= noise[0];
-    code = derive_uneven(call, &noisy, given, scratch, out);
+    code = derive_uneven(call, &noisy, uneven, scratch, out);
     scale_estimate(out, noise);
     return code;
 }
 
-/* Write the derivatives of a signal, of the body with the pose `now`: an estimate relative to that
-   pose, in units of `scale` by order, of angle and position. Without an estimate they are NaN. */
+/* Write the derivatives of the signal with this number, of the body with the pose `now`, an element
+   of (N, B): an estimate relative to that pose, in units of `scale` (2, orders), rad/s^k and m/s^k.
+   Without an estimate they are NaN. `span` is the length of the window, s. */
 static void
 write_results(const Call *call, long long signal, long long now, const Estimate *estimate,
               const double (*scale)[MAX_ORDERS], double span)
@@ -338,11 +344,11 @@ write_results(const Call *call, long long signal, long long now, const Estimate 
     }
     out->reference[signal] = arm;
     out->span[signal] = span;
-    out->freedom[signal] = estimate ? estimate->freedom : NAN;
+    out->parameters[signal] = estimate ? estimate->parameters : NAN;
 }
 
-/* Derive the signals of a body at an instant from the frames of its window, and write the results.
-   Returns the same as `kinpole_derive`. */
+/* Derive the signal of a body at an instant from the frames of its window, on their `grid`, and
+   write the results; NaN without enough of them. Returns the same as `kinpole_derive`. */
 static int
 derive_signal(Call *call, long long instant, long long body, const Grid *grid)
 {
@@ -371,7 +377,7 @@ derive_signal(Call *call, long long instant, long long body, const Grid *grid)
     s.weight[0] = data + 3 * size, s.weight[1] = data + 4 * size, s.off = data + 5 * size;
     average_blocks(&cells.samples, block, &s, coarser);
     Window window = {block, call->orders, cells.exact, 0.0, cells.unit[0] * coarser[0]};
-    window.at = (size - 1) / 2.0 - (cells.ahead - (block - 1) / 2.0) / block;
+    window.from_middle = (size - 1) / 2.0 - (cells.ahead - (block - 1) / 2.0) / block;
     int code = derive_uneven(call, &window, &s, scratch, &estimate);
     if (code)
         return code;

@@ -16,8 +16,8 @@
 /* Bound of the number of spectra, of which _models.py has three. */
 #define MAX_SPECTRA 8
 
-/* Solve L y = root values in place, for `number` of each, with L D L' of `factorize`. Writes y / D
-   to `over_pivots` (number). */
+/* Solve L y = root values in place, (number) of each, with L D L' of `factorize`, its `factor`.
+   Writes y / D to `over_pivots` (number). */
 static inline void
 forward_substitute(const Lanes *factor, const double *root, long long number, Lanes *values,
                    Lanes *over_pivots)
@@ -31,8 +31,9 @@ forward_substitute(const Lanes *factor, const double *root, long long number, La
     }
 }
 
-/* Factorize diag(weight) + diag(root) C diag(root) = L D L', for the products C (pairs) of columns;
-   `factor` (pairs) is L, with 1 / D on its diagonal. Returns half of the log determinant. */
+/* Factorize diag(weight) + diag(root) C diag(root) = L D L', for the products C (pairs) of `number`
+   columns. Writes `factor` (pairs): L, with 1 / D on its diagonal. Returns half of the log
+   determinant. */
 static inline Lanes
 factorize(const Lanes *products, const double *weight, const double *root, long long number,
           Lanes *factor)
@@ -67,8 +68,9 @@ factorize(const Lanes *products, const double *weight, const double *root, long 
     return logs;
 }
 
-/* Compute by how much the columns reduce the residual sums of squares of a group's models, and half
-   of what they add to the log determinant (matrix inversion lemma: Rasmussen and Williams, A.3). */
+/* Add to `reduction` (3) by how much the columns reduce the residual sums of squares of a group's
+   models. Writes to `logs` (2) half of what they add to the log determinant, and `factors` and
+   `residuals` of the set (matrix inversion lemma: Rasmussen and Williams, A.3). */
 static inline void
 apply_columns(const Models *m, long long group, const Work *w, const Set *set, Lanes *reduction,
               Lanes *logs)
@@ -99,20 +101,20 @@ apply_columns(const Models *m, long long group, const Work *w, const Set *set, L
 }
 
 PRIVATE_INLINE void
-correct_for_columns(const Models *m, const Stencils *s, long long group, const Work *w,
-                    const Set *set, const Lanes *variance, Lanes *derivatives, Lanes *spread)
+correct_for_columns(const Models *m, const Stencils *stencils, long long group, const Work *w,
+                    const Set *set, const Lanes *variance, Lanes *derivatives, Lanes *covariance)
 {
-    long long orders = s->orders, number = set->columns, pairs = number * (number + 1) / 2;
+    long long orders = stencils->orders, number = set->columns, pairs = number * (number + 1) / 2;
     Lanes *effects = w->column_effects + orders * number;
     memset(effects, 0, orders * number * sizeof(Lanes));
-    Columns modes = {s->modes, orders}, columns = {set->coefficients, number};
+    Columns modes = {stencils->modes, orders}, columns = {set->coefficients, number};
     add_mode_products(m, m->shrinkage, group, modes, columns, w->terms, effects);
     for (long long k = 0; k < orders; k++)
-        for (long long x = set->cells; x < number; x++) {
-            const Step *step = set->step + x - set->cells;
+        for (long long x = set->low_samples; x < number; x++) {
+            const Step *step = set->step + x - set->low_samples;
             if (k <= step->order)
                 FOR_VECTORS effects[k * number + x].part[h] -=
-                    step_value(step->order - k, s->at - step->place);
+                    step_value(step->order - k, stencils->at - step->place);
         }
     for (long long part = 0; part < set->parts; part++) {
         memcpy(w->column_effects, effects, orders * number * sizeof(Lanes));
@@ -126,14 +128,13 @@ correct_for_columns(const Models *m, const Stencils *s, long long group, const W
                         multiply_subtract(derivatives[c * orders + k], over[x],
                                           set->residuals[(group * 3 + c) * number + x]);
             for (long long j = 0; j <= k; j++) {
-                Lanes covariance = all_lanes(0.0);
+                Lanes element = all_lanes(0.0);
                 for (long long x = 0; x < number; x++)
-                    covariance =
-                        multiply_add(covariance, effect[x], w->over_pivots[j * number + x]);
+                    element = multiply_add(element, effect[x], w->over_pivots[j * number + x]);
                 for (int c = 0; c < 2; c++)
                     if (set->parts == 1 || part == c) {
-                        Lanes *sum = spread + (c * orders + k) * orders + j;
-                        *sum = multiply_add(*sum, variance[c], covariance);
+                        Lanes *sum = covariance + (c * orders + k) * orders + j;
+                        *sum = multiply_add(*sum, variance[c], element);
                     }
             }
         }
@@ -166,8 +167,8 @@ project_samples(const Models *m, const Samples *s, Work *w)
 }
 
 /* Compute the variance of the noise and the log evidence of a group's models, of angle (c = 0) or
-   position (c = 1), from their residual sums of squares (2) and half log determinants of columns
-   (2). Writes both to the set; returns the best evidence. */
+   position (c = 1), from their `residual` sums of squares (2) and the half log determinants of
+   columns, `logs` (2). Writes both to the set; returns the best evidence. */
 static inline double
 evaluate_group(const Models *m, const Work *w, long long group, int c, const Lanes *residual,
                const Lanes *logs, Set *set)

@@ -27,29 +27,34 @@
 
 #include "models.h"
 
-/* Correct the derivatives (3, orders) of a group and their covariances for the columns. The effect
-   of a column of size 1 on the derivatives, by which its estimated size is subtracted, is what the
-   model makes of the column, less the derivatives of the step itself at the instant. `variance` is
-   that of the noise times the weight in the covariance. */
-PRIVATE void correct_for_columns(const Models *m, const Stencils *s, long long group, const Work *w,
-                                 const Set *set, const Lanes *variance, Lanes *derivatives,
-                                 Lanes *spread);
+/* Correct the `derivatives` (3, orders) of a group's models and the lower triangles of `covariance`
+   (2, orders, orders), for the columns of a set, after `evaluate_models`. The effect of a column of
+   size 1 on the derivatives, by which its estimated size is subtracted, is what the model makes of
+   the column, less the derivatives of the step itself at the instant. `variance` (2) is that of the
+   noise times the weight in the covariance. */
+PRIVATE void correct_for_columns(const Models *m, const Stencils *stencils, long long group,
+                                 const Work *w, const Set *set, const Lanes *variance,
+                                 Lanes *derivatives, Lanes *covariance);
 
-/* Compute the coefficients of samples, and the residual sum of squares of each model. */
+/* Compute the coefficients and squares of samples, and the residual sum of squares of each model
+   without columns. Writes these to `w`. */
 PRIVATE void project_samples(const Models *m, const Samples *s, Work *w);
 
 /* Compute the evidence of all models with the columns of a set, and the variance of their noise,
-   after `project_samples`. With steps, lengths shorter than one whose evidence is far below that
-   of a longer one are left out: theirs is lower still. */
+   after `project_samples`. Writes `evidence`, `best_evidence`, `variance`, and what belongs to the
+   columns: `column_products`, `factors`, `residuals` and the coefficients of steps. With steps,
+   lengths shorter than one whose evidence is far below that of a longer one are left out, with an
+   evidence of -infinity: theirs is lower still. */
 PRIVATE void evaluate_models(const Models *m, const Samples *s, const Work *w, Set *set);
 
-/* Compute the probabilities of all models with all sets, from their evidence; returns the log
-   evidence of all. */
+/* Compute the `probability` of all models with all of `number` sets, of angle (c = 0) or position
+   (c = 1), from their evidence. Those of all sets add up to 1. Returns the log evidence of all. */
 PRIVATE double find_probabilities(const Models *m, int c, Set *sets, int number);
 
-/* Compute the weights of all models with all sets in the covariance: square roots of the evidence,
-   with half of the log prior of events. All spectra have the same total, each with the models that
-   are common to all, because samples contain no information on harmonics below the noise. */
+/* Compute the `covariance_weight` of all models with all of `number` sets, of angle (c = 0) or
+   position (c = 1): square roots of the evidence, with half of the log prior of events. All spectra
+   have the same total, each with the models that are common to all, because samples contain no
+   information on harmonics below the noise. */
 PRIVATE void find_covariance_weights(const Models *m, int c, Set *sets, int number);
 
 #endif

@@ -12,12 +12,15 @@
 
 /* Markers nearer together than this part of their distance from the origin are at one place: four
    units of rounding. No length below the least normal double is a direction. */
-static const double ROUNDING = 4 * 2.220446049250313e-16, TINY = 2.2250738585072014e-308;
+static const double SAME_PLACE = 4 * 2.220446049250313e-16, LEAST_LENGTH = 2.2250738585072014e-308;
 
 /* Fits the pose of body `b` to its markers `points` (n), m, by weighted least squares: turn and
    position that bring its shape nearest to them (Procrustes). A marker is used if it has a weight,
-   is seen, and does not repeat while measured ones never do. There is no pose (NaN) without two
-   markers at different places. Writes the newest row; returns UNUSUAL_BITS. */
+   is seen, and does not repeat while measured ones never do. There is no pose, NaN with an
+   information of 0, without two markers at different places, or where all repeat: then no marker is
+   used. Nor is there one if markers are too close together for their noise: then they stay used, as
+   the frame shows them. Writes the newest row, and returns its UNUSUAL_BITS; a turn since the row
+   before is one of them only if the row `goes_on`. */
 static int
 fit(const Frames *f, long long b, const Number *points, int goes_on)
 {
@@ -53,8 +56,8 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
             shape_reach = larger(shape_reach, square);
         }
     double length = cabs(cross);
-    int fits = !kinpole_is_held(f, b, points) && length > TINY &&
-        sqrt(reach) > ROUNDING * cabs(middle) && sqrt(shape_reach) > ROUNDING * cabs(mean);
+    int fits = !kinpole_is_held(f, b, points) && length > LEAST_LENGTH &&
+        sqrt(reach) > SAME_PLACE * cabs(middle) && sqrt(shape_reach) > SAME_PLACE * cabs(mean);
     Number turn = fits ? cross / length : NAN;
     double angle = fits ? atan2(cimag(turn), creal(turn)) : NAN;
     for (long long k = 0; k < n; k++) {
@@ -66,7 +69,7 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
         residual[k] = (points[k] - middle) * conj(turn) - (shape[k] - mean);
         found |= verdict_on_marker(f, b, k, square_of(residual[k]));
     }
-    if (goes_on && newest > history->first && cos(angle - history->angle[at - known->bodies]) < 0.0)
+    if (goes_on && cos(angle - f->tracks.last_angle[b]) < 0.0)
         found |= ODD;
     int is_known = fits && !is_unsteady(f, b, spread);
     history->angle[at] = is_known ? angle : NAN;

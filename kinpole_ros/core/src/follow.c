@@ -16,13 +16,13 @@
 
 /* The poses of the N frames of a window, as `Call` takes them. */
 typedef struct {
-    double *heading;           /* (N, B), rad: angle of the frame of the body */
-    double *angle;             /* (N, B), rad: the heading, and `tilt_turn` of a tilted body */
-    double *turn_information;  /* (N, B): inverse variance of the angle, times noise squared */
-    double *place_information; /* (N, B): the same of a coordinate of the position */
-    Number *position;          /* (N, B), m: of the hubs */
-    Number *hub;               /* (B), m: point that stands for the body, in its frame */
-    long long frames[3];       /* of the instant, the oldest, and the newest, of the N */
+    double *heading;              /* (N, B), rad: angle of the frame of the body */
+    double *angle;                /* (N, B), rad: the heading, and `tilt_turn` of a tilted body */
+    double *angle_information;    /* (N, B): squared noise over the variance; 0 if not used */
+    double *position_information; /* (N, B): the same, of a coordinate of the position */
+    Number *position;             /* (N, B), m: of the hubs */
+    Number *hub;                  /* (B), m: point whose position is derived, in the body frame */
+    long long windows[3];         /* of the instant, the oldest, and the newest, of the N */
 } Poses;
 
 /* A result is due this share of an interval before its frame is as old as the lag. */
@@ -51,7 +51,8 @@ number_before(const Frames *f, long long at)
     return low - history->first;
 }
 
-/* Whether the next frame follows the newest without a gap: after `gap` intervals at most. */
+/* Whether the next frame follows the newest without a gap: after `gap` intervals at most, or no
+   interval is known yet. */
 static int
 next_goes_on(const Frames *f)
 {
@@ -73,10 +74,11 @@ kinpole_try_frame(Frames *f, const Number *markers)
 
 /* How far a body turned about the normal beyond the change of its heading, rad, from the tilt
    `before` to the tilt `after`, while its heading changed by `heading`, rad, in a rotation with
-   constant angular velocity. A tilt is x + i y of the quaternion of the swing. The heading is the
-   twist about the normal in the swing-twist decomposition. While a body is tilted, its rate is not
-   the angular velocity along the normal, and the integral of the difference depends on the path: it
-   does not return to zero with the pose. The result is 0 where either tilt is not known. */
+   constant angular velocity. A tilt is x + i y of the quaternion of the swing, but for a factor i.
+   The heading is the twist about the normal in the swing-twist decomposition. While a body is
+   tilted, its rate is not the angular velocity along the normal, and the integral of the difference
+   depends on the path: it does not return to zero with the pose. The result is 0 where either tilt
+   is not known. */
 static double
 tilt_turn_between(Number before, Number after, double heading)
 {
@@ -94,8 +96,9 @@ tilt_turn_between(Number before, Number after, double heading)
     return isnan(extra) ? 0.0 : extra;
 }
 
-/* Writes `tilt_turn` of the newest row, from the `tilts` (B) of its poses. It adds up from one pose
-   that is surely right to the next, the `sure` tracks. */
+/* Writes `tilt_turn` of the newest row, from the `tilts` (B) of its poses, after
+   `kinpole_follow_paths`. It adds up from one pose that is surely right to the next, the `sure`
+   tracks. */
 static void
 follow_tilts(const Frames *f, const Number *tilts)
 {
@@ -200,8 +203,8 @@ take_frame(Frames *f)
     return DONE;
 }
 
-/* Fills the arrays of `poses` from the rows `oldest` to the newest, for the hubs in it. Returns
-   whether any body tilts in the window. */
+/* Fills the arrays of `poses` by frame from the rows `oldest` to the newest, with positions of the
+   points `hub` of `poses`. Returns whether any body tilts in the window. */
 static int
 fill_window(const Frames *f, long long oldest, Poses *poses)
 {
@@ -214,8 +217,8 @@ fill_window(const Frames *f, long long oldest, Poses *poses)
         for (long long b = 0; b < known->bodies; b++) {
             long long at = row * known->bodies + b, to = at - oldest * known->bodies;
             const double *information = history->information + 2 * row * known->bodies + b;
-            double turned = information[0] * known->information_factor[b];
-            double placed =
+            double angle_information = information[0] * known->information_factor[b];
+            double position_information =
                 information[known->bodies] * known->information_factor[known->bodies + b];
             double growth = 0.0;
             Number hub = poses->hub[b], position = history->position[at];
@@ -228,16 +231,17 @@ fill_window(const Frames *f, long long oldest, Poses *poses)
                 /* The variance at the hub is that at the middle of the markers, plus that of the
                    angle times the squared distance. With hidden markers the fit is about another
                    middle, so the first may come out negative. */
-                if (placed > 0.0) {
-                    double ratio = placed / turned;
+                if (position_information > 0.0) {
+                    double ratio = position_information / angle_information;
                     growth = 1.0 - square_of(known->middle[b]) * ratio;
                     growth = (growth > 0.0 ? growth : 0.0) +
                         square_of(hub - known->middle[b]) * ratio;
                 }
             }
             poses->position[to] = position;
-            poses->turn_information[to] = turned;
-            poses->place_information[to] = growth > 0.0 ? placed / growth : placed;
+            poses->angle_information[to] = angle_information;
+            poses->position_information[to] =
+                growth > 0.0 ? position_information / growth : position_information;
         }
     return tilts;
 }
@@ -257,8 +261,8 @@ middle_of_used(const Frames *f, long long row, long long b)
     return total > 0.0 ? sum / total : NAN;
 }
 
-/* Copies the derivatives of `call`, of one instant, into the results after those filled; NaN for a
-   body whose `reason` is worse than NOT_FULL. */
+/* Copies the derivatives of `call`, of one instant, except `reference`, into the results after
+   those filled; NaN for a body whose `reason` there is above NOT_FULL. */
 static void
 copy_derivatives(const Call *call, Results *r)
 {
@@ -278,7 +282,7 @@ copy_derivatives(const Call *call, Results *r)
             to->angle_covariance[k * all + at] = is_known ? from->angle_covariance[square] : NAN;
         }
         to->span[at] = is_known ? from->span[b] : NAN;
-        to->freedom[at] = is_known ? from->freedom[b] : NAN;
+        to->parameters[at] = is_known ? from->parameters[b] : NAN;
     }
 }
 
@@ -305,8 +309,8 @@ derive_headings(Call *call, Poses *poses)
 }
 
 /* Computes the result of the frame in row `now` from the window of those from `oldest` on, and adds
-   it to the results. `poses` is memory for them. Returns the same as `kinpole_derive`; the results
-   are as before if that is not DONE. */
+   it to the results. `poses` has memory for the window. Sets the poses and the window of `call`.
+   Returns the same as `kinpole_derive`; the results are as before if that is not DONE. */
 static int
 compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long oldest,
                long long now)
@@ -322,19 +326,19 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
         poses->hub[b] = pinned ? 0.0 : known->reference[b];
     }
     int tilts = fill_window(f, oldest, poses);
-    poses->frames[0] = now - oldest;
-    poses->frames[1] = 0;
-    poses->frames[2] = newest - oldest;
+    poses->windows[0] = now - oldest;
+    poses->windows[1] = 0;
+    poses->windows[2] = newest - oldest;
     call->frames = history->end - oldest;
     call->bodies = bodies;
     call->time = history->time + oldest;
     call->turns = history->turns + oldest * bodies;
-    call->windows = poses->frames;
+    call->windows = poses->windows;
     call->left_out = f->tracks.left_out;
     call->angle = poses->angle;
     call->position = poses->position;
-    call->angle_information = poses->turn_information;
-    call->position_information = poses->place_information;
+    call->angle_information = poses->angle_information;
+    call->position_information = poses->position_information;
     call->noise = known->fit_noise;
     if (kinpole_lay_out_derivatives(call, OF_DERIVATIVES, bodies, &call->derivatives))
         return NO_MEMORY;
@@ -374,15 +378,25 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
     r->stamp[t] = history->stamp[now];
     r->due[t] = f->incoming.frame - 1;
     for (int k = 0; k < 3; k++)
-        r->rows[3 * t + k] = poses->frames[k] + oldest - history->first;
+        r->rows[3 * t + k] = poses->windows[k] + oldest - history->first;
     r->filled++;
     r->deformed += deforms;
     return DONE;
 }
 
+/* Whether results wait until the window is full, which the newest frame does not fill. */
+static int
+waits_for_window(const Frames *f)
+{
+    const HistoryColumns *history = &f->history;
+    double length = (double)(history->time[history->end - 1] - history->time[history->first]);
+    return f->limits.waits && !history->next_result &&
+        length < (double)f->limits.window_ns - EARLY * history->interval;
+}
+
 /* Computes the results that are due with the newest frame, and moves `next_result` behind them. A
-   frame is due once it is as old as the lag. Also writes `samples` and `interval` of the window.
-   Returns DONE, or an error below 0. */
+   frame is due once it is as old as the lag, and the first ones once the window is full. Also
+   writes `window_frames` and `interval`. Returns DONE, or an error below 0. */
 static int
 compute_due(Frames *f, Call *call, Results *r)
 {
@@ -392,9 +406,11 @@ compute_due(Frames *f, Call *call, Results *r)
         return DONE;
     long long newest = history->end - 1, oldest;
     oldest = history->first + number_before(f, history->time[newest] - f->limits.window_ns);
-    history->samples = newest - oldest + 1;
+    history->window_frames = newest - oldest + 1;
     history->interval = (double)(history->time[newest] - history->time[oldest]) /
-        (history->samples > 1 ? history->samples - 1 : 1);
+        (history->window_frames > 1 ? history->window_frames - 1 : 1);
+    if (waits_for_window(f))
+        return DONE;
     long long latest =
         history->time[newest] - (long long)rint(f->limits.lag_ns - EARLY * history->interval);
     long long end = number_before(f, latest + 1);
@@ -408,8 +424,8 @@ compute_due(Frames *f, Call *call, Results *r)
         if (!data)
             return NO_MEMORY;
         TAKE(poses.position, all), TAKE(poses.hub, known->bodies), TAKE(poses.angle, all);
-        TAKE(poses.heading, all), TAKE(poses.turn_information, all);
-        TAKE(poses.place_information, all);
+        TAKE(poses.heading, all), TAKE(poses.angle_information, all);
+        TAKE(poses.position_information, all);
         for (; history->next_result < end; history->next_result++) {
             long long now = history->first + history->next_result;
             int code = r->filled == r->instants

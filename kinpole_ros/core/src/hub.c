@@ -7,7 +7,7 @@
 
 /* Log evidence that a hub has more than all models of the position: what its arm costs. */
 #define ARM_COST 10.0
-/* Turning exceeds that by the noise of the angle so many times. */
+/* Turning exceeds that by the noise of the angle so many times, or there is no hub. */
 #define MIN_TURNING 16.0
 /* Most squares of the steps of the turning over those about its mean: white noise has 2. A body
    that turns there and back between two frames has 4, and some point is at one place in any two
@@ -32,28 +32,28 @@ pair_of(const double *pair)
     return pair[0] + I * pair[1];
 }
 
-/* Return the likeliest hub, by the degree of its path, from what `p` has of the signals. `product`
-   is the sum of conj(turning) times position, of what the polynomials leave of both. Angles are in
-   units of `radians`. Its value is -infinity where there is none. */
+/* Return the likeliest hub, by the degree of its path, from the fit `p` of the signals. `product`
+   is the sum of conj(turning) times position, of what the polynomials leave of both. `radians` is
+   the unit of the angle. `value` is -infinity where there is none. */
 static Hub
 likeliest_hub(const Polynomials *p, Number product, double radians)
 {
     Hub best = {.value = -INFINITY}, by_degree[MAX_POLYNOMIALS];
     double path = p->left[0] + p->left[1], turning = p->left[2] + p->left[3];
     for (int d = MAX_POLYNOMIALS - 1; d >= 0; d--) {
-        Hub *one = by_degree + d, *more = one + MORE_DEGREES;
-        *one = (Hub){.turning = turning, .noise = (p->length - d - 1) * radians * radians};
-        one->arm = -product / (turning - one->noise);
-        one->growth = 1 + square_of(one->arm) * radians * radians;
-        if (d + MORE_DEGREES < MAX_POLYNOMIALS && more->noise > 0.0 &&
-            more->turning > MIN_TURNING * more->noise) {
-            double square = path + 2 * creal(conj(one->arm) * product) +
-                square_of(one->arm) * turning;
+        Hub *hub = by_degree + d, *higher = hub + MORE_DEGREES;
+        *hub = (Hub){.turning = turning, .noise = (p->length - d - 1) * radians * radians};
+        hub->arm = -product / (turning - hub->noise);
+        hub->growth = 1 + square_of(hub->arm) * radians * radians;
+        if (d + MORE_DEGREES < MAX_POLYNOMIALS && higher->noise > 0.0 &&
+            higher->turning > MIN_TURNING * higher->noise) {
+            double square = path + 2 * creal(conj(hub->arm) * product) +
+                square_of(hub->arm) * turning;
             /* Mean and slope cost nothing, as those of the models. */
-            double value = p->length * (1 - log(one->growth)) - square / one->growth / 2 -
+            double value = p->length * (1 - log(hub->growth)) - square / hub->growth / 2 -
                 2 * d * COEFFICIENT_COST;
             if (value > best.value)
-                best = *more, best.degree = d, best.value = value;
+                best = *higher, best.degree = d, best.value = value;
         }
         Number position = pair_of(p->along[d]), turn = pair_of(p->along[d] + TURNED);
         path += square_of(position), turning += square_of(turn), product += conj(turn) * position;
@@ -61,8 +61,8 @@ likeliest_hub(const Polynomials *p, Number product, double radians)
     return best;
 }
 
-/* Whether a body turns there and back between two frames. `turn` (2, n) are cosine and sine of its
-   angle, of which `length` samples are not missing. */
+/* Whether a body turns there and back between two frames. `turn` (2, count) are cosine and sine of
+   its angle, of which `length` samples are not missing. */
 static int
 turns_within_frames(const Samples *s, double *const *turn, double length)
 {
@@ -80,10 +80,10 @@ turns_within_frames(const Samples *s, double *const *turn, double length)
 }
 
 PRIVATE int
-find_hub(Call *call, const Stencils *by, double radians, double least, Samples *s, Hub *hub)
+find_hub(Call *call, const Stencils *stencils, double radians, double least, Samples *s, Hub *hub)
 {
     long long n = s->count;
-    double length = 0.0, *root, *signal[4], *moved[2], at = by->at;
+    double length = 0.0, *root, *signal[4], *moved[2], at = stencils->at;
     int is_even = 1;
     KeptPolynomials *kept = kinpole_buffer(
         call, OF_HUB, sizeof *kept + (MAX_POLYNOMIALS + 6) * n * sizeof(double));
@@ -127,15 +127,15 @@ find_hub(Call *call, const Stencils *by, double radians, double least, Samples *
     }
     s->x[1] = moved[0], s->x[2] = moved[1];
     double derivatives[MAX_ORDERS][MAX_POLYNOMIALS];
-    differentiate_polynomials(p, n, by->orders, derivatives);
-    for (int o = 0; o < by->orders; o++)
+    differentiate_polynomials(p, n, stencils->orders, derivatives);
+    for (int o = 0; o < stencils->orders; o++)
         for (int k = 0; k <= hub->degree; k++)
             hub->path[o] += derivatives[o][k] * pair_of(p->along[k] + TURNED);
     return DONE;
 }
 
-/* Compute exp(i angle) and its derivatives `out` (orders) at the instant, of an angle with the
-   derivatives `angle` (orders), in units of `radians`. */
+/* Compute exp(i angle) and its derivatives, into `out` (orders), of an angle with the derivatives
+   `angle` (orders), in units of `radians`. */
 static void
 differentiate_turn(const double *angle, double radians, long long orders, Number *out)
 {

@@ -17,23 +17,27 @@
 
 #include "mean.h"
 
-/* A hub at `arm` from the position while the angle is 0: the degree of its path, the variance of
-   its noise over that of the position (0 without a hub), the squares of what a path leaves of
-   turning, and of these the part that is noise, the log evidence, and the turning that is on its
-   path at the instant. */
+/* A hub. Turning is exp(i angle). The arm and its errors are those of paths MORE_DEGREES higher. */
 typedef struct {
-    int degree;
-    double growth, turning, noise, value;
-    Number arm, path[MAX_ORDERS];
+    int degree;              /* of the polynomial that is its path */
+    double growth;           /* variance of its noise over that of the position; 0 without a hub */
+    double turning;          /* sum of squares of what a path leaves of turning */
+    double noise;            /* the part of `turning` that is noise of the angle */
+    double value;            /* log evidence */
+    Number arm;              /* from the position to the hub while the angle is 0 */
+    Number path[MAX_ORDERS]; /* derivatives at the instant of the path of turning */
 } Hub;
 
-/* Find a hub with more evidence than `least`; `s` then has its position. Angles are in units of
-   `radians`. Returns NO_MEMORY or DONE. */
-PRIVATE int find_hub(Call *call, const Stencils *by, double radians, double least, Samples *s,
-                     Hub *hub);
+/* Find a hub of the samples with more log evidence than `least`, that of all models of the position
+   without. If there is one, the position in `s` becomes that of the hub, in units of its noise, in
+   memory that the next call uses again; otherwise `growth` is 0, and `s` stays. `radians` is the
+   unit of the angle. Returns NO_MEMORY or DONE. */
+PRIVATE int find_hub(Call *call, const Stencils *stencils, double radians, double least,
+                     Samples *s, Hub *hub);
 
-/* Replace the position by that of a hub, which `moved` has in units of its noise, and add the
-   covariance of its arm. */
+/* Replace the position in `estimate` by that of a hub, which `moved` has in units of its noise, and
+   add the covariance of its arm. `orders` derivatives change, and `hub`. `radians` is the unit of
+   the angle. */
 PRIVATE void take_hub(const Hub *hub, const Estimate *moved, double radians, long long orders,
                       Estimate *estimate);
 

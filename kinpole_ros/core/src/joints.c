@@ -10,8 +10,9 @@
 #include "poles.h"
 
 /* Adds to `sums` (2) the angle, rad, and the rate, rad/s, of a body `seconds` after instant `t`,
-   times `sign`, by Taylor series up to the acceleration; or the variances of these. A body of -1 is
-   the ground, which adds nothing. Returns whether the body is known. */
+   times `sign`, by Taylor series up to the acceleration; or their variances, which have no sign and
+   are at least 0, if the joints are for deviations. A body of -1 is the ground, which adds nothing.
+   Returns whether the body is known. */
 static int
 add_state(const Motion *m, const Joints *joints, long long body, long long t, double seconds,
           double sign, double *sums)
@@ -36,8 +37,8 @@ add_state(const Motion *m, const Joints *joints, long long body, long long t, do
     return kinpole_is_known(m, at);
 }
 
-/* Writes an integer at `out`, or up to 3 bytes later, so that it is a multiple of 4 bytes after
-   `start`; returns where it ends. */
+/* Writes the integer `value` at `out`, or up to 3 bytes later, so that it is a multiple of 4 bytes
+   after `start`; returns where it ends. */
 static unsigned char *
 put_integer(unsigned char *start, unsigned char *out, int value)
 {

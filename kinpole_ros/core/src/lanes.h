@@ -19,8 +19,10 @@ typedef struct {
     Vector part[VECTORS];
 } Lanes;
 
+/* For each vector h of some lanes. Functions below work on each lane by itself. */
 #define FOR_VECTORS for (int h = 0; h < VECTORS; h++)
 
+/* One value in all lanes. */
 static inline Lanes
 all_lanes(double value)
 {
@@ -29,6 +31,7 @@ all_lanes(double value)
     return all;
 }
 
+/* a times the number `by` */
 static inline Lanes
 scaled(Lanes a, double by)
 {
@@ -36,6 +39,7 @@ scaled(Lanes a, double by)
     return a;
 }
 
+/* a b */
 static inline Lanes
 product(Lanes a, Lanes b)
 {
@@ -43,6 +47,7 @@ product(Lanes a, Lanes b)
     return a;
 }
 
+/* sum + a b */
 static inline Lanes
 multiply_add(Lanes sum, Lanes a, Lanes b)
 {
@@ -50,6 +55,7 @@ multiply_add(Lanes sum, Lanes a, Lanes b)
     return sum;
 }
 
+/* sum - a b */
 static inline Lanes
 multiply_subtract(Lanes sum, Lanes a, Lanes b)
 {
@@ -57,6 +63,7 @@ multiply_subtract(Lanes sum, Lanes a, Lanes b)
     return sum;
 }
 
+/* The sum over the lanes. */
 static inline double
 sum_of(Lanes lanes)
 {

@@ -3,13 +3,15 @@
 #include "mean.h"
 #include "evidence.h"
 
-/* Sums over models: derivatives (3, orders), covariances (2, orders, orders), and parameters. */
+/* Weighted sums over the models of each lane. */
 typedef struct {
-    Lanes mean[3 * MAX_ORDERS], spread[2 * MAX_ORDERS * MAX_ORDERS], freedom;
+    Lanes mean[3 * MAX_ORDERS];                    /* (3, orders): of derivatives */
+    Lanes covariance[2 * MAX_ORDERS * MAX_ORDERS]; /* (2, orders, orders): lower triangles */
+    Lanes parameters;
 } Sums;
 
-/* Multiply the weights of a group in the covariance by the variances of the noise, into `variance`
-   (2). Returns whether the group has any weight or probability. */
+/* Write to `variance` (2) the weights of a group in the covariance, times the variances of the
+   noise; 0 without weight. Returns whether the group has any weight or probability. */
 static inline int
 weigh_variances(const Models *m, const Set *set, long long group, Lanes *variance)
 {
@@ -26,13 +28,13 @@ weigh_variances(const Models *m, const Set *set, long long group, Lanes *varianc
     return any != 0.0;
 }
 
-/* Add the derivatives of a group's models with all sets to the sums, weighted, and their
-   covariances. Writes `derivatives` and `is_used` of the sets. */
+/* Add the derivatives of a group's models with all of `number` sets to the sums, weighted, and
+   their covariances. Writes `derivatives` and `is_used` of the sets. */
 static inline void
-add_group(const Models *m, const Stencils *s, long long group, const Work *w, Set *sets, int number,
-          Sums *sums)
+add_group(const Models *m, const Stencils *stencils, long long group, const Work *w, Set *sets,
+          int number, Sums *sums)
 {
-    long long orders = s->orders, square = orders * orders;
+    long long orders = stencils->orders, square = orders * orders;
     Lanes without_columns[3 * MAX_ORDERS];
     int is_computed = 0;
     for (int n = 0; n < number; n++) {
@@ -43,20 +45,22 @@ add_group(const Models *m, const Stencils *s, long long group, const Work *w, Se
             continue;
         if (!is_computed) {
             memset(without_columns, 0, 3 * orders * sizeof(Lanes));
-            Columns samples = {w->coefficients, 3}, modes = {s->modes, orders};
+            Columns samples = {w->coefficients, 3}, modes = {stencils->modes, orders};
             add_mode_products(m, m->shrinkage, group, samples, modes, w->terms, without_columns);
         }
         is_computed = 1;
         memcpy(derivatives, without_columns, 3 * orders * sizeof(Lanes));
-        Lanes freedom = m->freedom[group];
-        FOR_VECTORS freedom.part[h] += (double)(set->steps > 0);
-        sums->freedom = multiply_add(sums->freedom, set->probability[group], freedom);
+        Lanes parameters = m->parameters[group];
+        FOR_VECTORS parameters.part[h] += (double)(set->steps > 0);
+        sums->parameters = multiply_add(sums->parameters, set->probability[group], parameters);
         for (int c = 0; c < 2; c++)
             for (long long k = 0; k < square; k++)
-                sums->spread[c * square + k] = multiply_add(
-                    sums->spread[c * square + k], variance[c], s->spread[group * square + k]);
+                sums->covariance[c * square + k] =
+                    multiply_add(sums->covariance[c * square + k], variance[c],
+                                 stencils->covariance[group * square + k]);
         if (set->columns)
-            correct_for_columns(m, s, group, w, set, variance, derivatives, sums->spread);
+            correct_for_columns(m, stencils, group, w, set, variance, derivatives,
+                                sums->covariance);
         for (long long k = 0; k < 3 * orders; k++)
             sums->mean[k] = multiply_add(sums->mean[k],
                                          set->probability[(k >= orders) * m->groups + group],
@@ -64,12 +68,12 @@ add_group(const Models *m, const Stencils *s, long long group, const Work *w, Se
     }
 }
 
-/* Add the weighted variance between the models of a set, about the mean, to the covariances
-   `spread` (2, orders, orders). That of the position is the mean of both coordinates. The
-   derivatives of the set become deviations. */
+/* Add the weighted variance between the models of a set, about the mean, to the lower triangles of
+   `covariance` (2, orders, orders). That of the position is the mean of both coordinates. The
+   `derivatives` of the set become deviations. */
 static inline void
 add_disagreement(const Models *m, long long orders, const Set *set, const Estimate *estimate,
-                 Lanes *spread)
+                 Lanes *covariance)
 {
     for (long long g = 0; g < m->groups; g++)
         for (int c = 0; c < (set->is_used[g] ? 3 : 0); c++)
@@ -79,17 +83,17 @@ add_disagreement(const Models *m, long long orders, const Set *set, const Estima
                 weighted = product(set->covariance_weight[(c > 0) * m->groups + g], deviations[k]);
                 weighted = scaled(weighted, c ? 0.5 : 1.0);
                 for (long long j = 0; j <= k; j++) {
-                    Lanes *sum = spread + ((c > 0) * orders + k) * orders + j;
+                    Lanes *sum = covariance + ((c > 0) * orders + k) * orders + j;
                     *sum = multiply_add(*sum, weighted, deviations[j]);
                 }
             }
 }
 
 PRIVATE void
-differentiate(const Models *m, const Stencils *s, const Work *w, Set *sets, int number,
+differentiate(const Models *m, const Stencils *stencils, const Work *w, Set *sets, int number,
               Estimate *out)
 {
-    long long orders = s->orders, square = orders * orders;
+    long long orders = stencils->orders, square = orders * orders;
     Sums sums;
     memset(&sums, 0, sizeof sums);
     for (int c = 0; c < 2; c++) {
@@ -97,17 +101,17 @@ differentiate(const Models *m, const Stencils *s, const Work *w, Set *sets, int 
         find_covariance_weights(m, c, sets, number);
     }
     for (long long g = 0; g < m->groups; g++)
-        add_group(m, s, g, w, sets, number, &sums);
+        add_group(m, stencils, g, w, sets, number, &sums);
     for (long long k = 0; k < 3 * orders; k++)
         out->mean[k / orders][k % orders] = sum_of(sums.mean[k]);
     for (int n = 0; n < number; n++)
-        add_disagreement(m, orders, sets + n, out, sums.spread);
-    out->freedom = sum_of(sums.freedom), out->hub = 0.0;
+        add_disagreement(m, orders, sets + n, out, sums.covariance);
+    out->parameters = sum_of(sums.parameters), out->hub = 0.0;
     for (int c = 0; c < 2; c++) {
         for (long long k = 0; k < orders; k++)
             for (long long j = 0; j <= k; j++)
                 out->covariance[c][k][j] = out->covariance[c][j][k] =
-                    sum_of(sums.spread[(c * orders + k) * orders + j]);
+                    sum_of(sums.covariance[(c * orders + k) * orders + j]);
         for (int n = 1; n < number; n++) {
             double weight = 0.0;
             for (long long g = 0; g < m->groups; g++)
@@ -119,8 +123,9 @@ differentiate(const Models *m, const Stencils *s, const Work *w, Set *sets, int 
     }
 }
 
-/* Add to `error` (cells, 3) by how much samples at the cells exceed their prediction from the other
-   samples, in the mean of all models. */
+/* Add to `error` (low_samples, 3) by how much the samples of low weight of a set without steps
+   exceed their prediction from the other samples, in the mean of all models. `over_pivots` is
+   scratch. */
 static inline void
 add_prediction_errors(const Models *m, const Work *w, const Set *set, double *error)
 {
@@ -143,7 +148,7 @@ add_prediction_errors(const Models *m, const Work *w, const Set *set, double *er
 }
 
 PRIVATE void
-move_to_grid(const Models *m, const Lanes *slopes, const Samples *given, const Samples *placed,
+move_to_grid(const Models *m, const Lanes *slopes, const Samples *uneven, const Samples *placed,
              Work *w, Set *set, double *const moved[3])
 {
     long long rows = m->rows, n = m->count, panels = (m->half + LANES - 1) / LANES;
@@ -182,16 +187,17 @@ move_to_grid(const Models *m, const Lanes *slopes, const Samples *given, const S
                 double even = ((double *)(w->slopes + (k * 3 + c) * panels))[near];
                 double odd = ((double *)(w->slopes + ((SLOPE_ORDERS + k) * 3 + c) * panels))[near];
                 /* The first and the third derivative of an even function are odd. */
-                power *= given->off[t] / (k + 1);
+                power *= uneven->off[t] / (k + 1);
                 sum += power * (t == near ? even + odd : k % 2 ? even - odd : odd - even);
             }
-            moved[c][t] = given->x[c][t] - sum;
+            moved[c][t] = uneven->x[c][t] - sum;
         }
     double *error = w->terms;
-    memset(error, 0, 3 * set->cells * sizeof(double));
+    memset(error, 0, 3 * set->low_samples * sizeof(double));
     add_prediction_errors(m, w, set, error);
-    for (long long x = 0; x < set->cells; x++)
+    for (long long x = 0; x < set->low_samples; x++)
         for (int c = 0; c < 3; c++)
-            if (set->weight[x] <= 0.0 && set->weight[(set->parts - 1) * set->cells + x] <= 0.0)
-                moved[c][set->cell[x]] = placed->x[c][set->cell[x]] - error[3 * x + c];
+            if (set->weight[x] <= 0.0 &&
+                set->weight[(set->parts - 1) * set->low_samples + x] <= 0.0)
+                moved[c][set->low_sample[x]] = placed->x[c][set->low_sample[x]] - error[3 * x + c];
 }

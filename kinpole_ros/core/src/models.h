@@ -12,33 +12,37 @@
 #include "lanes.h"
 #include "samples.h"
 
-/* Derivatives from order 0 on. */
+/* Derivatives from order 0 on, at most. */
 #define MAX_ORDERS (HIGHEST + 1)
-/* Sets: without event, with the two likeliest, and with the one that segments show. Columns of an
-   event. */
+/* Sets at most: without event, with the two likeliest, and with the one that segments show. Columns
+   of an event at most. */
 #define MAX_SETS 4
 #define EVENT_COLUMNS 3
 
-/* The models of a window of `count` samples, as `models_of` of _models.py makes them. */
+/* The models of a window of `count` samples, as `models_of` of _models.py makes them. A group is
+   LANES models of one process, by their amplitudes. A process has one of the `spectra`, with a
+   length, or is a low polynomial. A row is a mode of a process, even or odd about the middle of the
+   window. */
 typedef struct {
     long long count, half; /* samples, and those of the first half, with the middle */
-    long long processes;
-    long long chunks;  /* groups of each process */
-    long long groups;  /* processes times chunks */
-    long long spectra;
-    long long exact;   /* each process has as many modes as there are samples */
-    long long rows;    /* modes of all processes, filled up to whole lanes: the even ones first */
-    long long first_odd;
+    long long processes;   /* the last is rest */
+    long long chunks;      /* groups of each process */
+    long long groups;      /* processes times chunks; those of a process follow each other */
+    long long spectra;     /* number of spectra */
+    long long exact;       /* each process has as many modes as there are samples */
+    long long rows;        /* even modes of all processes, filled to whole lanes, then odd ones */
+    long long first_odd;   /* the first row of an odd mode */
     const long long *first_row; /* (2, processes + 1), of the even and the odd modes of a process */
     const long long *spectrum;  /* of each model (groups, LANES); `spectra` if common to all */
     const Lanes *basis;         /* (rows / LANES, half): modes on the first half of the samples */
-    const Lanes *shrinkage;     /* (chunks, rows) */
-    const Lanes *residual_factor; /* 1 - shrinkage if exact, where a difference would be rounding;
-                                     otherwise the shrinkage */
+    const Lanes *shrinkage;     /* (chunks, rows): of each mode, by amplitude */
+    const Lanes *residual_factor; /* (chunks, rows): 1 - shrinkage if exact, where a difference
+                                     would be rounding; otherwise the shrinkage */
     const Lanes *log_prior;     /* (2, groups), plus (c + 1) sum of log(1 - shrinkage) / 2 */
-    const Lanes *freedom;       /* (groups): sum of the shrinkage, the effective parameters */
-    const double *step_squares; /* (models, STEP_ORDERS, count): b' P b, of a step b half a sample
-                                   before each sample, and the inverse P of a model's covariance */
+    const Lanes *parameters;    /* (groups): sum of the shrinkage, the effective parameters */
+    const double *step_squares; /* (models, STEP_ORDERS, count), if not exact: b' P b, of a step b
+                                   half a sample before each sample, and the inverse P of a model's
+                                   covariance */
 } Models;
 
 /* The derivatives at an instant, as `stencils_of` of _models.py makes them. */
@@ -46,79 +50,87 @@ typedef struct {
     long long orders;
     double at;           /* the instant, samples after the first */
     const double *modes; /* (orders, rows): derivatives of the modes */
-    const Lanes *spread; /* (groups, orders, orders): covariances for unit noise */
+    const Lanes *covariance; /* (groups, orders, orders): of the derivatives, for unit noise */
 } Stencils;
 
-/* Add to out[c] the sum over k < depth of table[k] values[c][k], for each of the columns c. Rows of
-   `values` are `stride` apart, and elements of `out` are `step` apart. Three columns are summed at
-   once, so that the processor need not wait for each sum. */
+/* Add to out[c] the sum over k < depth of table[k] values[c][k], for each of the `columns` c. Rows
+   of `values` are `stride` doubles apart, and elements of `out` are `step` Lanes apart. Three
+   columns are summed at once, so that the processor need not wait for each sum. */
 PRIVATE void add_table_products(const Lanes *table, long long depth, const double *values,
                                 long long stride, long long columns, Lanes *out, long long step);
 
-/* Coefficients in the modes, (count, rows). */
+/* Coefficients in the modes, (count, rows), of `count` signals. */
 typedef struct {
     const double *values;
     long long count;
 } Columns;
 
-/* Add to `out`, of so many columns left and right, the sums over the modes r of a group's process
-   of table[r] left[i][r] right[j][r]. Without columns on the right these are the pairs j <= i of
-   left. */
+/* Add to `out` (left.count, right.count) the sums over the modes r of a group's process of table[r]
+   left[i][r] right[j][r]. `table` (chunks, rows) is one of `m`. Without columns on the right, `out`
+   (pairs) has the pairs j <= i of left instead. `terms` is scratch memory for the doubles of as
+   many columns as `out` has elements, of a mode each. */
 PRIVATE void add_mode_products(const Models *m, const Lanes *table, long long group, Columns left,
                                Columns right, double *terms, Lanes *out);
 
-/* Fold signals (columns, count) about the middle of the window: sums and differences (2, columns,
-   half) of opposite samples. Even modes depend on sums only, odd ones on differences. */
+/* Fold `signals` (columns, count) about the middle of the window. Writes `folded` (2, columns,
+   half): sums and differences of opposite samples. Even modes depend on sums only, odd ones on
+   differences. */
 PRIVATE void fold(const Models *m, double *const *signals, long long columns, double *folded);
 
-/* Compute the coefficients (columns, rows) of folded signals in the modes from `begin` to `end`. */
+/* Compute the `coefficients` (columns, rows) of folded signals in the modes from row `begin` to
+   before `end`, and in the others of the same lanes. */
 PRIVATE void project(const Models *m, const double *folded, long long columns, long long begin,
                      long long end, double *coefficients);
 
-/* A step of the derivative of an `order` from 0 to 3, `place` samples after the first sample. */
+/* An instant at which a derivative steps. */
 typedef struct {
-    double place;
-    int order;
+    double place; /* samples after the first sample */
+    int order;    /* of the derivative, 0 to 3 */
 } Step;
 
 /* Quantities of the samples of a window that do not depend on events, and scratch memory. */
 typedef struct {
-    double prior_samples, total_weight[2], sum_of_squares[3];
+    double prior_samples;     /* of the prior of the noise, which has unit variance */
+    double total_weight[2];   /* sum of the weights */
+    double sum_of_squares[3]; /* of the samples */
     double *coefficients; /* (3, rows), of the samples in the modes */
     double *squares;      /* (3, rows), of the coefficients */
     Lanes *residual;      /* (3, groups): residual sum of squares of each model */
     double *terms;        /* scratch of sums over modes, and of folded signals */
-    Lanes *column_products; /* scratch (pairs + 3 columns): see `apply_columns` */
+    Lanes *column_products; /* scratch (pairs + 3 columns + half): see `apply_columns` */
     Lanes *column_effects;  /* scratch (2, orders, columns): see `correct_for_columns` */
     Lanes *over_pivots;     /* scratch (orders + 1, columns), of `forward_substitute` */
     Lanes *slopes;          /* scratch (2, SLOPE_ORDERS, 3, half / LANES), of `move_to_grid` */
 } Work;
 
-/* Models with columns: first `cells`, samples with a weight below 1, then `steps` of an event. The
-   size of a column has a prior of zero mean and variance root^2 / weight. That of a step is the
-   estimated size squared, with a weight of 1. That of a sample of weight w is (1 - w) / w, so its
-   noise has the variance 1 / w. Weights and roots are by angle and position, (parts, columns), with
-   one part if these are equal. */
+/* Models with columns: first `low_samples`, samples with a weight below 1, then `steps` of an
+   event. The size of a column has a prior of zero mean and variance root^2 / weight. That of a step
+   is the estimated size squared, with a weight of 1. That of a sample of weight w is (1 - w) / w,
+   so its noise has the variance 1 / w. Weights and roots are by angle and position, (parts,
+   columns), with one part if these are equal. */
 typedef struct {
-    long long columns, cells, steps, parts;
-    long long *cell;       /* (cells): the samples */
-    Step step[EVENT_COLUMNS];
-    double log_prior;      /* of the event */
-    double best_evidence[2];
+    long long columns, low_samples, steps, parts;
+    long long *low_sample;    /* (low_samples): their numbers in the window */
+    Step step[EVENT_COLUMNS]; /* (steps) */
+    double log_prior;         /* of the event; 0 without one */
+    double best_evidence[2];  /* the largest log evidence of a model */
     double place_covariance[2][MAX_ORDERS][MAX_ORDERS]; /* from the unknown place of the event */
     double *step_columns;  /* (steps, count) */
     double *folded;        /* (2, steps, half): sums and differences of these, see `fold` */
     double *coefficients;  /* (columns, rows), of the columns in the modes */
     double *column_products; /* (pairs + 3 columns), of columns, and of samples with columns */
-    double *weight, *root;
-    Lanes *evidence, *variance, *probability, *covariance_weight; /* (2, groups) */
-    Lanes *derivatives;    /* (groups, 3, orders) */
+    double *weight, *root; /* (parts, columns) */
+    Lanes *evidence;       /* (2, groups): log evidence of each model; -infinity for none */
+    Lanes *variance;       /* (2, groups): estimated variance of the noise at a weight of 1 */
+    Lanes *probability;    /* (2, groups): of each model, in the mean; they add up to 1 */
+    Lanes *covariance_weight; /* (2, groups): of each model, in the covariance; the same */
+    Lanes *derivatives;    /* (groups, 3, orders): at the instant */
     Lanes *factors;        /* (groups, parts, pairs): L and 1 / D, see `factorize` */
     Lanes *residuals;      /* (groups, 3, columns): of the samples at the columns, divided by L */
-    long long *is_used;    /* (groups) */
+    long long *is_used;    /* (groups): whether any model has a probability or a weight */
 } Set;
 
-/* The signal t^order / order! of a step, `since` samples after it. */
+/* The signal t^order / order! of a step, t = `since` samples after it; 0 before it. */
 static inline double
 step_value(int order, double since)
 {
@@ -129,25 +141,28 @@ step_value(int order, double since)
     return power;
 }
 
-/* Return the bytes of a set with so many columns, of which `steps` are steps; `parts` is 2 if
-   weights of angle and position differ, else 1. */
+/* Return the bytes of a set for so many `orders` and `columns`, of which `steps` are steps; `parts`
+   is 2 if weights of angle and position differ, else 1. */
 PRIVATE size_t size_of_set(const Models *m, long long orders, long long columns, long long steps,
                            int parts);
 
-/* Lay out the arrays of such a set at `data`, and return the end of their memory. */
+/* Lay out the arrays of such a set at `data`, with `columns` and `parts`; other values are zero,
+   and arrays are not changed. Returns the end of their memory. */
 PRIVATE char * lay_out_set(const Models *m, long long orders, long long columns, long long steps,
                            int parts, char *data, Set *set);
 
-/* Compute the column (count) of a step, for samples that are means of blocks. */
+/* Compute the `column` (count) of a step, for samples that are means of `block` cells. */
 PRIVATE void fill_step_column(const Step *step, long long count, long long block, double *column);
 
-/* Copy the coefficients of cells, which are unit vectors, from the basis. */
-PRIVATE void project_cells(const Models *m, Set *set);
+/* Write the `coefficients` of the samples of low weight, whose columns are unit vectors, from the
+   basis. */
+PRIVATE void project_low_samples(const Models *m, Set *set);
 
-/* Compute the coefficients of the steps of a set in the modes of one process. */
+/* Compute the `coefficients` of the steps of a set in the modes of one process, from `folded`. */
 PRIVATE void project_steps(const Models *m, long long process, Set *set);
 
-/* Compute the products of columns with each other, (pairs), and with samples, (3, columns). */
+/* Compute `column_products` of a set: of columns with each other, the pairs j <= i, and of samples
+   with columns (3, columns). */
 PRIVATE void find_column_products(const Models *m, const Samples *s, Set *set);
 
 #endif

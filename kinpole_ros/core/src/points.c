@@ -8,7 +8,7 @@
 #include "../include/messages.h"
 #include "numbers.h"
 
-/* The unsigned integer in so many bytes, at most 8. */
+/* The unsigned integer in `width` bytes, at most 8; big endian if the first is the highest. */
 static inline unsigned long long
 integer_at(const unsigned char *bytes, int width, int is_big_endian)
 {
@@ -18,7 +18,7 @@ integer_at(const unsigned char *bytes, int width, int is_big_endian)
     return value;
 }
 
-/* The float in 4 bytes, and the double in 8. */
+/* The float in 4 bytes. */
 static inline double
 float_at(const unsigned char *bytes, int is_big_endian)
 {
@@ -28,6 +28,7 @@ float_at(const unsigned char *bytes, int is_big_endian)
     return value;
 }
 
+/* The double in 8 bytes. */
 static inline double
 double_at(const unsigned char *bytes, int is_big_endian)
 {
@@ -62,7 +63,8 @@ kinpole_count_matches(const MessageLayout *layout, const unsigned char *messages
     return end - first;
 }
 
-/* Reads the `points` (P, 3) of a message. One with a coordinate that is not finite becomes NaN. */
+/* Reads the `points` (P, 3) of a message, in its unit. One with a coordinate that is not finite
+   becomes NaN. */
 static void
 read_points(const MessageLayout *layout, const unsigned char *message, double *points)
 {

@@ -116,46 +116,49 @@ circle(const Number *z, const double *rate, Linear *center, Linear *diameter)
     }
 }
 
-/* An ICR moves if its speed exceeds its standard deviation this many times, and this share of the
-   body size per rad. */
+/* An ICR moves if its speed exceeds its root mean square error this many times, and this share of
+   the body size per rad. */
 static const double MOVING = 1.7, STILL = 1e-6;
 /* A curvature is determined if the ICR moves, and the body turns by more than so many standard
    deviations. */
 static const double TURNING = 1.5;
 
-/* Adds to `spread` (xx, xy, yy) the covariance of a quantity that follows from those of position
-   and angle, by its partial derivatives of the orders up to `highest`. */
+/* Adds to `covariance` (xx, xy, yy) the covariance of a quantity that follows from those of
+   position and angle, by its partial derivatives of the orders up to `highest`. */
 static void
-add_covariance(const Motion *m, long long t, int highest, const Linear *linear, double *spread)
+add_covariance(const Motion *m, long long t, int highest, const Linear *linear, double *covariance)
 {
     double by_position[3] = {0};
-    add_moments(m->angle_covariance + t, m->orders, m->stride, highest, linear->by_angle, spread);
+    add_moments(m->angle_covariance + t, m->orders, m->stride, highest, linear->by_angle,
+                covariance);
     add_moments(m->position_covariance + t, m->orders, m->stride, highest, linear->by_position,
                 by_position);
     /* The two coordinates of the position have independent errors of one covariance. */
-    spread[0] += by_position[0] + by_position[2], spread[2] += by_position[0] + by_position[2];
+    covariance[0] += by_position[0] + by_position[2];
+    covariance[2] += by_position[0] + by_position[2];
 }
 
 /* Whether a quantity and its covariance are finite. */
 static int
 is_known(const Quantity *q)
 {
-    return isfinite(creal(q->value)) && isfinite(cimag(q->value)) && isfinite(q->spread[0]) &&
-        isfinite(q->spread[1]) && isfinite(q->spread[2]);
+    return isfinite(creal(q->value)) && isfinite(cimag(q->value)) && isfinite(q->covariance[0]) &&
+        isfinite(q->covariance[1]) && isfinite(q->covariance[2]);
 }
 
-/* Whether a point, m, is less than FARTHEST body sizes from the position of the body. */
+/* Whether a point of the plane, m, is less than FARTHEST body sizes from the position of the body;
+   not where anything is NaN. */
 static int
 is_near(const Motion *m, long long t, Number point)
 {
     return cabs(point - m->position[t]) < FARTHEST * m->size[t];
 }
 
-/* The standard deviation of the length of a vector along any direction, times the root of two. */
+/* The root mean square of the error of a vector, in its unit: both coordinates together. */
 static double
-deviation_of(const Quantity *q)
+rms_error_of(const Quantity *q)
 {
-    return sqrt(q->spread[0] + q->spread[2]);
+    return sqrt(q->covariance[0] + q->covariance[2]);
 }
 
 /* Reads `z` and `rate` of one pose, up to the order `highest`. */
@@ -166,7 +169,8 @@ motion_at(const Motion *m, long long t, int highest, Number *z, double *rate)
         z[k] = m->position[k * m->stride + t], rate[k] = m->angle[k * m->stride + t];
 }
 
-/* Whether a point is as good as at infinity. */
+/* Whether a point of the plane, m, is more than FARTHEST body sizes away, as good as at infinity;
+   not where anything is NaN. */
 static int
 is_far(const Motion *m, long long t, Number point)
 {
@@ -185,10 +189,10 @@ free_pole(const Motion *m, long long t, int order)
     motion_at(m, t, order, z, rate);
     pole(order, z, rate, &turn, &linear);
     q.value = linear.value;
-    add_covariance(m, t, order, &linear, q.spread);
+    add_covariance(m, t, order, &linear, q.covariance);
     add_moments(m->angle_covariance + t, m->orders, m->stride, order, turn.by_angle, noise);
-    int turns = cabs(turn.value) > SIGNIFICANT * sqrt(noise[0] + noise[2]);
-    q.flags = turns && is_near(m, t, q.value) && is_known(&q) ? DETERMINED : 0;
+    int is_rotating = cabs(turn.value) > SIGNIFICANT * sqrt(noise[0] + noise[2]);
+    q.flags = is_rotating && is_near(m, t, q.value) && is_known(&q) ? DETERMINED : 0;
     if (!q.flags)
         q.reason = is_far(m, t, q.value) ? AT_INFINITY : order > 1 ? IN_NOISE : NO_ROTATION;
     return q;
@@ -207,7 +211,7 @@ pole_at(const Motion *m, long long t, int order)
         return q;
     }
     q.value = m->pin[t];
-    q.spread[0] = q.spread[2] = m->pin_variance[t], q.spread[1] = 0.0;
+    q.covariance[0] = q.covariance[2] = m->pin_variance[t], q.covariance[1] = 0.0;
     q.reason = NO_ROTATION;
     for (int k = 1; k <= order; k++) {
         double variance = m->angle_covariance[(k * m->orders + k) * m->stride + t];
@@ -232,11 +236,11 @@ velocity_at(const Motion *m, long long t)
         motion_at(m, t, 2, z, rate);
         velocity(z, rate, &linear);
         q.value = linear.value;
-        add_covariance(m, t, 2, &linear, q.spread);
+        add_covariance(m, t, 2, &linear, q.covariance);
     }
     q.flags = icr.flags & DETERMINED && is_known(&q) ? DETERMINED : 0;
     double speed = cabs(q.value), least = STILL * fabs(m->angle[m->stride + t]) * m->size[t];
-    if (is_near(m, t, icr.value) && speed > MOVING * deviation_of(&q) && speed > least)
+    if (is_near(m, t, icr.value) && speed > MOVING * rms_error_of(&q) && speed > least)
         q.flags |= MOVES;
     q.reason = q.flags & DETERMINED ? KNOWN : icr.reason ? icr.reason : IN_NOISE;
     return q;
@@ -266,25 +270,26 @@ curvature_at(const Motion *m, long long t)
     motion_at(m, t, 3, z, rate);
     curvature(z, rate, &linear);
     q.value = creal(linear.value);
-    add_covariance(m, t, 3, &linear, q.spread);
+    add_covariance(m, t, 3, &linear, q.covariance);
     /* The curvature goes by the speed to the power of -2, which is far from linear where the speed
        is noisy: a relative error x of it changes the curvature by 3 x^2 of the acceleration over
        the speed squared, in second order. */
-    double slowness = (u.spread[0] + u.spread[2]) / 2 / creal(u.value * conj(u.value));
-    double second = cabs(linear.value) * slowness, variance = q.spread[0] + 18 * second * second;
+    double slowness = (u.covariance[0] + u.covariance[2]) / 2 / creal(u.value * conj(u.value));
+    double second = cabs(linear.value) * slowness;
+    double variance = q.covariance[0] + 18 * second * second;
     double turned = m->angle[m->stride + t] / TURNING;
     /* A body that turns by less than its noise would surely have a straight centrode. */
-    int turns = turned * turned > m->angle_covariance[(m->orders + 1) * m->stride + t];
+    int is_rotating = turned * turned > m->angle_covariance[(m->orders + 1) * m->stride + t];
     q.flags = u.flags & MOVES;
-    if (u.flags & MOVES && turns && isfinite(creal(q.value)) && isfinite(variance))
+    if (u.flags & MOVES && is_rotating && isfinite(creal(q.value)) && isfinite(variance))
         q.flags |= DETERMINED;
     q.reason = q.flags & DETERMINED ? KNOWN : why_no_curvature(m, t, &u);
-    q.spread[0] = variance;
+    q.covariance[0] = variance;
     return q;
 }
 
-/* CIRCLE_CENTER, m, or CIRCLE_DIAMETER, m, of the inflection circle, determined where the ICR is
-   seen to move. */
+/* The `quantity` CIRCLE_CENTER, m, or CIRCLE_DIAMETER, m, of the inflection circle, determined
+   where the ICR is seen to move. */
 static Quantity
 circle_at(const Motion *m, long long t, int quantity)
 {
@@ -303,7 +308,7 @@ circle_at(const Motion *m, long long t, int quantity)
             diameter.by_position[k] *= along, diameter.by_angle[k] *= along;
     }
     q.value = linear->value;
-    add_covariance(m, t, 2, linear, q.spread);
+    add_covariance(m, t, 2, linear, q.covariance);
     q.flags = u.flags & MOVES;
     if (u.flags == (DETERMINED | MOVES) && is_near(m, t, center.value) && is_known(&q))
         q.flags |= DETERMINED;
@@ -326,7 +331,7 @@ kinpole_rate(const Motion *m, long long t, int order)
 {
     Quantity q = {0};
     q.value = m->angle[order * m->stride + t];
-    q.spread[0] = m->angle_covariance[order * (m->orders + 1) * m->stride + t];
+    q.covariance[0] = m->angle_covariance[order * (m->orders + 1) * m->stride + t];
     q.flags = isfinite(creal(q.value)) ? DETERMINED : 0;
     q.reason = q.flags ? KNOWN : IN_NOISE;
     return q;
@@ -338,6 +343,7 @@ kinpole_missing(const Motion *m, long long t)
     return m->reason ? m->reason[t] : KNOWN;
 }
 
+/* As `kinpole_quantity`, with the reason as if pose `t` had a result. */
 static Quantity
 quantity_of_known(const Motion *m, long long t, int quantity)
 {
@@ -372,7 +378,7 @@ Quantity
 kinpole_relative_rate(const Motion *m, long long j, long long i)
 {
     Quantity q = kinpole_rate(m, j, 1), other = kinpole_rate(m, i, 1);
-    q.value -= other.value, q.spread[0] += other.spread[0];
+    q.value -= other.value, q.covariance[0] += other.covariance[0];
     q.flags = isfinite(creal(q.value)) ? DETERMINED : 0;
     return q;
 }
@@ -390,25 +396,25 @@ kinpole_relative_center(const Motion *m, long long j, long long i)
     by_i.by_position[0] = -w[i] * inverse, by_i.by_position[1] = -I * inverse;
     by_j.by_angle[1] = (between - arm) * inverse, by_i.by_angle[1] = arm * inverse;
     q.value = z[i] + arm;
-    add_covariance(m, j, 1, &by_j, q.spread);
-    add_covariance(m, i, 1, &by_i, q.spread);
-    int turns = fabs(creal(rate.value)) > SIGNIFICANT * sqrt(rate.spread[0]);
+    add_covariance(m, j, 1, &by_j, q.covariance);
+    add_covariance(m, i, 1, &by_i, q.covariance);
+    int is_rotating = fabs(creal(rate.value)) > SIGNIFICANT * sqrt(rate.covariance[0]);
     double larger = m->size[j] > m->size[i] ? m->size[j] : m->size[i];
     int near = cabs(q.value - (z[j] + z[i]) / 2) < FARTHEST * larger;
-    q.flags = turns && near && is_known(&q) ? DETERMINED : 0;
+    q.flags = is_rotating && near && is_known(&q) ? DETERMINED : 0;
     return q;
 }
 
-/* Writes a quantity to element `at` of arrays: its value, covariance (2, 2), and flags. */
+/* Writes a quantity to the elements `at` of `values`, `covariances` of (2, 2) and `flags`. */
 static void
 store(const Quantity *q, long long at, Number *values, double *covariances, unsigned char *flags)
 {
     double *covariance = covariances + 4 * at;
     values[at] = q->value;
     flags[at] = (unsigned char)q->flags;
-    covariance[0] = q->spread[0];
-    covariance[1] = covariance[2] = q->spread[1];
-    covariance[3] = q->spread[2];
+    covariance[0] = q->covariance[0];
+    covariance[1] = covariance[2] = q->covariance[1];
+    covariance[3] = q->covariance[2];
 }
 
 void

@@ -19,25 +19,29 @@
 #define MAX_POLYNOMIALS 7
 #define MAX_SIGNALS 4
 
-/* Polynomials, `count` of them, on `length` samples that are not missing; `factor` is triangular.
-   `along` are the coefficients of the signals, and `left` is what is left of their squares. */
+/* Polynomials of the degrees from 0 on. */
 typedef struct {
-    int count;
-    double length, factor[MAX_POLYNOMIALS][MAX_POLYNOMIALS];
-    double along[MAX_POLYNOMIALS][MAX_SIGNALS], left[MAX_SIGNALS];
+    int count;     /* polynomials */
+    double length; /* samples that are not missing; of more polynomials the higher ones are 0 */
+    /* (l, k): what time times polynomial k - 1 has along polynomial l < k; (k, k): the length of
+       the rest. */
+    double factor[MAX_POLYNOMIALS][MAX_POLYNOMIALS];
+    double along[MAX_POLYNOMIALS][MAX_SIGNALS]; /* coefficients of the signals */
+    double left[MAX_SIGNALS]; /* sums of squares of what the polynomials leave of the signals */
 } Polynomials;
 
-/* Make polynomials, whose `length` and `count` are given, at `rows` (count, n). Time is that since
-   the instant, `first` samples at the first one, over the number n of samples. The first row are
-   the roots of the weights of the samples. */
+/* Make the polynomials `rows` (count, n) at n samples, times the roots of the weights of these,
+   which are given in the first row. `count` and `length` of `p` are given; writes its `factor`.
+   Time is that since the instant, over n; it is `first` samples at the first one. */
 PRIVATE void make_polynomials(double *rows, long long n, double first, Polynomials *p);
 
-/* Fit polynomials to signals (signals, n), times the roots of the weights, and leave what is
-   left. */
+/* Fit the polynomials `rows` (count, n) to `signal` (signals, n), which has the same factors.
+   Writes `along` and `left` of `p`, and leaves in `signal` what the polynomials do not explain. */
 PRIVATE void fit_polynomials(const double *rows, long long n, double *signal, int signals,
                              Polynomials *p);
 
-/* Find the derivatives (orders, MAX_POLYNOMIALS) of the polynomials at the instant. */
+/* Find the derivatives `out` (orders, MAX_POLYNOMIALS) of the polynomials at the instant, per
+   sample to the power of their order, from `factor` of those on n samples. */
 PRIVATE void differentiate_polynomials(const Polynomials *p, long long n, long long orders,
                                        double out[][MAX_POLYNOMIALS]);
 

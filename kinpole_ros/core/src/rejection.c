@@ -13,11 +13,11 @@
 
 /* Wrong poses in a row that are found at most; rows that are searched for poses; nodes of a cubic;
    poses of a path, and the fewest that show one wrong. */
-enum { LONGEST = 3, LOOK_BACK = 4 * LONGEST, NODES = 4, MOST = LONGEST + NODES, FEWEST = 5 };
+enum { LONGEST = 3, LOOK_BACK = 4 * LONGEST, NODES = 4, PATH_POSES = LONGEST + NODES, FEWEST = 5 };
 /* Poses off a pin in a window that are outliers at most. */
 enum { MAX_OFF_PIN = 2 };
 
-/* How far a signal is off, rad or m: `off`, without whole turns of the angle. */
+/* The size of a difference `off` of signal `s`, rad or m, without whole turns of the angle. */
 static double
 distance_of(int s, Number off)
 {
@@ -25,29 +25,28 @@ distance_of(int s, Number off)
 }
 
 /* Writes the `weights` (count) of the values at times `nodes` (count) in the polynomial through
-   them, at the time `at`, all in s. Returns the standard deviation of a value there less that
-   polynomial, over that of a value. */
+   them, at the time `at`, all in s. Returns the noise ratio: the standard deviation of a value
+   there less that polynomial, over that of a value. */
 static double
 lagrange(const double *nodes, int count, double at, double *weights)
 {
-    double gain = 1.0;
+    double square = 1.0;
     for (int i = 0; i < count; i++) {
         weights[i] = 1.0;
         for (int j = 0; j < count; j++)
             if (j != i)
                 weights[i] *= (at - nodes[j]) / (nodes[i] - nodes[j]);
-        gain += weights[i] * weights[i];
+        square += weights[i] * weights[i];
     }
-    return sqrt(gain);
+    return sqrt(square);
 }
 
-/* The last `count` poses of a body that are used, oldest first: times, s, from the newest; their
-   rows; and both signals. */
+/* The last poses of a body that are used, oldest first. */
 typedef struct {
     int count;
-    double time[MOST];
-    long long row[MOST];
-    Number value[2][MOST];
+    double time[PATH_POSES];     /* s, after the newest row, so 0 or less */
+    long long row[PATH_POSES];   /* of the history */
+    Number value[2][PATH_POSES]; /* both signals, rad with its turns and m */
 } Path;
 
 /* Reads the path of body `b`. Returns 0 if there are fewer than FEWEST poses, or the newest row has
@@ -60,7 +59,7 @@ path_of(const Frames *f, long long b, Path *path)
     begin = begin < history->first ? history->first : begin;
     long long rows[LOOK_BACK];
     int count = 0;
-    for (long long row = newest; row >= begin && count < MOST; row--)
+    for (long long row = newest; row >= begin && count < PATH_POSES; row--)
         if (history->information[2 * row * f->known.bodies + b] > 0.0)
             rows[count++] = row;
     path->count = count;
@@ -76,8 +75,9 @@ path_of(const Frames *f, long long b, Path *path)
     return 1;
 }
 
-/* By how far pose `k` of a path is off the cubic through the poses `node` (NODES), by signals, rad
-   and m, into `distance` (2); `weights` and `gain` are those of `lagrange` at its time. */
+/* Writes to `distance` (2), rad and m, how far pose `k` of a path is off the cubic through the
+   poses `node` (NODES), whose values have the `weights` (NODES) of `lagrange` at the time of pose
+   `k`. */
 static void
 distances_from_cubic(const Path *p, int k, const int *node, const double *weights, double *distance)
 {
@@ -90,8 +90,9 @@ distances_from_cubic(const Path *p, int k, const int *node, const double *weight
 }
 
 /* Whether the poses after a gap go on from those before it: each is nearer than `smallest` (2), rad
-   and m, to the line through the two before, in the signals in which all poses of the gap are
-   off. After a jump that lasts they do not. */
+   and m, to the line through the two before, in the signals in which `all` (2) poses of the gap are
+   off. After a jump that lasts they do not. `node` (NODES) are two poses before the gap and two
+   after it, and `nodes` (NODES) their times, s. */
 static int
 goes_back(const Path *p, const int *node, const double *nodes, const int *all,
           const double *smallest)
@@ -107,9 +108,10 @@ goes_back(const Path *p, const int *node, const double *nodes, const int *all,
     return back;
 }
 
-/* How many poses before the last two are off the cubic through the two before and the two after: by
-   more than `most` (2) standard deviations allow, and than `least` (2), rad and m. While these were
-   followed, the angles after may have been taken for so many `turns` more. */
+/* Returns how many poses before the last two are off the cubic through the two before and the two
+   after, by more than `most` (2), rad and m, times the noise ratio, and by more than `least` (2),
+   rad and m. Writes by how many `turns` too many the last two were counted while the wrong poses
+   were followed; 0 if no pose is wrong. */
 static int
 wrong_before_last(const Path *path, const double *most, const double *least, double *turns)
 {
@@ -132,11 +134,11 @@ wrong_before_last(const Path *path, const double *most, const double *least, dou
         trial.value[0][last] -= (more - *turns) * TURN;
         *turns = more;
         for (int k = gap; k < gap + length; k++) {
-            double distance[2], gain = lagrange(nodes, NODES, path->time[k], weights);
+            double distance[2], noise_ratio = lagrange(nodes, NODES, path->time[k], weights);
             int any = 0;
             distances_from_cubic(&trial, k, node, weights, distance);
             for (int s = 0; s < 2; s++) {
-                int far = distance[s] > larger(most[s] * gain, least[s]);
+                int far = distance[s] > larger(most[s] * noise_ratio, least[s]);
                 any |= far;
                 all[s] &= far;
                 smallest[s] = smaller(distance[s], smallest[s]);
@@ -150,7 +152,9 @@ wrong_before_last(const Path *path, const double *most, const double *least, dou
     return 0;
 }
 
-/* Of how many of the last poses the first is far off all polynomials through those before it. */
+/* Returns the number of newest frames from the first one whose pose is farther than `most` (2), rad
+   and m, times the noise ratio off all polynomials through up to NODES poses before it; 0 if there
+   is none among the last LONGEST. */
 static int
 doubtful_newest(const Path *p, const double *most)
 {
@@ -158,12 +162,12 @@ doubtful_newest(const Path *p, const double *most)
     for (int k = begin; k < p->count; k++) {
         double least[2] = {INFINITY, INFINITY}, weights[NODES];
         for (int used = 1; used <= NODES; used++) {
-            double gain = lagrange(p->time + k - used, used, p->time[k], weights);
+            double noise_ratio = lagrange(p->time + k - used, used, p->time[k], weights);
             for (int s = 0; s < 2; s++) {
                 Number off = p->value[s][k];
                 for (int j = 0; j < used; j++)
                     off -= weights[j] * p->value[s][k - used + j];
-                least[s] = smaller(distance_of(s, off) / gain, least[s]);
+                least[s] = smaller(distance_of(s, off) / noise_ratio, least[s]);
             }
         }
         if (least[0] > most[0] || least[1] > most[1])
@@ -204,8 +208,8 @@ kinpole_follow_paths(const Frames *f)
     }
 }
 
-/* Whether marker `k` of `points` (n) of body `b` repeats that of the row so many before the newest
-   to the last bit. */
+/* Whether marker `k` of `points` (n), m, of body `b` repeats that of the row `rows_before` the
+   newest to the last bit; 0 if there is no such row. */
 static int
 repeats(const Frames *f, long long b, const Number *points, long long k, long long rows_before)
 {
@@ -252,11 +256,12 @@ kinpole_holds_on_pin(const Frames *f, long long oldest, long long b)
             continue;
         long long at = row * known->bodies + b;
         const double *factor = known->information_factor + b;
-        double turned = known->error[b] / (information[0] * factor[0]);
-        double placed = known->error[b] / (information[known->bodies] * factor[known->bodies]);
+        double angle_variance = known->marker_variance[b] / (information[0] * factor[0]);
+        double position_variance =
+            known->marker_variance[b] / (information[known->bodies] * factor[known->bodies]);
         Number turn = cos(history->angle[at]) + I * sin(history->angle[at]);
         double square = square_of(history->position[at] + turn * known->pin_arm[b] - known->pin[b]);
-        double variance = placed + square_of(known->pin_arm[b]) * turned;
+        double variance = position_variance + square_of(known->pin_arm[b]) * angle_variance;
         off += square > f->limits.n_sigma * f->limits.n_sigma * variance;
     }
     return off <= MAX_OFF_PIN;

@@ -38,9 +38,9 @@ quantity_of(const Task *task)
     long long other = task->t * task->bodies + row->other;
     switch (row->quantity) {
     case GIVEN: {
-        const double *spread = row->covariance + 4 * task->t;
+        const double *given = row->covariance + 4 * task->t;
         int flags = row->determined[task->t] ? DETERMINED : 0;
-        return (Quantity){row->value[task->t], {spread[0], spread[1], spread[3]}, flags, KNOWN};
+        return (Quantity){row->value[task->t], {given[0], given[1], given[3]}, flags, KNOWN};
     }
     case RELATIVE_RATE:
         return kinpole_relative_rate(m, other, task->at);
@@ -68,18 +68,18 @@ root_of(double variance)
     return variance > 0.0 ? sqrt(variance) : 0.0;
 }
 
-/* The covariance along the axes `c` and `d` of the frame, 0 to 2, of one of the plane, `spread`
-   (xx, xy, yy). */
+/* The element `c`, `d`, 0 to 2, of a `covariance` (xx, xy, yy) of the plane along the axes of the
+   frame of the message. */
 static double
-turned(const Plane *plane, const double *spread, int c, int d)
+covariance_in_space(const Plane *plane, const double *covariance, int c, int d)
 {
     const double *x = plane->basis[0], *y = plane->basis[1];
-    return x[c] * x[d] * spread[0] + (x[c] * y[d] + y[c] * x[d]) * spread[1] +
-        y[c] * y[d] * spread[2];
+    return x[c] * x[d] * covariance[0] + (x[c] * y[d] + y[c] * x[d]) * covariance[1] +
+        y[c] * y[d] * covariance[2];
 }
 
 /* Writes the quantity of a message, or its standard deviation, to `out`. Returns the number of
-   doubles; 0 if it is undetermined. */
+   doubles; 0 if it is undetermined, and nothing is written. */
 static int
 write_quantity(const Task *task, Doubles *out)
 {
@@ -89,12 +89,12 @@ write_quantity(const Task *task, Doubles *out)
     if (!(q.flags & DETERMINED))
         return 0;
     double height = row->kind == VECTOR ? 0.0 : task->motion->height[task->at];
-    double number = row->is_deviation ? root_of(q.spread[0]) : creal(q.value);
+    double number = row->is_deviation ? root_of(q.covariance[0]) : creal(q.value);
     if (row->kind == NORMAL)
         in_space(plane, 0.0, number, out->vector);
     else if (row->is_deviation)
         for (int c = 0; c < 3; c++)
-            out->vector[c] = root_of(turned(plane, q.spread, c, c));
+            out->vector[c] = root_of(covariance_in_space(plane, q.covariance, c, c));
     else
         in_space(plane, q.value, height, out->vector);
     if (row->kind != POSE || row->is_deviation)
@@ -103,7 +103,7 @@ write_quantity(const Task *task, Doubles *out)
     memcpy(pose.position, out->vector, sizeof pose.position);
     for (int c = 0; c < 3; c++)
         for (int d = 0; d < 3; d++)
-            pose.covariance[c][d] = turned(plane, q.spread, c, d);
+            pose.covariance[c][d] = covariance_in_space(plane, q.covariance, c, d);
     out->pose = pose;
     return POSE_DOUBLES;
 }
@@ -118,7 +118,8 @@ typedef struct {
     double of_position[2];    /* variances of a coordinate of that point, and of its velocity */
 } Pose;
 
-/* Reads the pose `t` of a motion. Returns whether anything is known of it. */
+/* Reads the pose `t` of a motion. Returns whether anything is known of it; if not, nothing is
+   written. */
 static int
 read_pose(const Motion *m, long long t, Pose *pose)
 {
@@ -139,18 +140,18 @@ read_pose(const Motion *m, long long t, Pose *pose)
     return 1;
 }
 
-/* Computes the covariance `cells` (3, 3) of x, y and an angle in the plane, from their partial
-   derivatives `by` (3, 2) angle and rate. The variance of x and y besides is `even`: errors of the
-   point whose position is derived are independent. */
+/* Computes the covariance `out` (3, 3) of x, y and an angle in the plane, or of their rates, from
+   their partial derivatives `by` (3, 2) by the angle and the rate of a body. The variance of x and
+   y besides is `even`: errors of the point whose position is derived are independent. */
 static void
-covariance_of(const Pose *pose, const double (*by)[2], double even, double (*cells)[3])
+covariance_of(const Pose *pose, const double (*by)[2], double even, double (*out)[3])
 {
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) {
-            cells[i][j] = i == j && i < 2 ? even : 0.0;
+            out[i][j] = i == j && i < 2 ? even : 0.0;
             for (int k = 0; k < 2; k++)
                 for (int l = 0; l < 2; l++)
-                    cells[i][j] += by[i][k] * pose->of_angle[k][l] * by[j][l];
+                    out[i][j] += by[i][k] * pose->of_angle[k][l] * by[j][l];
         }
 }
 
@@ -161,8 +162,8 @@ write_covariance(const Plane *plane, const Pose *pose, const double (*by)[2], do
                  double (*out)[6])
 {
     const double(*e)[3] = plane->basis;
-    double cells[3][3], turn[3][6] = {{0.0}};
-    covariance_of(pose, by, even, cells);
+    double flat[3][3], turn[3][6] = {{0.0}};
+    covariance_of(pose, by, even, flat);
     for (int c = 0; c < 3; c++)
         turn[0][c] = e[0][c], turn[1][c] = e[1][c], turn[2][3 + c] = e[2][c];
     for (int c = 0; c < 6; c++)
@@ -170,7 +171,7 @@ write_covariance(const Plane *plane, const Pose *pose, const double (*by)[2], do
             double sum = 0.0;
             for (int i = 0; i < 3; i++)
                 for (int j = 0; j < 3; j++)
-                    sum += turn[i][c] * cells[i][j] * turn[j][d];
+                    sum += turn[i][c] * flat[i][j] * turn[j][d];
             /* Nothing is measured along the normal, or about the axes of the plane. */
             if (c < 3)
                 sum += plane->unmeasured * e[2][c] * e[2][d];
@@ -180,8 +181,9 @@ write_covariance(const Plane *plane, const Pose *pose, const double (*by)[2], do
         }
 }
 
-/* Writes where the frame of a body is, and for odometry its covariance, and its twist in that frame
-   with its covariance (REP-105). Returns the number of doubles; 0 if nothing is known. */
+/* Writes to `out` where the frame of a body is, and for odometry its covariance, and its twist in
+   that frame with its covariance (REP-105). Returns the number of doubles; 0 if nothing is known,
+   and nothing is written. */
 static int
 write_pose(const Task *task, Doubles *out)
 {
@@ -230,26 +232,26 @@ typedef struct {
     StateVector velocity;
 } StatePoint;
 
-/* A vector of the plane with its covariance. */
+/* The vector `value` of the plane, m or m/s, with its covariance (xx, xy, yy). */
 static StateVector
 state_vector(Number value, double xx, double xy, double yy)
 {
     return (StateVector){creal(value), cimag(value), xx, xy, yy};
 }
 
-/* Writes position, angle, rad, and velocity of the frame of a body to its point. An error d of the
-   angle moves the origin by -i d r, with r the arm, and changes its velocity by d w r; an error e
-   of the rate w changes the velocity by -i e r. */
+/* Writes position, m, angle, rad, and velocity, m/s, of the frame of a body to its point. An error
+   d of the angle moves the origin by -i d r, with r the arm, and changes its velocity by d w r; an
+   error e of the rate w changes the velocity by -i e r. */
 static void
 fill_state_pose(const Pose *pose, double angle, StatePoint *point)
 {
-    double x = creal(pose->arm), y = cimag(pose->arm), w = pose->rate, cells[3][3];
+    double x = creal(pose->arm), y = cimag(pose->arm), w = pose->rate, flat[3][3];
     const double by_origin[3][2] = {{y}, {-x}}, by_velocity[3][2] = {{w * x, y}, {w * y, -x}};
-    covariance_of(pose, by_origin, pose->of_position[0], cells);
-    point->position = state_vector(pose->origin, cells[0][0], cells[0][1], cells[1][1]);
+    covariance_of(pose, by_origin, pose->of_position[0], flat);
+    point->position = state_vector(pose->origin, flat[0][0], flat[0][1], flat[1][1]);
     point->angle = (StateScalar){angle, root_of(pose->of_angle[0][0])};
-    covariance_of(pose, by_velocity, pose->of_position[1], cells);
-    point->velocity = state_vector(pose->velocity, cells[0][0], cells[0][1], cells[1][1]);
+    covariance_of(pose, by_velocity, pose->of_position[1], flat);
+    point->velocity = state_vector(pose->velocity, flat[0][0], flat[0][1], flat[1][1]);
 }
 
 /* Room for the reasons of the pose and of all 12 quantities of a body: a multiple of 8. */
@@ -263,7 +265,7 @@ typedef struct {
     unsigned char reasons[STATE_REASONS];
 } Verdicts;
 
-/* Appends whether a quantity is determined, and its code of REASONS. */
+/* Appends to `verdicts` whether a quantity is determined, and its `reason`, one of REASONS. */
 static void
 add_verdict(Verdicts *verdicts, int is_determined, int reason)
 {
@@ -271,7 +273,8 @@ add_verdict(Verdicts *verdicts, int is_determined, int reason)
     verdicts->reasons[verdicts->count++] = (unsigned char)reason;
 }
 
-/* Writes a quantity of a body, zeros if it is undetermined, and returns where it ends. */
+/* Writes a quantity of the pose `at`, zeros if it is undetermined, to `out`, and whether it is
+   determined to `verdicts`. Returns where it ends. */
 static unsigned char *
 write_state_quantity(const Task *task, long long at, int quantity, Verdicts *verdicts,
                      unsigned char *out)
@@ -281,8 +284,8 @@ write_state_quantity(const Task *task, long long at, int quantity, Verdicts *ver
     StateScalar scalar = {0};
     int is_scalar = quantity > RATE || quantity == CURVATURE || quantity == CIRCLE_DIAMETER;
     if (q.flags & DETERMINED) {
-        vector = state_vector(q.value, q.spread[0], q.spread[1], q.spread[2]);
-        scalar = (StateScalar){creal(q.value), root_of(q.spread[0])};
+        vector = state_vector(q.value, q.covariance[0], q.covariance[1], q.covariance[2]);
+        scalar = (StateScalar){creal(q.value), root_of(q.covariance[0])};
     }
     add_verdict(verdicts, q.flags & DETERMINED, q.reason);
     size_t size = is_scalar ? sizeof scalar : sizeof vector;

@@ -5,7 +5,8 @@
 #include "memory.h"
 #include "numbers.h"
 
-/* Samples with this share of the largest information get a weight of 1: a lower one costs time. */
+/* Information of at least this share of the largest is similar. Samples with this share of its
+   mean, the usual one, get a weight of 1: a lower one costs time. */
 #define SIMILAR_INFORMATION 0.5
 /* A missing sample is first put on a parabola through so many others. */
 #define PARABOLA_SAMPLES 6
@@ -46,11 +47,11 @@ lay_out_samples(Call *call, int which, long long count, Samples *s)
 }
 
 PRIVATE void
-divide_samples(const Samples *s, const double *by)
+divide_samples(const Samples *s, const double *noise)
 {
     for (int c = 0; c < 3; c++)
         for (long long k = 0; k < s->count; k++)
-            s->x[c][k] /= by[c > 0];
+            s->x[c][k] /= noise[c > 0];
 }
 
 PRIVATE double
@@ -85,7 +86,7 @@ fill_missing(const Samples *s)
                 }
                 number++;
             }
-        /* The value of the parabola at the cell, by Cramer's rule. */
+        /* The value of the parabola at the place of the sample, by Cramer's rule. */
         double a = m[2] * m[4] - m[3] * m[3], b = m[2] * m[3] - m[1] * m[4];
         double d = m[1] * m[3] - m[2] * m[2], det = m[0] * a + m[1] * b + m[2] * d;
         for (int c = 0; c < 3; c++)

@@ -7,8 +7,8 @@
 
 #include "../include/messages.h"
 
-/* Writes the point `row` of the `points` (P, 3) of a frame to `point` (3), m; NaN if it is none, is
-   not finite, or is too far. Returns whether it is too far. */
+/* Writes the point `row` of the `points` (P, 3) of a frame, in the unit `scale`, to `point` (3), m;
+   NaN if it is none, is not finite, or is too far. Returns whether it is too far. */
 static int
 write_point(const Slots *slots, const double *points, long long row, double *point)
 {

@@ -8,7 +8,9 @@
 #include "../include/frames.h"
 #include "../include/messages.h"
 
-enum { OF_VALUE = 0, OF_ARRAY = -1, MOST = 32 };
+/* The `count` of a field that is no block; the structs or enums at most, with the end of the
+   list. */
+enum { OF_VALUE = 0, OF_ARRAY = -1, LONGEST_LIST = 32 };
 
 /* `Owner` is the struct whose fields are described. */
 #define DESCRIBE_VALUE(type, name, meaning) \
@@ -19,11 +21,11 @@ enum { OF_VALUE = 0, OF_ARRAY = -1, MOST = 32 };
     {#name, #type, shape, meaning, OF_ARRAY, offsetof(Owner, name)},
 #define DESCRIBE_CODE(name, value) {#name, value},
 
-#define ADD_STRUCT(name, FIELDS)                                                             \
-    {                                                                                        \
-        typedef name Owner;                                                                  \
+#define ADD_STRUCT(name, FIELDS)                                                                \
+    {                                                                                           \
+        typedef name Owner;                                                                     \
         static const Field fields[] = {FIELDS(DESCRIBE_VALUE, DESCRIBE_BLOCK, DESCRIBE_ARRAY)}; \
-        *next++ = (Description){#name, sizeof(name), sizeof fields / sizeof *fields, fields}; \
+        *next++ = (Description){#name, sizeof(name), sizeof fields / sizeof *fields, fields};   \
     }
 #define ADD_CODES(LIST)                                                      \
     {                                                                        \
@@ -34,7 +36,7 @@ enum { OF_VALUE = 0, OF_ARRAY = -1, MOST = 32 };
 const Description *
 kinpole_structs(void)
 {
-    static Description all[MOST];
+    static Description all[LONGEST_LIST];
     Description *next = all;
     ADD_STRUCT(Table, TABLE_FIELDS)
     ADD_STRUCT(DerivativeArrays, DERIVATIVE_ARRAYS_FIELDS)
@@ -60,7 +62,7 @@ kinpole_structs(void)
 const Codes *
 kinpole_codes(void)
 {
-    static Codes all[MOST];
+    static Codes all[LONGEST_LIST];
     Codes *next = all;
     ADD_CODES(SIZES)
     ADD_CODES(POLE_LIMITS)

@@ -22,7 +22,7 @@
 /* A window is at most so many times as long as the samples that are present reach. */
 #define MAX_SIZE_RATIO 1.25
 
-/* Compare two doubles, for qsort. */
+/* Compare the doubles `a` and `b`, for qsort. */
 static int
 compare_numbers(const void *a, const void *b)
 {
@@ -70,14 +70,14 @@ find_grid(Call *call, long long instant, Grid *grid)
     if (!time)
         return NO_MEMORY;
     double *steps = time + frames;
-    grid->late = steps + frames, grid->cell = (long long *)(grid->late + frames);
+    grid->off = steps + frames, grid->cell = (long long *)(grid->off + frames);
     for (long long k = 0; k < frames; k++)
         time[k] = call->time[newest - k] - call->time[now];
     double span = time[0] - time[frames - 1];
     grid->interval = span / (frames - 1);
     int even = 1;
     for (long long k = 0; k < frames; k++) {
-        grid->cell[k] = newest - now - k, grid->late[k] = 0.0;
+        grid->cell[k] = newest - now - k, grid->off[k] = 0.0;
         even &= fabs(time[k] - grid->cell[k] * grid->interval) <= MAX_OFF_GRID * grid->interval;
     }
     if (even)
@@ -105,8 +105,8 @@ find_grid(Call *call, long long instant, Grid *grid)
     for (long long k = 0; k < frames; k++) {
         double place = time[k] / grid->interval;
         grid->cell[k] = (long long)(rint(place - phase) - rint(-phase));
-        double late = place - grid->cell[k];
-        grid->late[k] = fabs(late) < MAX_OFF_GRID ? 0.0 : late;
+        double off = place - grid->cell[k];
+        grid->off[k] = fabs(off) < MAX_OFF_GRID ? 0.0 : off;
     }
     return DONE;
 }
@@ -137,7 +137,7 @@ fill_cells(Call *call, long long instant, long long body, const Grid *grid, Cell
                 s->x[2][at] = cimag(call->position[row]) - y;
                 s->weight[0][at] = call->angle_information[row];
                 s->weight[1][at] = call->position_information[row];
-                s->off[at] = grid->late[k];
+                s->off[at] = grid->off[k];
             } else {
                 oldest = count == 0 || cell < oldest ? cell : oldest;
                 ahead = count == 0 || cell > ahead ? cell : ahead;
@@ -163,7 +163,8 @@ fill_cells(Call *call, long long instant, long long body, const Grid *grid, Cell
 
 /* Return the number of blocks of the longest window with enough samples, or 0. A full window has
    `full` blocks, `last` is the number of whole blocks up to the oldest sample, and `ahead` blocks
-   are newer than the instant. `filled[k]` is how many of the first k + 1 blocks have samples. */
+   are newer than the instant. filled[k], k < `blocks`, is how many of the first k + 1 blocks, from
+   the newest, have samples. A window of `exact` samples is as long as these reach, of any size. */
 static long long
 find_size(long long full, long long last, long long ahead, int exact, const long long *filled,
           long long blocks)
@@ -227,7 +228,7 @@ average_blocks(const Samples *cells, long long block, Samples *out, double *coar
 {
     for (long long b = 0; b < out->count; b++) {
         long long first = b * block, at = out->count - 1 - b, number = 0;
-        double best[2] = {0.0}, variance[2] = {0.0}, late = 0.0;
+        double best[2] = {0.0}, variance[2] = {0.0}, off = 0.0;
         for (int c = 0; c < 2; c++)
             for (long long k = first; k < first + block; k++)
                 best[c] = larger(best[c], cells->weight[c][k]);
@@ -241,7 +242,7 @@ average_blocks(const Samples *cells, long long block, Samples *out, double *coar
             for (int c = 0; c < 3; c++)
                 out->x[c][at] += cells->x[c][k];
             /* The mean time of a block moves with its missing samples. */
-            late += cells->off[k] + (block - 1) / 2.0 - (k - first);
+            off += cells->off[k] + (block - 1) / 2.0 - (k - first);
         }
         if (!number)
             continue;
@@ -249,8 +250,8 @@ average_blocks(const Samples *cells, long long block, Samples *out, double *coar
             out->x[c][at] /= number;
         for (int c = 0; c < 2; c++)
             out->weight[c][at] = number * number / variance[c] / block;
-        late /= number * block;
-        out->off[at] = fabs(late) < MAX_OFF_GRID ? 0.0 : late;
+        off /= number * block;
+        out->off[at] = fabs(off) < MAX_OFF_GRID ? 0.0 : off;
     }
     for (int c = 0; c < (block > 1 ? 2 : 0); c++) {
         double usual = mean_of_similar(out->weight[c], out->count);

@@ -48,6 +48,11 @@ def settings_of(options: argparse.Namespace) -> 'Settings':
         f'the same table for pandas and others ({install_command("parquet")})',
     ),
     TOPIC,
+    flag(
+        '--whole',
+        'know from the first frame on what is learned up to the last one, with results to both '
+        'ends: right for a finished recording; without it, results are those of the node',
+    ),
     flag('--strict', 'exit with 1 if the scene differs from what is measured'),
 )
 def replay(options: argparse.Namespace) -> int:
@@ -58,7 +63,7 @@ def replay(options: argparse.Namespace) -> int:
     give the same results every time. New results replace earlier ones only when they are complete.
     A killed run leaves its incomplete results next to them, as NAME.….part, until the next run.
     """
-    from kinpole_ros.bags import assumed_body, warnings_of
+    from kinpole_ros.bags import assumed_body
     from kinpole_ros.bags import replay as replay_bag
     from kinpole_ros.messages import faults
     from kinpole_ros.tracking.plane import AXES
@@ -81,6 +86,7 @@ def replay(options: argparse.Namespace) -> int:
             options.topic,
             progress,
             options.parquet,
+            whole=options.whole,
         )
     print(f'{result.frames} frames in, {result.estimates} instants out')
     if assumption := assumed_body(len(result.identities), settings, options.bag):
@@ -93,7 +99,7 @@ def replay(options: argparse.Namespace) -> int:
         print(f'written to {output}')
     if result.space.plane is not None and settings.plane not in AXES:
         print(f'plane: {faults.plane_words(result.space.plane)}')
-    for warning in warnings_of(result, settings):
+    for warning in result.warnings:
         print_error('replay', warning)
     if result.truncated is not None:
         print_error('replay', result.truncated)
@@ -103,7 +109,7 @@ def replay(options: argparse.Namespace) -> int:
 
 
 def _agrees(positions: 'PositionReport | None') -> bool:
-    return positions is not None and not positions.words
+    return positions is not None and not positions.findings
 
 
 def _result_lines(result: Any) -> Iterator[str]:
@@ -169,10 +175,11 @@ def batch(options: argparse.Namespace) -> int:
     r"""
     Replay many bags, on all cores or a Dask cluster, with a table over all.
 
-    Replays each bag by itself and writes summary.csv with one line per bag: frames, time span (s),
-    noise (m), resets, share of the instants at which each pole is determined, and errors. If a bag
-    fails, the others continue. Run it again to do only what is missing: results are written when
-    they are complete, and reused as long as bag and settings stay the same.
+    Replays each bag by itself, as with replay --whole, and writes summary.csv with one line per
+    bag: frames, time span (s), noise (m), resets, share of the instants at which each pole is
+    determined, and errors. If a bag fails, the others continue. Run it again to do only what is
+    missing: results are written when they are complete, and reused as long as bag and settings stay
+    the same.
 
     A folder is one bag; name several recordings in one folder as FOLDER/*.mcap. Bags and output may
     be URLs of stores that fsspec knows, such as s3://... (pip install fsspec). Results of more than

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinpole_ros import __version__
-from kinpole_ros.bags import BagError, assumed_body, in_place_of, replay, warnings_of
+from kinpole_ros.bags import BagError, assumed_body, in_place_of, replay
 from kinpole_ros.files import printable
 from kinpole_ros.linkage.positions import JointSummary
 from kinpole_ros.linkage.theory import load_theory
@@ -109,8 +109,8 @@ def replayed(
     """Return the record of a bag of markers, and how far the joints of the scene are off."""
     theory = load_theory(settings) if settings.scene else None
     collector = Collector(_most_instants(len(settings.bodies)), theory)
-    result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)
-    notes = warnings_of(result, settings)
+    result = replay(bag, settings, topic=topic, progress=progress, take=collector.add, whole=True)
+    notes = result.warnings
     if assumption := assumed_body(len(result.identities), settings, source):
         notes.insert(0, assumption)
         if on_assumption is not None:

@@ -84,8 +84,9 @@ def prepared(
             assumed += lines
             if rig is not None:
                 settings = load_settings(rig, changes=assignments(options.set))
+                lag = settings.of_recording().lag
                 assumed.append(
-                    f'window {settings.window:g} s, lag {settings.lag:g} s, noise estimated from '
+                    f'window {settings.window:g} s, lag {lag:g} s, noise estimated from '
                     'the markers; to change: --set window:=0.2 --set lag:=0.1'
                 )
             assumed += found

@@ -70,7 +70,7 @@ def curved_bodies(here: SolvedScene) -> list[BodyCurvature]:
     """Return the bodies whose pole moves; bodies that move alike are one. Raises SceneError."""
     scene, motion = here.scene, here.motion
     of_bodies = poles(scene.mechanism, motion)
-    alike: dict[tuple[float, ...], tuple[str, dict[str, complex]]] = {}
+    by_motion: dict[tuple[float, ...], tuple[str, dict[str, complex]]] = {}
     found: dict[str, BodyCurvature] = {}
     for b, body in enumerate(scene.mechanism.bodies):
         if np.isnan(of_bodies.inflection_circle[b, 0]):
@@ -81,7 +81,7 @@ def curved_bodies(here: SolvedScene) -> list[BodyCurvature]:
         turn, origin = np.exp(1j * motion.angle[0, b, 0]), motion.position[0, b, 0]
         rate, pole = float(motion.angle[1, b, 0]), complex(of_bodies.icr[b, 0])
         key = tuple(np.round([rate, *planar.to_plane(pole)], 9))
-        name, points = alike.setdefault(key, (body, {}))
+        name, points = by_motion.setdefault(key, (body, {}))
         points |= {point: complex(origin + z * turn) for point, z in own.items()}
         ordered = _ordered(points, pole)
         if not ordered:
