@@ -104,8 +104,8 @@ def derive_even(window: Window, samples: Real, weights: Real | None, radians: Re
     whole = derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking)
     if window.exact:
         return whole
-    simple = whole.best >= -_WORTH * LOG_PRIOR_WIDTH * np.array((1, 2))[:, None]
-    for k, is_simple in enumerate(simple.all(axis=0)):
+    least = -_WORTH * LOG_PRIOR_WIDTH * np.array((1, 2))[:, None]
+    for k, is_simple in enumerate((whole.best >= least).all(axis=0)):
         weight = np.ones((window.size, 2)) if weights is None else weights[..., k]
         found = _derive_signal(window, samples[..., k], weight, bool(is_simple))
         for all_, part in zip(whole, found or (), strict=found is not None):

@@ -186,8 +186,8 @@ add_place_covariance(const Models *m, const Stencils *stencils, const Set *none,
             /* The best place comes first, as the origin of the differences. */
             for (long long i = -1; i < places; i++) {
                 long long k = i < 0 ? best : i, at = order * n + k + EDGE_SAMPLES;
-                double off[MAX_ORDERS], ratio, size;
                 double since = stencils->at - (k + EDGE_SAMPLES - 0.5);
+                double off[MAX_ORDERS], ratio, size;
                 explained_squares(screen, at, &ratio);
                 size = screen->step_products[j * STEP_ORDERS * n + at] / screen->step_squares[at] *
                     ratio / (1 + ratio);

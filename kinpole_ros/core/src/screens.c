@@ -5,7 +5,9 @@
 #include "memory.h"
 #include "numbers.h"
 
-PRIVATE long long
+/* Return the number, group times LANES plus lane, of the most probable model of a set, of the angle
+   (c = 0) or the position (c = 1). */
+static long long
 most_probable_model(const Models *m, const Set *set, int c)
 {
     const double *evidence = (const double *)(set->evidence + c * m->groups);

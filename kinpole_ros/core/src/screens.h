@@ -45,10 +45,6 @@ typedef struct {
     int order;
 } Candidate;
 
-/* Return the number, group times LANES plus lane, of the most probable model of a set, of the angle
-   (c = 0) or the position (c = 1). */
-PRIVATE long long most_probable_model(const Models *m, const Set *set, int c);
-
 /* Compute the `residual` P x (count) that a model, by its number, leaves of a `signal` x (count),
    which may be the same memory, with these `coefficients` (rows). `sums` (half) is memory. */
 PRIVATE void subtract_model(const Models *m, long long model, const double *coefficients,
@@ -70,7 +66,7 @@ PRIVATE char * lay_out_screens(long long count, long long orders, long long colu
                                Screens *screens);
 
 /* Screen steps of all orders at all places of a window, with the most probable models of `of_model`
-   and the columns of the set without events, and return the best. The gain of a place is without
+   and the columns of the `set` without events, and return the best. The gain of a place is without
    the cost of the size, and has the approximation z (6 - z) / (6 - 4 z) of -log(1 - z), because
    there are many places. `screens` is laid out; `scratch` (count) is memory. */
 PRIVATE Candidate screen_window(const Models *m, const Samples *s, const Work *w, const Set *set,
