@@ -72,8 +72,6 @@ OUTLIER_NATS = OUTLIER_SIGMAS**2 / 2
 EXCHANGE_NATS, MIRROR_NATS = 0.5 * OUTLIER_NATS, 0.75 * OUTLIER_NATS
 # Most frames between two searches for the names of markers after searches without a result.
 MAX_SEARCH_INTERVAL = 16
-# An outlier of so many limits spoils a learned shape for longer than a new start takes.
-SPOILING_LIMITS = 3.0
 # A marker has moved if it was seen in half of so many frames and fitted in none. Markers that stay
 # exchanged for as long had wrong names before.
 MOVED_FRAMES = 100
