@@ -193,7 +193,7 @@ class _Replaying:
         self._diagnostics = PeriodicDiagnostics(
             messages.DiagnosticsMaker(NODE_NAME, compare, self._topic)
         )
-        self._outcome = _replayed.begin(settings, self._tracker)
+        self._outcome = _replayed.begin(settings, self._tracker, whole)
         self._space_stamp = 0  # ns, at which the outcome has how the motion lies in space
 
     def run(

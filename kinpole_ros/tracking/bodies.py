@@ -295,6 +295,8 @@ class Bodies:
 
     def take(self, other: 'Bodies', which: np.ndarray, names: Iterable[str]) -> 'Bodies':
         """Return bodies with arrays of `other`, by their `names`, for those of `which` (B,)."""
+        if which.all():
+            return self.change(**{name: getattr(other, name) for name in names})
         arrays = {}
         for name in names:
             part = which[:, None] if name in _OF_MARKERS else which

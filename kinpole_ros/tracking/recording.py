@@ -95,8 +95,7 @@ class Recording:
 
         In the `new` newest frames markers `moved` (B, n), and the noise of bodies `is_other` (B,).
         """
-        # Without what follows from it.
-        bodies = replace(bodies)
+        bodies = _kept(bodies, self._latest)
         before, begins = self._latest, self._begin >= self.number - new
         if before is not None:
             lost_pin = np.isfinite(before.pin) & ~np.isfinite(bodies.pin)
@@ -147,6 +146,16 @@ class Recording:
         self._since_start, self._latest = [], None
 
 
+def _kept(bodies: Bodies, before: Bodies | None) -> Bodies:
+    """Return bodies without what follows from them, which share equal arrays with those before."""
+    same: dict[str, np.ndarray] = {}
+    for name in Bodies.__dataclass_fields__ if before is not None else ():
+        old = getattr(before, name)
+        if np.array_equal(getattr(bodies, name), old, equal_nan=True):
+            same[name] = old
+    return replace(bodies, **same)
+
+
 def _with_largest_steps(before: Bodies, now: Bodies) -> Bodies:
     """Return what is known now, with steps about the path as large as any before, fast or slow."""
     scale = np.where(np.isfinite(before.jump_scale), before.jump_scale, 0.0)
@@ -155,7 +164,9 @@ def _with_largest_steps(before: Bodies, now: Bodies) -> Bodies:
 
 def _completed(stretch: Stretch, later: Stretch) -> Stretch:
     """Return a stretch with what is known better in the one after it."""
-    own = stretch.bodies.widen(later.bodies.width)
+    own = stretch.bodies
+    if own.width < later.bodies.width:
+        own = own.widen(later.bodies.width)
     lacks = np.isnan(own.noise) | (own.fits < np.minimum(later.bodies.fits, MIN_SAMPLES))
     bodies = own.take(later.bodies, ~later.changed, _LASTING)
     bodies = bodies.take(later.bodies, ~later.changed & lacks, _PASSING)

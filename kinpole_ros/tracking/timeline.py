@@ -199,6 +199,8 @@ class Timeline:
             Frames to be appended to the history, in parts of one layout.
 
         """
+        if self._known is not None and self.at_ticks and self.clock is None:
+            self._begin_at_ticks(self._known[0], int(frames.stamps[0]))
         if self._counter is None and not self._waiting:
             counts = np.zeros(len(numbers), np.int64)
             times = _times_at_stamps([frames.stamps], history, self.at_ticks)
@@ -217,6 +219,12 @@ class Timeline:
         self._waiting_counts = _NO_COUNTS
         certain, self._waiting = split_certain(parts, times, counts, numbers)
         return certain
+
+    def _begin_at_ticks(self, clock: Clock, first_stamp: int) -> None:
+        """Count the first frame, with this stamp, ns, and those after it, by a known clock."""
+        before = int(clock.ticks(np.array(first_stamp))) - 1
+        self.clock, self._counter = clock, FrameCounter(clock, before)
+        self._anchor = clock.origin + round(clock.phase + before * clock.interval), before
 
     def time_waiting(self, history: History, number: int) -> list[TimedFrames]:
         """Return the frames that wait with their likeliest times, as of the frame `number`."""

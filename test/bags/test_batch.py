@@ -176,7 +176,7 @@ def test_each_bag_has_its_result_and_a_failed_one_costs_only_itself(
     assert [row['bag'] for row in rows] == [str(path) for path in (broken, *good, cut)]
     assert [bool(row['error']) for row in rows] == [True, False, False, False]
     assert [bool(row['truncated']) for row in rows] == [False, False, False, True]
-    replay_one(bag, SETTINGS, tmp_path / 'one.mcap', tmp_path / 'one.csv')
+    replay_one(bag, SETTINGS, tmp_path / 'one.mcap', tmp_path / 'one.csv', whole=True)
     expected = decoded(tmp_path / 'one.mcap')
     assert len({row['results'] for row in rows}) == 4
     for row in rows[1:3]:
@@ -571,7 +571,7 @@ def test_results_of_other_settings_are_none_of_these(simulated: Simulated, tmp_p
     row = replay_bag(Job(bag, out, other, ['csv']))
     assert [name[-4:] for name in row['results'].split()] == ['mcap', '.csv']
     assert finished(Job(bag, out, other, ['csv', 'mcap'])) == row
-    replay_one(bag, other, csv=tmp_path / 'one.csv')
+    replay_one(bag, other, csv=tmp_path / 'one.csv', whole=True)
     assert next(out.glob('*.csv')).read_bytes() == (tmp_path / 'one.csv').read_bytes()
 
 
@@ -887,7 +887,7 @@ def test_bags_and_results_may_be_in_a_store(
     names = ['memory://lab/runs/one.mcap', 'memory://lab/runs/two', local.as_uri()]
     rows = batch([*names, 'memory://lab/runs/three.mcap'], 'memory://lab/out', SETTINGS)
     assert [row['bag'] for row in rows[:3]] == [*names[:2], str(local)]
-    replay_one(bag, SETTINGS, tmp_path / 'one.mcap')
+    replay_one(bag, SETTINGS, tmp_path / 'one.mcap', whole=True)
     expected = decoded(tmp_path / 'one.mcap')
     for row in rows[:3]:
         (tmp_path / 'got.mcap').write_bytes(store.cat(f'/lab/out/{row["results"]}'))

@@ -18,6 +18,7 @@ from kinpole_ros.bags import (
     read_messages,
     replay,
     simulate,
+    write_points,
 )
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene
@@ -38,7 +39,7 @@ BAG = ROOT / 'bags' / 'four_bar.mcap'
 def blocks() -> list[Any]:
     """The estimates it is four_bar_page of."""
     found: list[Any] = []
-    replay(BAG, load_settings(ROOT / 'config' / 'four_bar.yaml'), take=found.append)
+    replay(BAG, load_settings(ROOT / 'config' / 'four_bar.yaml'), take=found.append, whole=True)
     return found
 
 
@@ -95,16 +96,15 @@ def test_lost_frames_are_no_undetermined_ones(gappy_bag, tmp_path, capsys) -> No
     output = tmp_path / 'gap.html'
     config = str(ROOT / 'config' / 'four_bar.yaml')
     assert main(['report', str(gappy_bag), '--config', config, '--output', str(output)]) == 0
-    assert '; 181 frames lost' in capsys.readouterr().out
+    assert '; 171 frames lost' in capsys.readouterr().out
     from_markers = data_of(output)
-    replay(gappy_bag, load_settings(config), tmp_path / 'results.mcap')
+    replay(gappy_bag, load_settings(config), tmp_path / 'results.mcap', whole=True)
     report(tmp_path / 'results.mcap', output, Settings())
     for data in from_markers, data_of(output):
-        assert ' at 100 Hz, 181 frames lost' in data['about']
-        # The 10 frames of the lag before the gap have no results either. Both ends of the gap and
-        # the single frame are without a value, so no line crosses them.
+        assert ' at 100 Hz, 171 frames lost' in data['about']
+        # Both ends of the gap and the single frame are without a value, so no line crosses them.
         spans = [(data['t'][start], data['t'][end - 1]) for start, end, _ in data['lost']]
-        np.testing.assert_allclose(spans, [(0.9, 2.69), (3.0, 3.0)], atol=1e-6)
+        np.testing.assert_allclose(spans, [(1.0, 2.69), (3.0, 3.0)], atol=1e-6)
         for body in data['bodies']:
             assert not any('lost:' in reason for _, _, reason in body['missing'])
             for start, end, _ in data['lost']:
@@ -128,7 +128,7 @@ def test_report_of_results_is_that_of_their_markers(four_bar_page, tmp_path) -> 
     # With the relative centers of all pairs.
     settings = load_settings(ROOT / 'config' / 'four_bar.yaml', changes={'topics': 'all'})
     results, output = tmp_path / 'results.mcap', tmp_path / 'results.html'
-    replay(BAG, settings, results)
+    replay(BAG, settings, results, whole=True)
     report(results, output, Settings())
     shown, expected = data_of(output), data_of(four_bar_page)
     assert shown['t'] == expected['t']
@@ -252,8 +252,10 @@ def test_report_refuses_in_one_line_what_it_cannot_show(tmp_path, capsys) -> Non
     assert main(['report', str(BAG), '--output', str(BAG)]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 2
     assert not os.path.exists(output)
-    with pytest.raises(BagError, match='no results'):
-        report(BAG, output, Settings(window=1.0, lag=100.0))
+    points = np.random.default_rng(0).normal(size=(3, 2, 3))
+    write_points(tmp_path / 'three.mcap', ['a', 'b'], np.arange(3) * 10**7, points)
+    with pytest.raises(BagError, match='no results, since they take 7 frames, and there are 3'):
+        report(tmp_path / 'three.mcap', output, Settings(bodies={'rod': ('a', 'b')}))
 
 
 @pytest.mark.parametrize('name', ['a.pdf', 'a', 'a.mcap'])
@@ -311,7 +313,7 @@ def test_a_report_of_a_folder_of_openpose_imports_it(tmp_path, capsys) -> None:
     words = ['--rate', '50', '--scale', '0.001', '--output', str(tmp_path / 'page.html')]
     assert main(['report', str(folder), *words]) == 2
     # Its frames were read, and are too few.
-    assert f'{folder}: no results, since a frame has one when' in capsys.readouterr().err
+    assert f'{folder}: no results, since they take 7 frames' in capsys.readouterr().err
 
 
 def test_a_report_prints_what_discover_prints_of_markers_in_no_body(tmp_path, capsys) -> None:

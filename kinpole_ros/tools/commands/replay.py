@@ -175,10 +175,11 @@ def batch(options: argparse.Namespace) -> int:
     r"""
     Replay many bags, on all cores or a Dask cluster, with a table over all.
 
-    Replays each bag by itself and writes summary.csv with one line per bag: frames, time span (s),
-    noise (m), resets, share of the instants at which each pole is determined, and errors. If a bag
-    fails, the others continue. Run it again to do only what is missing: results are written when
-    they are complete, and reused as long as bag and settings stay the same.
+    Replays each bag by itself, as with replay --whole, and writes summary.csv with one line per
+    bag: frames, time span (s), noise (m), resets, share of the instants at which each pole is
+    determined, and errors. If a bag fails, the others continue. Run it again to do only what is
+    missing: results are written when they are complete, and reused as long as bag and settings stay
+    the same.
 
     A folder is one bag; name several recordings in one folder as FOLDER/*.mcap. Bags and output may
     be URLs of stores that fsspec knows, such as s3://... (pip install fsspec). Results of more than

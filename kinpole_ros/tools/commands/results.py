@@ -59,6 +59,7 @@ def report(options: argparse.Namespace) -> int:
 
     The report shows the linkage in motion with its poles, centrodes and velocities, all quantities
     over time with their bands, and what was withheld and why. It needs a browser and nothing else.
+    Markers are read twice, so that each frame has a result, as with replay --whole.
     FILE may be any file that import reads, or a film of printed tags, as film reads it. Without
     --config or --scene the bodies and the plane are found first, as discover does; the assumptions
     are printed, with the option that changes each.
