@@ -59,28 +59,32 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption('--thorough', action='store_true', help='also the tests of thorough.csv')
 
 
-def thorough_tests() -> dict[str, str]:
+def thorough_tests() -> dict[str, list[str]]:
     """Names of tests, and for each the cases that are kept, in which * is any text."""
     with THOROUGH.open(newline='') as file:
-        return {row['test']: row['kept'] for row in csv.DictReader(file)}
+        return {row['test']: row['kept'].split(' | ') for row in csv.DictReader(file)}
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out what is thorough, unless it is asked for, or a test is named."""
     if config.getoption('--thorough') or any('::' in str(word) for word in config.args):
         return
-    kept = {
-        name: re.compile('|'.join(map(re.escape, cases.split(' | '))).replace(r'\*', '.*'))
-        for name, cases in thorough_tests().items()
-    }
+    tests = thorough_tests()
+    unknown = {(name, case) for name, cases in tests.items() for case in cases}
     left_out = []
     for item in items:
         name, bracket, case = item.nodeid.removeprefix('test/').partition('[')
-        if name in kept and not (bracket and kept[name].fullmatch(bracket + case)):
+        fitting = [
+            one
+            for one in tests.get(name, ['*'])
+            if re.fullmatch(re.escape(one).replace(r'\*', '.*'), bracket + case)
+            and (one or bracket)
+        ]
+        unknown -= {(name, one) for one in fitting or ['']}
+        if not fitting:
             left_out.append(item)
-    unknown = kept.keys() - {item.nodeid.removeprefix('test/').split('[')[0] for item in items}
     if unknown and config.args == config.getini('testpaths'):
-        raise pytest.UsageError(f'{THOROUGH.name} names tests that are not there: {unknown}')
+        raise pytest.UsageError(f'{THOROUGH.name} names cases that are not there: {unknown}')
     config.hook.pytest_deselected(items=left_out)
     items[:] = [item for item in items if item not in {*left_out}]
 

@@ -9,10 +9,9 @@ import pytest
 from kinpole_ros import finding_table, findings
 from kinpole_ros.finding_table import TABLE
 from kinpole_ros.findings import ERROR, STALE, WARN, Finding, all_words, finding_of
-from kinpole_ros.messages import FINDING, DiagnosticArray, DiagnosticsMaker
+from kinpole_ros.messages import FINDING, DiagnosticsMaker, warnings_in
 from kinpole_ros.messages._types import DiagnosticStatus, KeyValue
 from kinpole_ros.settings import Settings
-from kinpole_ros.tools.record.diagnostics_log import DiagnosticsLog
 from kinpole_ros.tracking import reasons
 from kinpole_ros.tracking.tracker import Tracker
 
@@ -75,16 +74,14 @@ def test_the_fix_follows_the_sentence() -> None:
     )
 
 
-def test_diagnostics_have_codes_as_keys_and_the_log_prints_from_them() -> None:
+def test_diagnostics_have_codes_as_keys_and_pages_print_from_them() -> None:
     tracker = Tracker(Settings(bodies={'rod': ('1', '2')}))
     maker = DiagnosticsMaker('kinpole', topic='/markers')
     status = maker.make(0, tracker, None, 1.0, {}).status[0]
     keys = [pair.key for pair in status.values if pair.key.startswith(FINDING)]
     assert keys == [f'{FINDING}nothing_on_topic'] and status.level == STALE
-    log, found = DiagnosticsLog(), Finding('wrong_poses', 'rod', {'count': 3})
+    found = Finding('wrong_poses', 'rod', {'count': 3})
     values = [KeyValue(key=f'{FINDING}wrong_poses', value=found.as_json())]
     # Whatever the sentence is.
     rod = DiagnosticStatus(name='kinpole: rod', level=WARN, message='other words', values=values)
-    for _ in range(2):
-        log.add(DiagnosticArray(status=[status, rod]))
-    assert log.notes == (found.line(),)
+    assert list(warnings_in([status, rod])) == [found.line()]

@@ -21,7 +21,7 @@ from kinpole_ros.mechanism import (
     scene_names,
     scenes_folder,
 )
-from kinpole_ros.messages import read_states, stamp_to_ns
+from kinpole_ros.messages import read_state_blocks, stamp_to_ns
 from kinpole_ros.settings import ParameterError, Settings, load_settings, settings_from
 from kinpole_ros.tools import cli
 from kinpole_ros.tracking import update
@@ -213,7 +213,7 @@ def test_the_state_of_a_result_bag_has_the_points_as_tables_and_topics_have_them
     columns = np.genfromtxt(table, delimiter=',', names=True)
     topics = decoded(output)
     states = read_messages(output, ['/kinpole/state'])
-    ((stamps, quantities),) = read_states(message.data for message in states)
+    ((stamps, quantities, _),) = read_state_blocks(message.data for message in states)
     found = {}
     for name in (name for name in quantities if '/' in name):
         # Other bodies have no such point.
@@ -241,7 +241,7 @@ def test_the_state_of_exact_markers_has_the_motion_and_the_path_of_a_point(tmp_p
     assert cli.main(['simulate', str(path), *words]) == 0
     replayed(clean, tmp_path, path)
     states = read_messages(tmp_path / 'out.mcap', ['/kinpole/state'])
-    ((stamps, quantities),) = read_states(message.data for message in states)
+    ((stamps, quantities, _),) = read_state_blocks(message.data for message in states)
     begin = stamp_to_ns(decoded(clean)['/markers'][0].markers[0].header.stamp)
     loaded = load_scene(path)
     body, place = loaded.points['coupler.P']

@@ -19,6 +19,7 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags._path_errors import (
+    go_along_paths,
     largest_size,
     median_size,
     path_errors,
@@ -45,7 +46,7 @@ _MOST_PARTS = 12  # frames of a pattern, as 12 from 25 to 60 Hz
 _NEAR_RATIO = 0.25  # of itself: so far is the share of repeats from a pattern, where some are slow
 _OFF = 0.05  # of a step: stamps that are more off, along the path alone, are wrong
 _ONE_FRAME = 1.3  # as the line through few of them is not the best one
-_TRIED = 300  # frames by which a pattern of missing ones is found: time only
+_TRIED = 300  # repeats, or frames by which a pattern of missing ones is found: time only
 _PART, _PARTS = 60, 5  # frames of a part, and parts, most of which have a pattern of missing ones
 _CLEARLY = 0.5  # of how far stamps are off otherwise: so far at most by that pattern
 _LEAST_FRAMES = 200  # by which the rate of a film without a pattern is known to 0.5%
@@ -261,8 +262,11 @@ def _find(points: np.ndarray, least_step: float) -> tuple[np.ndarray, np.ndarray
             break
     else:
         return is_repeat, is_repeat
-    for ratio, first, last in found:
-        is_repeat[first + 1 : last + 1] |= ratio < small
+    repeats = [(first, last) for ratio, first, last in found if ratio < small]
+    if go_along_paths(points, repeats[:_TRIED]):
+        return is_repeat, is_repeat
+    for first, last in repeats:
+        is_repeat[first + 1 : last + 1] = True
     if not is_repeat.any() or _is_rounded(points):
         return np.zeros(len(points), bool), is_repeat
     # The first and the last frames may repeat others, too.

@@ -40,6 +40,9 @@ from kinpole_ros.tracking.tracker import Tracker, learn_recording
 
 # The share of the time that the first of two readings takes, for its progress.
 _LEARNING_SHARE = 0.2
+# Films are converted to 60 Hz at most; repeats of other recordings are found where they are exact.
+_LEAST_FILM_INTERVAL = 15_000_000  # ns
+_FILM_FRAMES = 1200  # by which it is found, 20 s at 60 Hz: all of a long bag takes memory
 
 
 def replay(
@@ -190,7 +193,7 @@ class _Replaying:
         self._diagnostics = PeriodicDiagnostics(
             messages.DiagnosticsMaker(NODE_NAME, compare, self._topic)
         )
-        self._outcome = _replayed.begin(settings, self._tracker)
+        self._outcome = _replayed.begin(settings, self._tracker, whole)
         self._space_stamp = 0  # ns, at which the outcome has how the motion lies in space
 
     def run(
@@ -268,10 +271,17 @@ class _Replaying:
 
     def _converted(self) -> Finding | None:
         """Return how frames repeat others, as of a film whose rate was changed, if they do."""
-        if self._tracker.update_counts()[HELD] < FEWEST_REPEATS:
+        counts, outcome = self._tracker.update_counts(), self._outcome
+        is_slow = outcome.last - outcome.first > _LEAST_FILM_INTERVAL * counts['frames']
+        is_held = counts[HELD] >= FEWEST_REPEATS
+        if not is_held and not is_slow:
             return None
         reader = messages.reader_of(self._kind, self._settings)
-        parts = [part for frames, _, _ in self._blocks(reader, None) for part in frames]
+        parts: list[MarkerFrames] = []
+        for frames, _, _ in self._blocks(reader, None):
+            parts += frames
+            if not is_held and sum(len(part.stamps) for part in parts) > _FILM_FRAMES:
+                break
         return conversion_fault(str(self._bag), parts)
 
     def _add_topics(self, writer: BagWriter) -> None:

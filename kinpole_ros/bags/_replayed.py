@@ -116,6 +116,7 @@ class ReplayedSoFar:
     determined: dict[str, dict[str, int]]
     absent: dict[str, list[str]]
     unknown: dict[str, int]
+    is_whole: bool  # known as a whole, with results to both ends
     estimates: int = 0
     problem: str = ''
     empty: int = 0
@@ -130,7 +131,7 @@ class ReplayedSoFar:
     converted: Finding | None = None
 
 
-def begin(settings: Settings, tracker: Tracker) -> ReplayedSoFar:
+def begin(settings: Settings, tracker: Tracker, is_whole: bool) -> ReplayedSoFar:
     """Return what a replay has found that has no frames yet."""
     absent = {body: list(names) for body, names in settings.bodies.items() if names}
     for body in settings.shapes if settings.marker_identity == 'shape' else ():
@@ -141,6 +142,7 @@ def begin(settings: Settings, tracker: Tracker) -> ReplayedSoFar:
         determined={body: dict.fromkeys(poles, 0) for body in tracker.bodies},
         absent=absent,
         unknown=dict.fromkeys(tracker.bodies, KNOWN),
+        is_whole=is_whole,
     )
 
 
@@ -262,7 +264,7 @@ def _no_results(outcome: ReplayedSoFar, settings: Settings, counts: Mapping[str,
         code = 'backward'
     elif counts['resets']:
         code = 'all_jumps'
-    elif seconds <= settings.lag:
+    elif seconds <= settings.lag and not outcome.is_whole:
         code = 'within_lag'
     else:
         code = 'few_frames' if taken < FEWEST_SAMPLES else 'short_window'

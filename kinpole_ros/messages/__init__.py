@@ -1,7 +1,7 @@
 """ROS messages to arrays and back: no other package handles the fields of a message."""
 
 from kinpole_ros.messages._detections import DETECTIONS, Detections, read_detections
-from kinpole_ros.messages._diagnostics import FINDING, DiagnosticsMaker
+from kinpole_ros.messages._diagnostics import FINDING, DiagnosticsMaker, warnings_in
 from kinpole_ros.messages._drawing import COLORS, deletion_of_all
 from kinpole_ros.messages._events import read_event
 from kinpole_ros.messages._installed import installed_class
@@ -30,7 +30,6 @@ from kinpole_ros.messages._state import (
     StateBlock,
     read_state,
     read_state_blocks,
-    read_states,
     state_fields,
 )
 from kinpole_ros.messages._tf_chains import chains_of, multiply_out
@@ -112,7 +111,6 @@ __all__ = [
     'read_rig',
     'read_state',
     'read_state_blocks',
-    'read_states',
     'reader_of',
     'result_outputs',
     'rig_of',
@@ -122,4 +120,5 @@ __all__ = [
     'to_message',
     'type_name',
     'view_of',
+    'warnings_in',
 ]

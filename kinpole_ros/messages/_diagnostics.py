@@ -1,13 +1,14 @@
 """How the tracking is going, as diagnostic_msgs, for people who watch a rig."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
-from kinpole_ros.findings import OK, STALE, WARN, Finding, all_words
+from kinpole_ros.findings import ERROR, OK, STALE, WARN, Finding, all_words, finding_of
 from kinpole_ros.messages import body_faults
 from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyValue, ns_to_stamp
 from kinpole_ros.messages.faults import input_findings, stamp_findings
@@ -292,3 +293,12 @@ def _status(
     ]
     pairs += [KeyValue(key=f'{FINDING}{one.code}', value=one.as_json()) for one in found]
     return DiagnosticStatus(name=name, level=level, message=message, hardware_id='', values=pairs)
+
+
+def warnings_in(statuses: Iterable[DiagnosticStatus]) -> Iterator[str]:
+    """Yield the warnings among findings of statuses, a line each."""
+    for pair in chain.from_iterable(status.values for status in statuses):
+        if pair.key.startswith(FINDING):
+            finding = finding_of(pair.value)
+            if finding.level in (WARN, ERROR):
+                yield f'{finding.subject or "markers"}: {finding.words()}'

@@ -61,8 +61,8 @@ class StateBlock(NamedTuple):
     """
     Messages of the topic in a row that have one layout: `stamps` (T,), ns, and the rest (T, B).
 
-    `quantities` are as `read_state` returns them. `reasons` are codes (T, B) of `pose` and of each
-    of the quantities of `quantity_names`.
+    `quantities` are as `read_state` returns those (B,) of one message. `reasons` are codes (T, B)
+    of `pose` and of each of the quantities of `quantity_names`.
     """
 
     stamps: np.ndarray
@@ -242,15 +242,15 @@ def read_state(data: bytes) -> tuple[int, Quantities]:
     ValueError
         For a cloud of another topic, and for other bytes.
     """
-    ((stamp, quantities),) = read_states([data])
+    (block,) = read_state_blocks([data])
     of_bodies = {
         name: type(quantity)(*(part[0] for part in quantity))
-        for name, quantity in quantities.items()
+        for name, quantity in block.quantities.items()
     }
-    return int(stamp[0]), of_bodies
+    return int(block.stamps[0]), of_bodies
 
 
-def read_states(messages: Iterable[bytes]) -> Iterator[tuple[np.ndarray, Quantities]]:
+def read_state_blocks(messages: Iterable[bytes]) -> Iterator[StateBlock]:
     """
     Read messages of the topic `state` at once, ten times as fast as one by one.
 
@@ -261,21 +261,14 @@ def read_states(messages: Iterable[bytes]) -> Iterator[tuple[np.ndarray, Quantit
 
     Yields
     ------
-    stamps : ndarray
-        Stamps (T,), ns, of messages in a row that have one layout.
-    quantities : dict
-        Their quantities (T, B), as `read_state` returns those (B,) of one message.
+    StateBlock
+        Messages in a row that have one layout.
 
     Raises
     ------
     ValueError
         As `read_state`.
     """
-    return ((block.stamps, block.quantities) for block in read_state_blocks(messages))
-
-
-def read_state_blocks(messages: Iterable[bytes]) -> Iterator[StateBlock]:
-    """Yield messages of the topic `state` as `read_states`, with the codes of reasons."""
     same_layout: list[bytes] = []
     layout: _Layout | None = None
     for data in messages:

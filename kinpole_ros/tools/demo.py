@@ -30,7 +30,7 @@ from kinpole_ros.messages import (
     STATE,
     installed_class,
     outputs_of,
-    read_states,
+    read_state,
     stamp_to_ns,
 )
 from kinpole_ros.ros.player import headers, own_context, play, with_slash
@@ -165,8 +165,7 @@ def _still_due(
 ) -> str:
     """Add the results that have come to those before; return what is still missing."""
     for data, time_sent in _taken(subscription):
-        ((stamps, _),) = read_states([data])
-        results[int(stamps[0])] = time_sent
+        results[read_state(data)[0]] = time_sent
     silence = time.time() - 1e-9 * max([*sent.values(), *results.values()], default=0)
     # The stamps of results are not those of frames where the clock of these is corrected.
     last = max(sent, default=0) * 1e-9 - lag - 0.1 - max(results, default=0) * 1e-9
@@ -258,10 +257,9 @@ def _latency_lines(run: LiveRun, recording: Path, settings: Settings) -> Iterato
     }
     node = [run.results[stamp] - run.sent[newest[stamp]] for stamp in run.results]
     recorder = [
-        message.log_time - run.results[int(stamps[0])]
+        message.log_time - run.results[stamp]
         for message in read_messages(recording, [f'/kinpole/{STATE}'])
-        for stamps, _ in read_states([message.data])
-        if int(stamps[0]) in run.results
+        if (stamp := read_state(message.data)[0]) in run.results
     ]
     what = {'node': 'from a frame to its results', 'recorder': 'from results to their recording'}
     for name, latencies in (('node', node), ('recorder', recorder)):

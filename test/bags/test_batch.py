@@ -111,6 +111,8 @@ def test_no_cell_of_a_table_is_a_formula(simulated: Simulated, tmp_path: Path, f
     batch([bag], tmp_path / 'out', settings, kinds=('csv',), workers=1)
     (row,) = summary(tmp_path / 'out')
     assert row['results'].startswith(f"'{first}cmd-")
+    spans = [float(row[name]) for name in ('start', 'end', 'seconds')]
+    assert spans == [1.0, 1.59, 0.59]
     with open(tmp_path / 'out' / row['results'][1:], newline='', encoding='utf-8') as file:
         for cells in csv.reader(file):
             for cell in cells:
@@ -764,7 +766,9 @@ def test_progress_goes_by_bytes_within_bags_and_over_what_is_left(
     batch([bag, short], tmp_path, SETTINGS, workers=1, progress=told.append)
     assert (told[0], told[-1]) == (0.0, 1.0)  # what was finished before is none of it
 
-    told.clear()
+
+def test_progress_is_of_all_bags_by_their_bytes_and_never_goes_back() -> None:
+    told: list[float] = []
     share = module._share_of_all([300, 100], told.append, threading.Lock())
     share(0, 0.5)
     share(0, 1.0)

@@ -873,7 +873,7 @@ def test_half_of_the_stamps_repeated_is_a_warning_with_its_fix(tmp_path):
 def test_the_outcome_of_a_replay_is_made_once_and_has_shares() -> None:
     settings = settings_from({'window': 0.3, 'lag': 0.1})
     tracker = Tracker(settings)
-    so_far = _replayed.begin(settings, tracker)
+    so_far = _replayed.begin(settings, tracker, is_whole=False)
     turn = np.exp(0.05j * np.arange(200))[:, None] * [0.1, 0.1j, -0.1]
     points = np.stack((turn.real, turn.imag, 0 * turn.real), axis=-1)
     frames = MarkerFrames(10**9 + 5_000_000 * np.arange(200), 'world', ('a', 'b', 'c'), points)

@@ -45,9 +45,12 @@ def tags_on(page: np.ndarray, family: str) -> dict[int, np.ndarray]:
 
 
 @pytest.mark.parametrize('ending', ['svg', 'pdf'])
-def test_tags_are_printed_to_scale(ending: str, tmp_path: Path) -> None:
+def test_tags_are_printed_to_scale(
+    ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / f'tags.{ending}'
     assert main(['film', '--print', str(path), '--size', '40mm']) == 0
+    assert f'tags of 40 mm written to {path}' in capsys.readouterr().out
     tags = tags_on(drawn(path), '36h11')
     assert sorted(tags) == list(range(len(tags))) and len(tags) % 2 == 1 and len(tags) >= 7
     sides = [np.linalg.norm(np.diff(quad, axis=0), axis=1) / DOTS for quad in tags.values()]

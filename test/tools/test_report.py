@@ -18,6 +18,7 @@ from kinpole_ros.bags import (
     read_messages,
     replay,
     simulate,
+    write_points,
 )
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene
@@ -38,8 +39,7 @@ BAG = ROOT / 'bags' / 'four_bar.mcap'
 def blocks() -> list[Any]:
     """The estimates it is four_bar_page of."""
     found: list[Any] = []
-    settings = load_settings(ROOT / 'config' / 'four_bar.yaml')
-    replay(BAG, settings, take=found.append, whole=True)
+    replay(BAG, load_settings(ROOT / 'config' / 'four_bar.yaml'), take=found.append, whole=True)
     return found
 
 
@@ -252,8 +252,10 @@ def test_report_refuses_in_one_line_what_it_cannot_show(tmp_path, capsys) -> Non
     assert main(['report', str(BAG), '--output', str(BAG)]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 2
     assert not os.path.exists(output)
-    with pytest.raises(BagError, match='no results'):
-        report(BAG, output, Settings(window=1e-4, lag=5e-5))
+    points = np.random.default_rng(0).normal(size=(3, 2, 3))
+    write_points(tmp_path / 'three.mcap', ['a', 'b'], np.arange(3) * 10**7, points)
+    with pytest.raises(BagError, match='no results, since they take 7 frames, and there are 3'):
+        report(tmp_path / 'three.mcap', output, Settings(bodies={'rod': ('a', 'b')}))
 
 
 @pytest.mark.parametrize('name', ['a.pdf', 'a', 'a.mcap'])
@@ -311,7 +313,7 @@ def test_a_report_of_a_folder_of_openpose_imports_it(tmp_path, capsys) -> None:
     words = ['--rate', '50', '--scale', '0.001', '--output', str(tmp_path / 'page.html')]
     assert main(['report', str(folder), *words]) == 2
     # Its frames were read, and are too few.
-    assert f'{folder}: no results, since a frame has one when' in capsys.readouterr().err
+    assert f'{folder}: no results, since they take 7 frames' in capsys.readouterr().err
 
 
 def test_a_report_prints_what_discover_prints_of_markers_in_no_body(tmp_path, capsys) -> None:

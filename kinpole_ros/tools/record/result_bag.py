@@ -29,8 +29,8 @@ from kinpole_ros.messages import (
     read_state_blocks,
     stamp_to_ns,
     type_name,
+    warnings_in,
 )
-from kinpole_ros.tools.record.diagnostics_log import DiagnosticsLog
 from kinpole_ros.tools.record.lost import lost_count
 from kinpole_ros.tools.record.record import Columns, MotionRecord, Series
 from kinpole_ros.tracking.plane import AXES, plane_axes, plane_of
@@ -44,6 +44,7 @@ _DIAGNOSTICS = '/diagnostics'
 _OF_BODY = ('position', 'angle', 'velocity', *quantity_names(4))
 # What columns hold at instants of which a node says nothing, where that is not NaN or ''.
 _EMPTY = {'missing': 'not published'}
+_MOST_NOTES = 20  # warnings of diagnostics, whose numbers differ from second to second
 
 
 @dataclass
@@ -72,14 +73,14 @@ class _Messages:
 
     runs: dict[str, list[_Run]] = field(default_factory=lambda: defaultdict(list))
     rows: dict[str, dict[int, list[float]]] = field(default_factory=lambda: defaultdict(dict))
-    diagnostics: DiagnosticsLog = field(default_factory=DiagnosticsLog)
+    warnings: dict[str, None] = field(default_factory=dict)
     cut: str = ''
 
     def add(self, topic: str, kind: str, data: bytes, early: dict[str, list[bytes]]) -> None:
         """Append a message; `early` are states that came before their node said what they are."""
         node, _, name = topic.rpartition('/')
         if topic == _DIAGNOSTICS:
-            self.diagnostics.add(decode(kind, data))
+            self.warnings |= dict.fromkeys(warnings_in(decode(kind, data).status))
         elif name == RIG:
             rig, runs = read_rig(data), self.runs[node]
             if runs and runs[-1].is_of(rig):
@@ -199,7 +200,7 @@ def read_record(bag: str | Path, progress: Callable[[float], None] | None = None
         along=plane_axes(plane_of_rig(blocks[-1][1].rig)),
         events=events,
         lost=lost_count(stamp),
-        notes=found.diagnostics.notes,
+        notes=tuple(found.warnings)[:_MOST_NOTES],
         cut=found.cut,
     )
 

@@ -17,8 +17,8 @@ from kinpole_ros.messages import (
     String,
     read_rig,
     type_name,
+    warnings_in,
 )
-from kinpole_ros.tools.record.diagnostics_log import DiagnosticsLog
 from kinpole_ros.tools.record.record import MotionRecord, joints_of
 from kinpole_ros.tools.record.result_bag import decode
 from kinpole_ros.tools.view._frames import Frame, Rig, frame_of_state, frame_of_view
@@ -77,12 +77,10 @@ class RigState:
         statuses = [s for s in decode(kind, data).status if s.name.startswith(prefix)]
         if not statuses:
             return
-        log = DiagnosticsLog()
         for status in statuses:
-            log.add_status(status)
             values = {pair.key: pair.value for pair in status.values}
             self._rate = float(values.get('rate (Hz)', self._rate))
-        self.notes = list(log.notes)
+        self.notes = list(warnings_in(statuses))
 
     def as_json(self, rig: Rig, silence: float, other_nodes: Sequence[str]) -> str:
         """Return the state as a page takes it, after some seconds of `silence`."""

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kinpole_ros.bags import BagError, BagWriter, message_class, read_messages, replay, topics
-from kinpole_ros.messages import read_states
+from kinpole_ros.messages import read_state
 from kinpole_ros.settings import load_settings
 from kinpole_ros.tools import demo
 
@@ -105,9 +105,8 @@ def test_the_run_starts_when_all_has_been_there_for_a_while() -> None:
 def test_the_latency_of_the_node_is_not_that_of_the_recorder(results, in_node, in_recorder) -> None:
     settings, ms = load_settings(CONFIG), 1_000_000
     recorded = {
-        int(stamps[0]): message.log_time
+        read_state(message.data)[0]: message.log_time
         for message in read_messages(results, ['/kinpole/state'])
-        for stamps, _ in read_states([message.data])
     }
     published = {stamp: time - in_recorder * ms for stamp, time in recorded.items()}
     lag = round(settings.lag * 1e9)
