@@ -8,6 +8,10 @@ from typing import NamedTuple
 
 _CAPTURE = 'see that the driver sets header.stamp to the time of capture'
 _LABELS = 'see to the labels of the tracker'
+_NO_SQUARE = (
+    'tag {tag} is no square of {size:.4g} mm in {share:.0%} of the pictures in which it is found: '
+    'it turns out of the picture, or is bent'
+)
 _ONE_LINK = 'name those of one link only'
 
 
@@ -312,6 +316,19 @@ TABLE = {
         'a program that changed the rate to {after:.4g} Hz left out {noun}, in a pattern that '
         'changes, so it is not known when the others were taken',
         'take the film as the camera wrote it',
+    ),
+    'tag_twice': Row('{tag} (at two places at once)'),
+    'tag_of_no_family': Row('{tag} (not of family {family})'),
+    'tag_rare': Row('{tag} (in {count} pictures only)'),
+    'tags_of_others': Row('{tags} (of family {family})'),
+    'tag_no_square': Row(
+        _NO_SQUARE,
+        'film squarely at the plane of motion, or give --camera FILE, by which tags are placed in '
+        'space',
+    ),
+    'tag_no_square_by_camera': Row(
+        _NO_SQUARE,
+        'film squarely at the plane of motion',
     ),
     'late_pictures': Row('{count} pictures left out, whose stamps do not increase'),
     'damaged_film': Row('{path} is damaged after {seconds:.4g} s: what follows is lost'),

@@ -115,7 +115,7 @@ def same(one: Derivatives, other: Derivatives, tolerance: float = 1e-9) -> None:
         off = np.abs(getattr(one, f'{name}_covariance') - covariance)
         below(off / (deviation[:, None] * deviation), tolerance)
     np.testing.assert_allclose(one.span, other.span, rtol=tolerance)
-    np.testing.assert_allclose(one.freedom, other.freedom, rtol=1e3 * tolerance)
+    np.testing.assert_allclose(one.parameters, other.parameters, rtol=1e3 * tolerance)
 
 
 def of_all(found: Derivatives, exact: tuple[np.ndarray, np.ndarray], now: Any) -> np.ndarray:
@@ -558,7 +558,7 @@ def test_a_body_at_rest_is_quiet_and_known_to_be() -> None:
     line = noise * np.linalg.norm(derivative_weights(np.arange(COUNT) * STEP * 1e-9, 1, 1)[1])
     assert np.sqrt((found.angle[1] ** 2).mean()) < line
     assert np.sqrt(np.median(found.angle_covariance[1, 1])) < 2 * line
-    assert np.median(found.freedom) < 2
+    assert np.median(found.parameters) < 2
 
 
 @pytest.mark.parametrize('hidden', [(0.0, 0.0, 0.0), (2.4, -2.8, -1.0)])
@@ -909,7 +909,7 @@ def test_what_is_turned_moved_scaled_and_slowed_has_derivatives_that_are(
         found.position_covariance / 100**scale * both,
         found.angle_covariance / 100**scale * both,
         found.span / slower,
-        found.freedom,
+        found.parameters,
         found.reference / factor * np.exp(1j * turned),
     )
     same(back, plain, 1e-6)

@@ -269,12 +269,12 @@ def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
     own = [
         np.r_[slice(*first[0, p : p + 2]), slice(*first[1, p : p + 2])] for p in range(len(costs))
     ]
-    freedom = np.array([shrinkage[rows].sum(axis=0) for rows in own])
+    parameters = np.array([shrinkage[rows].sum(axis=0) for rows in own])
     numbers = [
         (basis * root[:, None] / 2).reshape(len(root), -1, _LANES).swapaxes(0, 1),
         *(table.reshape(len(table), -1, _LANES).swapaxes(0, 1) for table in tables),
         *(_fill_lanes(one, -np.inf) for one in log_prior),
-        _fill_lanes(freedom),
+        _fill_lanes(parameters),
     ]
     if not exact:
         numbers.append(_step_squares(count, members, amplitudes))

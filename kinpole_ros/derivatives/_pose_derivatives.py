@@ -61,7 +61,7 @@ class Derivatives(NamedTuple):
     Derivatives (K, T, B) of order 0 to K - 1, of B bodies at T instants; NaN with too few poses.
 
     Units are rad, m and s. Covariances (K, K, T, B) are between the orders, of the angle and of one
-    coordinate. `span` (T, B) is the length of the window, s, and `freedom` (T, B) the effective
+    coordinate. `span` (T, B) is the length of the window, s, and `parameters` (T, B) the effective
     number of parameters of the motion of the angle, 2 if it is steady. The position is that of the
     point `reference` (T, B) of the body, m from the given one in the frame of the body: 0, or the
     hub that the body turns about.
@@ -72,7 +72,7 @@ class Derivatives(NamedTuple):
     position_covariance: Real
     angle_covariance: Real
     span: Real
-    freedom: Real
+    parameters: Real
     reference: Complex
 
 

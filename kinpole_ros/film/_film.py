@@ -17,7 +17,7 @@ from kinpole_ros.film._placing import place_seen
 from kinpole_ros.film._recorded_pictures import bag_messages, film_topic, is_bag_of_pictures
 from kinpole_ros.film._tags import LEAST_PICTURES, TagFinder
 from kinpole_ros.film._video import Progress, Video
-from kinpole_ros.findings import Finding
+from kinpole_ros.findings import Finding, all_words
 from kinpole_ros.messages import CAMERA_INFO, DETECTIONS, Detections
 
 _LEAST_STEP = 0.05  # pixels; in a still film the compression moves corners by less
@@ -160,7 +160,7 @@ def _no_tags(
         return mirror_fault(path, finder, 'mirror it, as by ffmpeg -i IN -vf hflip OUT.mp4')
     if any(finder.twice.values()):
         fix = 'print a number once, and tape another tag on each link'
-    texts = [f'seen and not used: {"; ".join(seen.unused)}'] if seen.unused else []
+    texts = [f'seen and not used: {all_words(seen.unused)}'] if seen.unused else []
     texts += [damage.words()] if damage is not None else []
     notes = ''.join(f'; {text}' for text in texts)
     return FilmError(
@@ -196,15 +196,14 @@ def gather(
             if tag in columns:
                 pixels[row, columns[tag]] = place
     no_dots = np.empty((len(stamps), 0, 2))
-    texts = [f'{tag} ({why})' for tag, why in unused.items()]
-    texts += [
-        f'{", ".join(map(str, tags))} (of family {smallest(name, tags)})'
-        for name, tags in finder.others.items()
-        if tags
-    ]
+    left_out = list(unused.values())
+    for name, tags in finder.others.items():
+        if tags:
+            about = {'tags': ', '.join(map(str, tags)), 'family': smallest(name, tags)}
+            left_out.append(Finding('tags_of_others', values=about))
     family = family or finder.name(kept)
     return Seen(
-        kept, np.array(stamps, np.int64), pixels, no_dots, picture, family, unused=tuple(texts)
+        kept, np.array(stamps, np.int64), pixels, no_dots, picture, family, unused=tuple(left_out)
     )
 
 

@@ -10,6 +10,7 @@ from kinpole_ros.film._decoder import FilmError
 from kinpole_ros.film._ground import PlaneMap
 from kinpole_ros.film._lens import Lens
 from kinpole_ros.film._video import Video
+from kinpole_ros.findings import Finding
 
 # m; the black square of a tag that `kinpole film --print` draws.
 SIZE = 0.04
@@ -185,7 +186,7 @@ class Seen:
     picture: tuple[int, int]
     family: str
     turns: int = 0
-    unused: tuple[str, ...] = ()
+    unused: tuple[Finding, ...] = ()
     path: str = ''
 
     def refused(self, text: str) -> FilmError:

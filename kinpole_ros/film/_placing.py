@@ -16,6 +16,7 @@ from kinpole_ros.film._ground import (
 from kinpole_ros.film._lens import Lens, read_lens
 from kinpole_ros.film._tags import LEAST_PICTURES
 from kinpole_ros.film._turning import Turning, place_turning
+from kinpole_ros.findings import Finding, all_words
 
 _MOVES = 3.0  # residuals that the ground moves in the picture, if the camera moves
 _SHOWN = 12  # tags or dots that are named
@@ -170,16 +171,12 @@ def _lost_text(
 ) -> str:
     """Name the tag that is no square most often; raises FilmError if no other tag is left."""
     worst = int(lost.argmax())
-    text = (
-        f'tag {seen.tags[worst]} is no square of {options.size * 1e3:.4g} mm in {lost[worst]:.0%} '
-        'of the pictures in which it is found: it turns out of the picture, or is bent'
-    )
-    fix = 'film squarely at the plane of motion'
-    if lens is None:
-        fix += ', or give --camera FILE, by which tags are placed in space'
+    about = {'tag': seen.tags[worst], 'size': options.size * 1e3, 'share': float(lost[worst])}
+    code = 'tag_no_square' if lens is None else 'tag_no_square_by_camera'
+    words = Finding(code, values=about).words()
     if np.isfinite(corners).all(axis=2).sum(axis=0).max() < LEAST_PICTURES:
-        raise seen.refused(f'{text}; fix: {fix}')
-    return f'; {text} ({fix})'
+        raise seen.refused(words)
+    return f'; {words}'
 
 
 def _complete_ground(corners: np.ndarray, tags: list[int], options: FilmOptions) -> None:
@@ -323,7 +320,7 @@ def _tag_line(seen: Seen, corners: np.ndarray, options: FilmOptions) -> str:
     }
     texts = [f'{cause} in {count}' for cause, count in causes.items() if count]
     cause = f' ({", ".join(texts)})' if texts else ''
-    unused = f'; seen and not used: {"; ".join(seen.unused)}' if seen.unused else ''
+    unused = f'; seen and not used: {all_words(seen.unused)}' if seen.unused else ''
     return (
         f'tags: {names} of family {seen.family}, {side:.3g} pixels and {options.size * 1e3:.4g} mm '
         f'wide, {_seen_least(f"tag {seen.tags[worst]}", whole[:, worst])}{cause}{unused}'

@@ -23,6 +23,7 @@ from kinpole_ros.film._families import (
     squares_in,
     tag_count,
 )
+from kinpole_ros.findings import Finding
 
 # Half and twice as much were measured on films of all exposures: what they change is said.
 _SEARCH_STEP = 12  # pictures between searches of the whole picture, for tags that were not seen yet
@@ -96,17 +97,18 @@ class TagFinder:
         quads = {tag: _next(near) for tag, near in places.items()}
         return self._refined(255 - gray if self.is_inverse else gray, quads)
 
-    def unused(self, counts: Mapping[int, int]) -> dict[int, str]:
+    def unused(self, counts: Mapping[int, int]) -> dict[int, Finding]:
         """Return why tags, that were found in so many pictures each, are not used."""
         reasons = {}
         for tag in sorted({*counts, *self.twice}):
             is_rare = counts.get(tag, 0) < LEAST_PICTURES
             if self.twice[tag] >= _LEAST_TWICE or (self.twice[tag] and is_rare):
-                reasons[tag] = 'at two places at once'
+                reasons[tag] = Finding('tag_twice', values={'tag': tag})
             elif self._given and tag >= tag_count(self._given):
-                reasons[tag] = f'not of family {self._given}'
+                about = {'tag': tag, 'family': self._given}
+                reasons[tag] = Finding('tag_of_no_family', values=about)
             elif is_rare:
-                reasons[tag] = f'in {counts[tag]} pictures only'
+                reasons[tag] = Finding('tag_rare', values={'tag': tag, 'count': counts[tag]})
         return reasons
 
     def name(self, tags: Sequence[int]) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex
 from kinpole_ros.tracking.correction import correct_markers
-from kinpole_ros.tracking.identity import predict_pose
+from kinpole_ros.tracking.identity import predict_poses
 from kinpole_ros.tracking.rejection import SPOILING_LIMITS
 from kinpole_ros.tracking.statistics import bulk_maximum, mean_square
 
@@ -61,8 +61,8 @@ def consensus_shape(
     for frame in np.flatnonzero(worst > limit):
         is_after = np.isfinite(angles[:frame]).any()
         before = slice(frame) if is_after else slice(None, frame, -1)
-        known = angles[before]
-        predicted = predict_pose(np.arange(len(known) + 1), known, positions[before])
+        known = angles[before, None], positions[before, None]
+        predicted = predict_poses(np.arange(len(known[0]) + 1), *known)
         correction = correct_markers(points[frame], shape, weights, limits, predicted)
         points[frame] = correction.points
         counts.update(correction.counts)

@@ -14,7 +14,7 @@ from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.candidates import find_candidates, fit_points
-from kinpole_ros.tracking.identity import Prediction, predict_pose
+from kinpole_ros.tracking.identity import Prediction, predict_poses
 from kinpole_ros.tracking.placed_frames import PlacedFrames
 from kinpole_ros.tracking.rejection import (
     DROPPED,
@@ -22,7 +22,6 @@ from kinpole_ros.tracking.rejection import (
     EXCHANGED,
     LEFT_OUT,
     MAX_SEARCH_INTERVAL,
-    MAX_SQUARE_RATIO,
     MIRROR_NATS,
     MIRRORED,
     NAME_DOUBTFUL,
@@ -31,7 +30,6 @@ from kinpole_ros.tracking.rejection import (
     OUTLIER_NATS,
 )
 from kinpole_ros.tracking.state import NameSearch, State, put_bodies, restart_bodies
-from kinpole_ros.tracking.statistics import mean_square
 from kinpole_ros.tracking.thresholds import MIN_SAMPLES
 
 _NOWHERE = complex(np.nan, np.nan)
@@ -75,8 +73,9 @@ def correct_next(state: State, placed: PlacedFrames, k: int) -> Complex:
     if not unusual & ODD:
         return markers
     odd = (state.step.tracks['unusual'] & ODD) > 0
-    before = state.history.poses_before(placed.frames.stamps[k], 2 * MIN_SAMPLES)
-    fitted, order, corrected = correct_frame(bodies, before, markers, odd)
+    stamp = placed.frames.stamps[k]
+    predicted = predict_poses(*state.history.poses_before(stamp, 2 * MIN_SAMPLES))
+    fitted, order, corrected = correct_frame(bodies, predicted, markers, odd)
     counts.update(corrected)
     if (order != np.arange(order.shape[1])).any():
         markers[...] = np.take_along_axis(markers, order, axis=1)
@@ -108,7 +107,7 @@ def _correct_names(
 
 
 def correct_frame(
-    bodies: Bodies, before: tuple[np.ndarray, Real, Complex], markers: Complex, odd: np.ndarray
+    bodies: Bodies, predicted: Prediction, markers: Complex, odd: np.ndarray
 ) -> tuple[Complex, np.ndarray, Counter[str]]:
     """
     Correct the markers of the bodies of one frame that do not fit.
@@ -120,8 +119,8 @@ def correct_frame(
     ----------
     bodies : Bodies
         What is known.
-    before : (N + 1,) int64, (N, B), (N, B)
-        Poses in the frames before: see `History.poses_before`.
+    predicted : Prediction
+        The poses that are expected.
     markers : (B, n) complex
         Markers in the plane, m, NaN for those not seen.
     odd : (B,) bool
@@ -137,11 +136,9 @@ def correct_frame(
         Numbers of corrected markers by kind.
 
     """
-    stamps, angles, positions = before
     fitted, counts = markers.copy(), Counter[str]()
     order = np.tile(np.arange(markers.shape[1]), (len(markers), 1))
     for b in np.flatnonzero(odd).tolist():
-        predicted = predict_pose(stamps, angles[:, b], positions[:, b])
         fitted[b], order[b], of_body = _correct_body(bodies, predicted, markers[b], b)
         counts.update(of_body)
     return fitted, order, counts
@@ -151,16 +148,10 @@ def _correct_body(bodies: Bodies, predicted: Prediction, markers: Complex, b: in
     """Correct the markers (n,) of one body."""
     fitting, weights, shape = bodies.fitting, bodies.placement.weights[b], bodies.shape[b]
     limits = fitting.limit[b] * np.sqrt(bodies.relative[b])
-    points, order, counts = correct_markers(markers, shape, weights, limits, predicted)
+    points, order, counts = correct_markers(markers, shape, weights, limits, predicted, b)
     if not (fitting.mature[b] and counts):
         # Nothing is left out while residuals are not known.
         return Correction(markers[order], order, Counter())
-    fit = fit_pose(points, shape, np.where(np.isnan(points), 0.0, weights))
-    square = mean_square(fit.residual / np.sqrt(bodies.relative[b]), fit.freedom)[0]
-    if square > MAX_SQUARE_RATIO * bodies.misfit[b]:
-        # Where one marker is wrong another may be, by less than makes it an outlier.
-        counts[DROPPED] += int(np.count_nonzero(~np.isnan(points)))
-        points = np.full_like(points, _NOWHERE)
     # Exchanged markers are counted in every frame that has them: see `count_exchanged`.
     del counts[EXCHANGED]
     return Correction(points, order, counts)
@@ -172,6 +163,7 @@ def correct_markers(
     weights: Real,
     limits: Real,
     predicted: Prediction,
+    b: int = 0,
 ) -> Correction:
     """
     Correct the markers of one body that do not fit its shape.
@@ -188,8 +180,8 @@ def correct_markers(
         Weights of the slots, 0 for a marker whose place on the body is not known.
     limits : (n,) float
         Residuals of outliers, m.
-    predicted : Prediction
-        The pose that is expected.
+    predicted, b : Prediction, int
+        The poses that are expected, and which of them is of this body.
 
     Returns
     -------
@@ -212,7 +204,7 @@ def correct_markers(
     has_moved = ((orders >= 0) & (orders != slots)).any(axis=1)
     costs = np.nansum(np.abs(fit.residual / limits) ** 2, axis=1) * OUTLIER_NATS
     costs += OUTLIER_NATS * (len(seen) - number) + EXCHANGE_NATS * has_moved
-    surprise = predicted.costs(fit.angle, fit.position, limits.min())
+    surprise = predicted.costs(b, fit.angle, fit.position, limits.min())
     costs += np.where(is_mirrored, MIRROR_NATS, surprise)
     # Two of more markers are as far apart as others by chance.
     credible = (2 * number > len(seen)) & (~has_moved | (number > 2) | (number == len(seen)))

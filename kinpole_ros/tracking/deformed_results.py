@@ -28,7 +28,7 @@ def _add_deformation_of(results: Results, t: int, bodies: Bodies, b: int, histor
         residual,
         ResultWindow(now - first, oldest - first, interval),
         float(results.array('span')[t, b]),
-        float(results.array('freedom')[t, b]) - 1,
+        float(results.array('parameters')[t, b]) - 1,
         float(bodies.white[b] * np.sqrt(bodies.hidden_factor[b])),
         float(bodies.freedom[b]),
         results.orders - 1,

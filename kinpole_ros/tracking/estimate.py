@@ -489,7 +489,7 @@ def estimate_of(
         stored = results[0].column
 
     def column(name: str) -> np.ndarray:
-        return stored('freedom') - 1 if name == 'degree' else stored(name)
+        return stored('parameters') - 1 if name == 'degree' else stored(name)
 
     def frame_poses() -> FramePoses:
         turned, placed = stored('information').swapaxes(0, 1)

@@ -5,7 +5,6 @@ Two markers that were exchanged in the parameters, or before the shape was learn
 that are not rigid. The distances between all markers show which exchange makes them rigid.
 """
 
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -44,71 +43,34 @@ def group(points: Complex, loose: np.ndarray) -> Grouping:
         return Grouping(None, [])
     # The most constant distances are those within bodies; as many as the bodies have.
     rigid = varied <= N_SIGMA * np.median(np.sort(varied[i, j])[:within])
-    members = [np.flatnonzero(body == b).tolist() for b in range(bodies)]
-    bent = [b for b in np.flatnonzero(loose).tolist() if not _is_rigid(members[b], rigid)]
-    exchanges = _exchanges(members, bent, rigid)
-    times = [sum(b in pair for pair, _ in exchanges) for b in range(bodies)]
-    confused = [b for b in range(bodies) if times[b] > 1]
-    clear = [swap for (b, c), swap in exchanges if times[b] == times[c] == 1]
+    bent = [b for b in np.flatnonzero(loose) if not rigid[np.ix_(body == b, body == b)].all()]
+    mates = np.array([rigid[:, body == b].sum(axis=1) for b in range(bodies)])
+    # The core of a body are its markers that are rigid with most of them.
+    in_core = 2 * mates[body, np.arange(len(body))] > (body == body[:, None]).sum(axis=1)
+    lost = [b for b in bent if not in_core[body == b].any()]
+    others = {b: [c for c in bent if c != b] for b in lost}
+    confused = [int(b) for b in lost if mates[others[b]][:, body == b].any(axis=0).all()]
     order = np.arange(bodies * width)
-    for x, y in clear:
-        order[slots[[x, y]]] = slots[[y, x]]
-    if not exchanges and (moved := _moves_to_cores(members, bent, rigid)) is not None:
-        for old, new in moved:
-            order[slots[old]] = slots[new]
-        clear = moved
-    return Grouping(order.reshape(bodies, width) if clear else None, confused)
+    homes = _homes(body, rigid, in_core, [b for b in bent if b not in lost])
+    for b in homes:
+        order[slots[(body == b) & ~in_core]] = slots[homes[b]]
+    return Grouping(order.reshape(bodies, width) if homes else None, confused)
 
 
-def _is_rigid(members: list[int], rigid: np.ndarray) -> bool:
-    return bool(rigid[np.ix_(members, members)].all())
-
-
-def _exchanges(
-    members: list[list[int]], bent: list[int], rigid: np.ndarray
-) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Pairs of bodies, each with the pair of markers whose exchange makes both rigid."""
-    exchanges = []
-    for b, c in combinations(bent, 2):
-        for x in members[b]:
-            of_b = [m for m in members[b] if m != x]
-            for y in members[c]:
-                of_c = [m for m in members[c] if m != y]
-                fits = rigid[y, of_b].all() and rigid[x, of_c].all()
-                if fits and _is_rigid(of_b, rigid) and _is_rigid(of_c, rigid):
-                    exchanges.append(((b, c), (x, y)))
-    return exchanges
-
-
-def _moves_to_cores(
-    members: list[list[int]], bent: list[int], rigid: np.ndarray
-) -> list[tuple[int, int]] | None:
+def _homes(
+    body: np.ndarray, rigid: np.ndarray, in_core: np.ndarray, bent: list[int]
+) -> dict[int, list[int]]:
     """
-    Pairs of markers, the second to take the slot of the first, if most of each body is rigid.
+    Return the markers that belong in each body in place of those not in its core.
 
-    Each stray marker has to be rigid with just one other body, and each body needs as many as it
-    lost; otherwise None.
+    Each has to be rigid with the core of just one other body, and each body needs as many as it
+    lost; otherwise there are none.
     """
-    cores = {b: _core(members[b], rigid) for b in bent}
-    strays = {b: [m for m in members[b] if m not in core] for b, core in cores.items() if core}
-    homes: dict[int, list[int]] = {b: [] for b in strays}
-    for b, markers in strays.items():
-        for x in markers:
-            fits = [c for c in strays if c != b and rigid[x, cores[c]].all()]
-            if len(fits) != 1:
-                return None
-            homes[fits[0]].append(x)
-    if not homes or any(len(homes[b]) != len(strays[b]) for b in strays):
-        return None
-    return [pair for b in strays for pair in zip(strays[b], homes[b], strict=True)]
-
-
-def _core(members: list[int], rigid: np.ndarray) -> list[int]:
-    """All but one or two of the members that are rigid; none if the choice is ambiguous."""
-    for size in (len(members) - 1, len(members) - 2):
-        if size < 2 or 2 * size <= len(members):
-            return []
-        cores = [list(part) for part in combinations(members, size) if _is_rigid([*part], rigid)]
-        if cores:
-            return cores[0] if len(cores) == 1 else []
-    return []
+    homes: dict[int, list[int]] = {b: [] for b in bent}
+    for x in np.flatnonzero(np.isin(body, bent) & ~in_core).tolist():
+        fits = [b for b in bent if b != body[x] and rigid[x, (body == b) & in_core].all()]
+        if len(fits) != 1:
+            return {}
+        homes[fits[0]].append(x)
+    lacking = {b: np.count_nonzero((body == b) & ~in_core) for b in bent}
+    return homes if all(len(homes[b]) == lacking[b] for b in bent) else {}

@@ -15,12 +15,14 @@ from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.candidates import PAIR_LIMITS, Candidates, find_candidates, fit_points
 from kinpole_ros.tracking.frame_counter import MOST_CHARGED_LOSSES
 from kinpole_ros.tracking.frame_intervals import LOSS_NATS
-from kinpole_ros.tracking.rejection import DISTANCE_RATIO
+from kinpole_ros.tracking.rejection import DISTANCE_RATIO, EXCHANGE_NATS, OUTLIER_NATS
 from kinpole_ros.tracking.statistics import median
-from kinpole_ros.tracking.thresholds import MIN_DOF, N_SIGMA, RECENT_FRAMES, ROUNDED
+from kinpole_ros.tracking.thresholds import MIN_DOF, RECENT_FRAMES, ROUNDED
 
 # Degrees of freedom of the errors of predictions: few, since they have impacts among them.
 TAIL = 4.0
+# nats. Of two ways to place a body neither is taken if their costs differ by less.
+LEAD_NATS = 3.0
 
 
 class Match(NamedTuple):
@@ -40,53 +42,56 @@ class Match(NamedTuple):
     variance: Real
 
 
+class Prediction(NamedTuple):
+    """
+    The poses expected of B bodies, if 0, 1... frames before were lost without notice.
+
+    `angle` and `position` (B, L), rad and complex, m, NaN for none, and the standard deviations
+    (B,) of the first, infinite if unknown.
+    """
+
+    angle: Real
+    angle_deviation: Real
+    position: Complex
+    position_deviation: Real
+
+    def costs(self, b: int, angle: Real, position: Complex, limit: float) -> Real:
+        """
+        Return how unlikely poses (H,) of a body are, nats: by Student's distribution, as for hits.
+
+        Markers are off by up to `limit`, m.
+        """
+        if not np.isfinite(self.angle_deviation[b]):
+            return np.zeros(len(angle))
+        turned = _wrap(angle[:, None] - self.angle[b]) / (self.angle_deviation[b] + ROUNDED)
+        moved = np.abs(position[:, None] - self.position[b])
+        moved /= self.position_deviation[b] + ROUNDED * limit
+        nats = (TAIL + 1) / 2 * np.log1p((turned**2 + moved**2) / TAIL)
+        return np.asarray((nats + LOSS_NATS * np.arange(nats.shape[1])).min(axis=1))
+
+
+def unpredicted(bodies: int) -> Prediction:
+    """Return that nothing is known of so many bodies."""
+    nothing, unknown = np.full((bodies, 1), np.nan), np.full(bodies, np.inf)
+    return Prediction(nothing, unknown, nothing.astype(complex), unknown)
+
+
 class Expected(NamedTuple):
     """
     What is known of a frame before its points are matched.
 
-    `position` and `turn` (B,) are the predicted poses, NaN where there is no prediction. `named`
-    (B, n) are the points by name, -1 for none, and `fits` (B,) the bodies that fit by name.
+    `predicted` are the poses. `named` (B, n) are the points by name, -1 for none, and `fits`
+    (B,) the bodies that fit by name.
     `variance`, m^2, is the noise of one coordinate of a marker, infinite while not measured.
     `pins` (B, 2), complex, m, are points of bodies that are pinned to the ground, in the frame of
     the body and in the plane, NaN for a body without; None where no body has one.
     """
 
-    position: Complex
-    turn: Complex
+    predicted: Prediction
     named: np.ndarray
     fits: np.ndarray
     variance: float = np.inf
     pins: Complex | None = None
-
-
-class Prediction(NamedTuple):
-    """
-    The poses expected of a body in a frame, if 0, 1... frames before it were lost without notice.
-
-    `angle` and `position`, rad and complex, m, each with the standard deviation of the first. By
-    default nothing is known.
-    """
-
-    angle: Real = np.full(1, np.nan)
-    angle_deviation: float = np.inf
-    position: Complex = np.full(1, complex(np.nan, np.nan))
-    position_deviation: float = np.inf
-
-    def costs(self, angle: Real, position: Complex, limit: float) -> Real:
-        """
-        Return how unlikely poses (H,) are, nats, by Student's distribution: a body may be hit.
-
-        Markers are off by up to `limit`, m.
-        """
-        if np.isinf(self.angle_deviation):
-            return np.zeros(len(angle))
-        turned = angle[:, None] - self.angle
-        turned -= 2 * np.pi * np.rint(turned / (2 * np.pi))
-        turned /= self.angle_deviation + ROUNDED
-        moved = np.abs(position[:, None] - self.position)
-        moved /= self.position_deviation + ROUNDED * limit
-        nats = (TAIL + 1) / 2 * np.log1p((turned**2 + moved**2) / TAIL)
-        return np.asarray((nats + LOSS_NATS * np.arange(nats.shape[1])).min(axis=1))
 
 
 def match(points: Complex, shapes: Complex, limit: Real, expected: Expected) -> Match:
@@ -154,7 +159,7 @@ def _search(
         every_way = find_candidates(points, free, shapes[b], float(limit[b]))
         at_pin = _at_pin(every_way, b, limit[b], expected)
         on_pins[b] = at_pin is not None
-        candidates[b] = _likeliest(b, at_pin or every_way, shapes[b], expected)
+        candidates[b] = _likeliest(b, at_pin or every_way, shapes[b], limit[b], expected)
         # Two points of many are always as far apart as two markers.
         likeliest = candidates[b]
         variance = likeliest.variance[likeliest.count > 2].min(initial=np.inf)
@@ -208,41 +213,73 @@ def merge_names(found: Match, named: np.ndarray) -> np.ndarray | None:
     return indices
 
 
-def predict_pose(stamps: np.ndarray, angles: Real, positions: Complex) -> Prediction:
+def predict_poses(stamps: np.ndarray, angles: Real, positions: Complex) -> Prediction:
     """
-    Predict the pose of a body by its last velocity.
+    Predict the poses of B bodies by their last velocities.
 
     Parameters
     ----------
     stamps : (N + 1,) int64
         Stamps of the frames before, and of the frame to predict, ns.
-    angles, positions : (N,)
-        Poses in the frames before, rad and complex, m; NaN where the body was not seen. A body
-        that was seen once stays where it was.
+    angles, positions : (N, B)
+        Poses in the frames before, rad and complex, m; NaN where a body was not seen. One that was
+        seen once stays where it was.
 
     Returns
     -------
     Prediction
-        The pose; NaN for a body that was not seen of late.
+        The poses; nothing is known of a body that was not seen of late.
 
     """
-    steps = np.diff(stamps)
+    count, seen, steps = angles.shape[1], np.isfinite(angles), np.diff(stamps)
+    if not seen.any():
+        return unpredicted(count)
     # Late stamps do not change the number of frames.
-    frames = np.maximum(np.rint(steps / max(median(steps), 1)), 1) if len(steps) else steps
-    number = np.concatenate(((0,), np.cumsum(frames)))
-    seen = np.flatnonzero(np.isfinite(angles))
-    if not len(seen) or number[-1] - number[seen[-1]] > RECENT_FRAMES:
-        return Prediction()
-    ahead = number[-1] - number[seen[-1]] + np.arange(MOST_CHARGED_LOSSES + 1)
-    frames = np.diff(number[seen])
-    parts: list[Complex | float] = []
-    for signal in (np.unwrap(angles[seen]), positions[seen]):
-        speeds = np.diff(signal) / frames
-        parts.append(signal[-1] + ahead * (speeds[-1] if len(speeds) else 0))
-        changes = np.abs(2 * np.diff(speeds) / (frames[1:] + frames[:-1]))
-        error = np.sqrt(np.mean(changes**2)) if len(seen) >= MIN_DOF else np.inf
-        parts.append(ahead[0] * (ahead[0] + 1) / 2 * error)
-    return Prediction(*parts)
+    frames = np.maximum(np.rint(steps / max(median(steps), 1)), 1)
+    last = len(angles) - 1 - seen[::-1].argmax(axis=0)
+    age = np.append(frames[::-1].cumsum()[::-1], 0)[last]
+    signals = np.concatenate((angles, positions), axis=1)
+    speeds = np.diff(signals, axis=0)
+    speeds[:, :count] = _wrap(speeds[:, :count].real)
+    speed, error = _speeds_of(speeds / frames[:-1, None], seen[1:] & seen[:-1])
+    ahead = age[:, None] + np.arange(MOST_CHARGED_LOSSES + 1)
+    ahead = np.where((seen.any(axis=0) & (age <= RECENT_FRAMES))[:, None], ahead, np.nan)
+    angle_error, position_error = ahead[:, 0] * (ahead[:, 0] + 1) / 2 * error.reshape(2, count)
+    return Prediction(
+        angles[last, np.arange(count)][:, None] + ahead * speed[:count, None].real,
+        angle_error,
+        positions[last, np.arange(count)][:, None] + ahead * speed[count:, None],
+        position_error,
+    )
+
+
+def _speeds_of(speeds: Complex, seen: np.ndarray) -> tuple[Complex, Real]:
+    """
+    Return the last speeds (2 B,) of (N, 2 B), 0 for none, and their rms change from frame to frame.
+
+    `seen` (N, B) are those that are known.
+    """
+    count, width = len(seen), speeds.shape[1]
+    if not count:
+        return np.zeros(width, complex), np.full(width, np.inf)
+    seen = np.concatenate((seen, seen), axis=1)
+    last = count - 1 - seen[::-1].argmax(axis=0)
+    speed = np.where(seen.any(axis=0), speeds[last, np.arange(width)], 0)
+    speeds, both = np.where(seen, speeds, 0), seen[1:] & seen[:-1]
+    number = both.sum(axis=0)
+    changes = np.where(both, np.diff(speeds, axis=0), 0)
+    square = (changes.real**2 + changes.imag**2).sum(axis=0) / np.maximum(number, 1)
+    if (number < MIN_DOF).any():
+        # Until there are enough, a change is as large as the speed.
+        known = seen.sum(axis=0)
+        most = np.where(known, (np.abs(speeds) ** 2).sum(axis=0) / np.maximum(known, 1), np.inf)
+        square = np.where(number < MIN_DOF, most, square)
+    return speed, np.sqrt(square)
+
+
+def _wrap(angle: Real) -> Real:
+    """Return angles within half a turn."""
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _near_predictions(
@@ -250,7 +287,8 @@ def _near_predictions(
 ) -> np.ndarray:
     """Points (B, n) that are nearest to `sought` markers (B, n) and these to them, -1 for none."""
     indices = np.full(shape.shape, -1)
-    predicted = expected.position[:, None] + expected.turn[:, None] * shape
+    pose = expected.predicted
+    predicted = pose.position[:, :1] + np.exp(1j * pose.angle[:, :1]) * shape
     sought = sought & ~np.isnan(predicted)
     markers = predicted[sought]
     if not len(markers):
@@ -300,37 +338,21 @@ def _at_pin(candidates: Candidates, b: int, limit: float, expected: Expected) ->
     return candidates.at(near) if near.any() else None
 
 
-def _likeliest(b: int, candidates: Candidates, shape: Complex, expected: Expected) -> Candidates:
-    """Candidates of body `b` that fit the most markers, names, and the prediction."""
-    markers = shape[~np.isnan(shape)]
-    named = (candidates.indices == expected.named[b]) & (candidates.indices >= 0)
-    agree = named.sum(axis=1)
-    off = np.full(len(agree), np.inf)
-    if len(agree) and np.isfinite(expected.turn[b]):
-        predicted = expected.position[b] + expected.turn[b] * markers
-        placed = candidates.position[:, None] + candidates.turn[:, None] * markers
-        off = np.sqrt(np.square(np.abs(placed - predicted)).mean(axis=1))
-    size = 2 * np.abs(markers - markers.mean()).max()
-    # Two markers of more fit too easily, unless they are near the prediction.
-    enough = candidates.count >= min(3, len(markers))
-    plausible = enough | (off < size / 4) | (agree >= 2)
-    candidates, agree, off = candidates.at(plausible), agree[plausible], off[plausible]
-    if not len(agree):
-        return candidates
+def _likeliest(
+    b: int, ways: Candidates, shape: Complex, limit: float, expected: Expected
+) -> Candidates:
+    """Ways to place body `b` whose cost, nats, is nearly the least, by all that is known of it."""
+    agree = ((ways.indices == expected.named[b]) & (ways.indices >= 0)).sum(axis=1)
+    surprise = expected.predicted.costs(b, np.angle(ways.turn), ways.position, limit)
+    # Two markers of more fit too easily, unless they are where they are expected.
+    fewest = min(3, np.count_nonzero(~np.isnan(shape)))
+    is_expected = np.isfinite(expected.predicted.angle_deviation[b]) & (surprise < EXCHANGE_NATS)
+    credible = (ways.count >= fewest) | is_expected | (agree >= 2)
     # A name counts as much as a fitting marker: one marker that is off does not exchange bodies.
-    score = candidates.count + agree
-    best = score == score.max()
-    # Residuals far beyond the noise are wrong where another candidate has smaller ones.
-    least = candidates.variance.min(where=best, initial=np.inf)
-    best &= candidates.variance <= max(N_SIGMA**2 * expected.variance, DISTANCE_RATIO**2 * least)
-    candidates, agree, off = candidates.at(best), agree[best], off[best]
-    if len(agree) > 1 and (agree == agree.max()).sum() == 1:
-        return candidates.at(agree == agree.max())
-    if len(agree) > 1 and np.isfinite(off[0]):
-        least, second = np.partition(off, 1)[:2]
-        if DISTANCE_RATIO * least < second:
-            return candidates.at(off == least)
-    return candidates
+    costs = surprise - OUTLIER_NATS * (ways.count + agree)
+    costs += ways.variance * (2 * ways.count - 3) / (2 * expected.variance)
+    costs = np.where(credible, costs, np.inf)
+    return ways.at(credible & (costs <= costs.min(initial=np.inf) + LEAD_NATS))
 
 
 def _assign(candidates: dict[int, Candidates], result: Match) -> None:

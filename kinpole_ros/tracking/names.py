@@ -23,7 +23,8 @@ from kinpole_ros.tracking.identity import (
     Match,
     match,
     merge_names,
-    predict_pose,
+    predict_poses,
+    unpredicted,
 )
 from kinpole_ros.tracking.placed_frames import PlacedFrames, count_misnamed
 from kinpole_ros.tracking.placing import MarkerAssignment
@@ -33,7 +34,6 @@ from kinpole_ros.tracking.thresholds import (
     MIN_SAMPLES,
     N_SIGMA,
     NEGLIGIBLE,
-    RECENT_FRAMES,
 )
 
 # What is counted in `Tracker.update_counts`.
@@ -395,25 +395,18 @@ class Matcher:
         variance = np.inf
         if len(self._variances) >= MIN_SAMPLES:
             variance = float(np.median(self._variances))
-        position, turn = self._predict(placed.frames.stamps[k])
-        expected = Expected(position, turn, named, fits, variance, pins=self.given.pins)
+        stamp = placed.frames.stamps[k]
+        predicted = predict_poses(*self._history.poses_before(stamp, 2 * MIN_SAMPLES))
+        expected = Expected(predicted, named, fits, variance, pins=self.given.pins)
         found = match(points, shapes, self.bodies.fitting.limit, expected)
         self._variances.extend(found.variance[np.isfinite(found.variance)].tolist())
         return found
-
-    def _predict(self, stamp: int) -> tuple[Complex, Complex]:
-        """Poses (B,) of the bodies in the next frame, predicted from those before."""
-        stamps, angles, positions = self._history.poses_before(stamp, RECENT_FRAMES)
-        found = [predict_pose(stamps, a, p) for a, p in zip(angles.T, positions.T, strict=True)]
-        position = np.array([one.position[0] for one in found])
-        return position, np.exp(1j * np.array([one.angle[0] for one in found]))
 
     def _fits_mirrored(self, placed: PlacedFrames | None, b: int) -> bool:
         """Whether the points of the last frame have a body's given shape mirrored."""
         assert placed is not None
         points, _ = self._assignment.project_all(placed, -1)
         shapes = self.given.shapes[b : b + 1].conj()
-        nowhere = np.full(1, complex(np.nan, np.nan))
-        expected = Expected(nowhere, nowhere, np.full(shapes.shape, -1), np.zeros(1, bool))
+        expected = Expected(unpredicted(1), np.full(shapes.shape, -1), np.zeros(1, bool))
         found = match(points, shapes, self.bodies.fitting.limit[b : b + 1], expected)
         return bool(np.isfinite(found.turn[0]) or found.uncertain[0])

@@ -16,11 +16,10 @@ here.
 | a body | ODD | turned by more than a quarter in a frame | `fit` in C | - |
 | a marker | NAME_DOUBTFUL | ODD, by `YOUNG_OUTLIER` of the size | `verdict_on_marker` in C | - |
 | a marker | NEW_MARKER | no place on its body yet | `fit` in C | - |
-| a marker | LEFT_OUT | ODD, and its body fits without it | `correct_frame` | markers_left_out |
-| a marker | EXCHANGED | ODD, and fits elsewhere | `correct_frame` | markers_exchanged |
-| a body | MIRRORED | ODD, and fits mirrored | `correct_frame` | markers_mirrored |
-| a body | DROPPED | ODD, no correction fits | `correct_frame` | markers_of_misfits |
-| a body | DROPPED | corrected, above `MAX_SQUARE_RATIO` | `_correct_body` | markers_of_misfits |
+| a marker | LEFT_OUT | ODD: the least cost is without it | `correct_markers` | markers_left_out |
+| a marker | EXCHANGED | ODD: the least is elsewhere | `correct_markers` | markers_exchanged |
+| a body | MIRRORED | ODD: the least is mirrored | `correct_markers` | markers_mirrored |
+| a body | DROPPED | ODD: no pose costs less | `correct_markers` | markers_of_misfits |
 | a body | UNCERTAIN | points fit it in several ways | `match` | bodies_ambiguous |
 | a pose | NOT_SEEN | less than two markers, or all at one place | `fit` in C | a reason |
 | a marker | HELD | repeats the last two | `kinpole_is_marker_held` in C | markers_held |
@@ -65,11 +64,7 @@ MAX_ANGLE_NOISE = 0.15
 # A pose, or a marker, that repeats the one before to the last bit is held by the tracker if noise
 # repeats it with less than this probability.
 MAX_REPEAT_CHANCE = 1e-6
-# Mean square residual of a corrected body over that of the body; 0.1% of chi-squares of three
-# degrees exceed it.
-MAX_SQUARE_RATIO = 5.4
-# A point is taken for a predicted marker if the second nearest point is this many times as far, and
-# a match for the best if the second best is.
+# A point is taken for a predicted marker if the second nearest point is this many times as far.
 DISTANCE_RATIO = 2.0
 # nats. What makes a way to place a body on its markers unlikely: a marker left out, which costs as
 # much as one at the limit of outliers, markers exchanged, and a mirrored body.

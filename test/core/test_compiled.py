@@ -82,7 +82,7 @@ def compare(found: Derivatives, expected: Derivatives, tolerance: float) -> None
         off = np.nan_to_num(np.abs(more - covariance) / (deviation * deviation[:, None]))
         assert (off <= own).all(), off.max()
     np.testing.assert_allclose(found.span, expected.span, rtol=1e-12)
-    np.testing.assert_allclose(found.freedom, expected.freedom, rtol=1e-9)
+    np.testing.assert_allclose(found.parameters, expected.parameters, rtol=1e-9)
     np.testing.assert_allclose(found.reference, expected.reference, rtol=1e-6)
 
 

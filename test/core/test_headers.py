@@ -5,6 +5,7 @@ import shlex
 import shutil
 import subprocess
 import sysconfig
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -42,3 +43,17 @@ def test_every_function_of_c_says_what_it_does() -> None:
         for block in re.findall(r'\*/\n((?:.+\n)+)', text):
             told |= set(re.findall(r'^(?:\w[\w *]*\b)?([a-z]\w*)\(', block, re.MULTILINE))
     assert not bodies - told
+
+
+def test_a_name_of_c_is_defined_once() -> None:
+    """Functions, types and constants, except those that a file may set before others."""
+    owners = defaultdict(set)
+    for file in FILES:
+        text = file.read_text(encoding='utf-8')
+        names = re.findall(r'^([a-z]\w*)\([^;{}]*\)\n\{', text, re.MULTILINE)
+        names += re.findall(r'^(?:\} |#define |static const \w+ )(\w+)', text, re.MULTILINE)
+        for constants in re.findall(r'^enum \{(?! \w+\()(.*?)\};', text, re.MULTILINE | re.DOTALL):
+            names += [constant.split('=')[0].strip() for constant in constants.split(',')]
+        for name in {*names} - {*re.findall(r'^#ifndef (\w+)', text, re.MULTILINE)}:
+            owners[name].add(file.name)
+    assert {name: files for name, files in owners.items() if len(files) > 1} == {}

@@ -101,7 +101,7 @@ def test_tags_that_are_seen_and_not_used_are_named() -> None:
     finder, found = found_in([wide] * 3 + [hidden] * 5)
     seen = gather(list(range(8)), found, wide.shape[::-1], finder)
     assert seen.tags == [2]
-    assert seen.unused == (
+    assert tuple(one.sentence() for one in seen.unused) == (
         '0 (at two places at once)',
         '1 (in 3 pictures only)',
         '3, 4, 5 (of family 5x5_50)',
@@ -113,7 +113,9 @@ def test_a_given_family_has_no_tags_beyond_its_size() -> None:
     finder, found = found_in([picture((0, 7, 250), '6x6_1000')] * 6, '6x6_250')
     seen = gather(list(range(6)), found, (3 * WIDTH, HEIGHT), finder)
     assert (seen.tags, seen.family) == ([0, 7], '6x6_250')
-    assert seen.unused == ('250 (not of family 6x6_250)',)
+    (unused,) = seen.unused
+    assert unused.code == 'tag_of_no_family'
+    assert unused.values == {'tag': 250, 'family': '6x6_250'}
 
 
 def test_a_misread_tag_does_not_settle_the_family() -> None:

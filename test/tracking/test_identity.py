@@ -19,7 +19,8 @@ from kinpole_ros.messages import (
 )
 from kinpole_ros.settings import ParameterError, settings_from
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.identity import Expected, Match, match
+from kinpole_ros.tracking.grouping import group
+from kinpole_ros.tracking.identity import Expected, Match, Prediction, match, unpredicted
 from kinpole_ros.tracking.tracker import Tracker
 
 SCENE = load_scene('four_bar')
@@ -162,6 +163,33 @@ def test_two_markers_each_of_which_one_is_exchanged_are_withheld() -> None:
     late = found[-1]
     assert not late.rate(1).determined[100:].any()
     assert 'nothing is published of one, two' in said(tracker)
+
+
+@pytest.mark.parametrize(
+    ('listed', 'found'),
+    [
+        ([(0, 1, 10), (4, 5, 2), (8, 9, 6)], [(0, 1, 2), (4, 5, 6), (8, 9, 10)]),
+        ([(0, 1, 5), (4, 2, 10), (8, 9, 6)], None),
+        ([(0, 4), (1, 5), (8, 9)], None),
+    ],
+    ids=['three go round', 'a body without two of its own', 'pairs of two'],
+)
+def test_markers_listed_for_other_links_are_put_right_or_withheld(
+    listed: list[tuple[int, ...]], found: list[tuple[int, ...]] | None
+) -> None:
+    shape = np.array([0.1, 0.12j, -0.09 - 0.03j, 0.05 - 0.08j])
+    t = np.arange(100)[:, None] / 50
+    flat = np.concatenate(
+        [b + np.exp(1j * (1 + b) * t) * shape * (1 + 0.2 * b) for b in range(3)], axis=1
+    )
+    order, confused = group(flat[:, np.array(listed)], np.ones(3, bool))
+    if found is None:
+        assert order is None
+        assert confused
+    else:
+        assert order is not None
+        assert [set(row) for row in np.ravel(listed)[order]] == [set(row) for row in found]
+        assert not confused
 
 
 def test_markers_that_come_back_under_new_names_are_taken_until_the_old_ones_return() -> None:
@@ -316,17 +344,18 @@ KITE = np.array([0.09 + 0.02j, -0.03 + 0.1j, -0.08 - 0.05j, 0.05 - 0.06j])
 BRICK = np.array([0.1 + 0.05j, -0.1 + 0.05j, -0.1 - 0.05j, 0.1 - 0.05j])
 
 
-def matched(points: np.ndarray, known: np.ndarray, turn: np.ndarray | None = None) -> Match:
-    count = len(known)
-    nowhere = np.full(count, complex(np.nan, np.nan))
-    ahead = nowhere if turn is None else np.zeros(count, complex)
-    expected = Expected(
-        ahead,
-        nowhere if turn is None else turn,
-        np.full(known.shape, -1),
-        np.zeros(count, bool),
-    )
-    return match(points, known, np.full(count, 1e-3), expected)
+def expected(count: int, width: int = 4, angle: float | None = None) -> Expected:
+    """Nothing is known of so many bodies but the angle, and names mean nothing."""
+    known = unpredicted(count)
+    if angle is not None:
+        one = np.full(count, 0.1)
+        known = Prediction(np.full((count, 1), angle), one, np.zeros((count, 1), complex), one)
+    return Expected(known, np.full((count, width), -1), np.zeros(count, bool))
+
+
+def matched(points: np.ndarray, known: np.ndarray, angle: float | None = None) -> Match:
+    count, width = known.shape
+    return match(points, known, np.full(count, 1e-3), expected(count, width, angle))
 
 
 @settings(deadline=None)
@@ -348,7 +377,7 @@ def test_what_fits_in_several_ways_is_left_out_unless_the_last_pose_tells() -> N
     found = matched(points, BRICK[None])
     assert found.uncertain.all()
     assert (found.indices == -1).all()
-    found = matched(points - 0.3, BRICK[None], np.exp([0.1j]))
+    found = matched(points - 0.3, BRICK[None], 0.1)
     assert not found.uncertain.any()
     assert found.indices.tolist() == [[0, 1, 2, 3]]
 
@@ -356,11 +385,9 @@ def test_what_fits_in_several_ways_is_left_out_unless_the_last_pose_tells() -> N
 def test_of_two_turns_that_fit_the_one_that_leaves_only_noise_is_taken() -> None:
     # Turned by half a turn, its markers are up to 10 mm off, less than the limit.
     shape = BRICK + np.array([0.01, 0, 0.01j, 0])
-    nowhere = np.full(1, complex(np.nan, np.nan))
-    expected = Expected(nowhere, nowhere, np.full((1, 4), -1), np.zeros(1, bool))
-    limit, known = np.full(1, 0.02), expected._replace(variance=(2e-4) ** 2)
+    limit, known = np.full(1, 0.02), expected(1)._replace(variance=(2e-4) ** 2)
     points = 0.3 + np.exp(0.2j) * shape
-    found = match(points, shape[None], limit, expected)
+    found = match(points, shape[None], limit, expected(1))
     assert found.uncertain.all()
     assert found.variance[0] < 1e-30
     found = match(points, shape[None], limit, known)
@@ -377,13 +404,12 @@ def test_two_bodies_alike_are_not_guessed() -> None:
 
 def test_pins_on_the_ground_tell_bodies_of_one_shape_apart() -> None:
     points = np.concatenate((KITE, 1 + KITE * 1j))
-    nowhere = np.full(2, complex(np.nan, np.nan))
-    pins = np.array([[0.2, 1 + 0.2j], [nowhere[0], nowhere[0]]])
-    expected = Expected(nowhere, nowhere, np.full((2, 4), -1), np.zeros(2, bool), pins=pins)
-    found = match(points, np.array([KITE, KITE]), np.full(2, 1e-3), expected)
+    pins = np.array([[0.2, 1 + 0.2j], [complex(np.nan, np.nan)] * 2])
+    known = expected(2)._replace(pins=pins)
+    found = match(points, np.array([KITE, KITE]), np.full(2, 1e-3), known)
     assert found.indices.tolist() == [[4, 5, 6, 7], [0, 1, 2, 3]]
     # A pin that no way keeps, as of cameras that were moved, tells nothing.
-    moved = expected._replace(pins=pins + 3)
+    moved = known._replace(pins=pins + 3)
     assert match(points, np.array([KITE, KITE]), np.full(2, 1e-3), moved).uncertain.all()
 
 
@@ -411,8 +437,6 @@ def test_bodies_of_one_shape_keep_their_names_where_a_marker_is_off() -> None:
     shape = np.array([0.09 + 0.02j, -0.03 + 0.1j, -0.08 - 0.05j, 0.05 - 0.06j])
     points = np.concatenate((shape, 3 + 1j * shape))
     points[0] += 0.03
-    nowhere = np.full(2, complex(np.nan, np.nan))
-    names = np.arange(8).reshape(2, 4)
-    expected = Expected(nowhere, nowhere, names, np.zeros(2, bool))
-    found = match(points, np.stack((shape, shape)), np.full(2, 0.01), expected)
+    known = expected(2)._replace(named=np.arange(8).reshape(2, 4))
+    found = match(points, np.stack((shape, shape)), np.full(2, 0.01), known)
     assert found.indices.tolist() == [[-1, 1, 2, 3], [4, 5, 6, 7]]

@@ -16,7 +16,7 @@ from kinpole_ros.tracking.consensus import consensus_shape
 from kinpole_ros.tracking.correction import correct_markers
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
-from kinpole_ros.tracking.identity import Prediction
+from kinpole_ros.tracking.identity import unpredicted
 from kinpole_ros.tracking.tracker import Tracker
 
 SCENE = load_scene('four_bar')
@@ -455,7 +455,7 @@ def test_a_marker_far_noisier_than_the_others_is_permuted_with_them() -> None:
     points = 1j * shape + noise * (rng.normal(size=(5, 2)) @ (1, 1j))
     points[4] = 1j * shape[4] + 2e-3
     order = np.array([1, 4, 0, 2, 3])
-    found = correct_markers(points[order], shape, weights, 6 * noise, Prediction())
+    found = correct_markers(points[order], shape, weights, 6 * noise, unpredicted(1))
     assert np.array_equal(found.points, points)
     assert found.counts == {'markers_exchanged': 5}
 

@@ -30,7 +30,7 @@ typedef STRUCT(TABLE_FIELDS) Table;
     ARRAY(double, position_covariance, "(K, K, T, B)", "m^2/s^(k + l): of one coordinate")   \
     ARRAY(double, angle_covariance, "(K, K, T, B)", "rad^2/s^(k + l): of the angle")         \
     ARRAY(double, span, "(T, B)", "s: length of the window")                                 \
-    ARRAY(double, freedom, "(T, B)", "effective parameters of the angle; 2 if it is steady") \
+    ARRAY(double, parameters, "(T, B)", "effective parameters of the angle; 2 if it is steady") \
     ARRAY(Number, reference, "(T, B)", "m: this point less the given one, in the body frame")
 
 typedef STRUCT(DERIVATIVE_ARRAYS_FIELDS) DerivativeArrays;

@@ -65,11 +65,11 @@ typedef STRUCT(HISTORY_COLUMNS_FIELDS) HistoryColumns;
     ARRAY(double, doubtful, "(B, n)", "m^2: the same of a marker whose name is doubtful")          \
     ARRAY(double, spread, "(B)", "m^2: sum of squared distances of the markers from their mean")   \
     ARRAY(double, loosest, "(B)", "m^2: least spread of markers that show an angle")               \
-    ARRAY(double, jump_scale, "(2, B)", "rad, m: deviations of angle and position from paths")     \
+    ARRAY(double, jump_scale, "(2, B)", "rad, m: sigma of angle and position about their paths")   \
     ARRAY(double, size, "(B)", "m: diameter of the body")                                          \
     ARRAY(double, marker_variance, "(B)", "m^2: of a coordinate, no less than rounding")           \
     ARRAY(double, information_factor, "(2, B)", "factors of `information` of angle and position")  \
-    ARRAY(double, fit_noise, "(B)", "m: deviation of a coordinate of a marker; 1 if unknown")      \
+    ARRAY(double, fit_noise, "(B)", "m: sigma of a coordinate of a marker; 1 if unknown")          \
     ARRAY(double, angle_noise, "(B)", "rad: of measured poses; NaN for poses fitted to markers")   \
     ARRAY(double, freedom, "(B)", "degrees of freedom of a deformed body; 0 for a rigid one")      \
     ARRAY(double, pin_variance, "(B)", "m^2: variance of a coordinate of the pin")                 \
@@ -145,7 +145,7 @@ typedef STRUCT(FRAMES_FIELDS) Frames;
     ARRAY(double, height, "(T, B)", "m: mean height of the markers seen")                        \
     ARRAY(double, pin_variance, "(T, B)", "m^2: variance of a coordinate of the pin")            \
     ARRAY(double, frame_angle, "(T, B)", "rad: angle fitted to the frame alone, with its turns") \
-    ARRAY(double, information, "(T, 2, B)", "m^2, 1: of angle and position")                     \
+    ARRAY(double, information, "(T, 2, B)", "m^2, 1: of angle and position, times its factors")  \
     ARRAY(double, noise, "(T, B)", "m: standard deviation of a coordinate of a marker")          \
     ARRAY(Number, pin, "(T, B)", "m: fixed point that the body turns about; NaN for none")       \
     ARRAY(Number, shape, "(T, B, n)", "m: `places` when the result was computed")                \

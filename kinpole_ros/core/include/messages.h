@@ -53,7 +53,8 @@ typedef STRUCT(MESSAGE_LAYOUT_FIELDS) MessageLayout;
 API long long kinpole_count_matches(const MessageLayout *layout, const unsigned char *messages,
                                     long long first, long long end);
 /* Reads the messages from `first` to before `end`, which are of the layout. Writes `stamps` (T),
-   ns, and `points` (T, P, 3); one with a coordinate that is not finite is NaN. */
+   ns, and `points` (T, P, 3), in the unit of the messages; one with a coordinate that is not finite
+   is NaN. */
 API void kinpole_read_messages(const MessageLayout *layout, const unsigned char *messages,
                                long long first, long long end, long long *stamps, double *points);
 
@@ -109,7 +110,8 @@ typedef double Axis[3];
 typedef STRUCT(PLANE_FIELDS) Plane;
 
 /* Writes the messages of `number` rows, of all instants of each, one after the other, to `out`.
-   Writes to `made` (rows, T) whether there is one; the bytes of others mean nothing. */
+   `motion` has so many `bodies` at each instant. Writes to `made` (rows, T) whether there is one;
+   the bytes of others mean nothing. */
 API void kinpole_write_rows(const Motion *motion, long long bodies, const Plane *plane,
                             const Row *rows, long long number, unsigned char *out,
                             unsigned char *made);

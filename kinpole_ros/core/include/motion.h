@@ -34,8 +34,9 @@ typedef STRUCT(MOTION_FIELDS) Motion;
    The covariance of a real quantity is its variance, in the first element. */
 API void kinpole_quantities(int quantity, const Motion *m, Number *values, double *covariances,
                             unsigned char *flags, unsigned char *reasons);
-/* Computes the instant center of body j with respect to body i, for `number` pairs (2, P): all j,
-   then all i. Writes `values` (T, P), m, `covariances` (T, P, 2, 2), and `flags` (T, P). */
+/* Computes the instant center of body j with respect to body i, of so many `bodies`, for the
+   `number` P of `pairs` (2, P): all j, then all i. Writes `values` (T, P), m, `covariances` (T, P,
+   2, 2), and `flags` (T, P). */
 API void kinpole_relative_centers(const Motion *m, long long bodies, const long long *pairs,
                                   long long number, Number *values, double *covariances,
                                   unsigned char *flags);

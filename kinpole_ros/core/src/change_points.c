@@ -62,7 +62,7 @@ static const double enough[] = {0.0, 18.0, 20.0, 24.0};
 #define EDGE 2
 #define MAX_PLACES 192
 /* Degrees added where sizes are estimated, for the bias of the likeliest one. */
-#define MORE_DEGREES 2
+#define BIAS_DEGREES 2
 /* Squares below this share of a step's own are rounding. */
 #define ROUNDING 1e-9
 /* Log evidence below the best that does not matter. */
@@ -105,16 +105,17 @@ typedef struct {
     double sums[MOST_ORDER + 1][SUMS], powers[2 * MOST_ORDER + 1];
 } After;
 
-/* Columns that are added to polynomials: their products with each other, with the polynomials,
-   and with the signals. */
+/* Columns that are added to polynomials, by their products. */
 typedef struct {
     int count;
-    double own[PAIR][PAIR], along[STEP_DEGREE + 1][PAIR], product[3][PAIR];
+    double own[PAIR][PAIR];              /* with each other */
+    double along[STEP_DEGREE + 1][PAIR]; /* with the polynomials */
+    double product[3][PAIR];             /* with the signals */
 } Added;
 
-/* Make the polynomials orthonormal on the samples by their recurrence, in `basis`. Its rounding
-   grows from a degree of about twice the root of the number of samples on; these are made
-   orthogonal once more. */
+/* Make the polynomials of degrees up to `highest`, orthonormal on the samples, in `basis`, by their
+   recurrence. Its rounding grows from a degree of about twice the root of the number of samples on;
+   these are made orthogonal once more. */
 static void
 find_basis(Fit *f)
 {
@@ -138,7 +139,7 @@ find_basis(Fit *f)
     }
 }
 
-/* Return the logarithm of the sum of exp(values), of so many. */
+/* Return the logarithm of the sum of exp(values) (count), without overflow. */
 static double
 log_of_sum(const double *values, int count)
 {
@@ -150,8 +151,9 @@ log_of_sum(const double *values, int count)
     return most + log(sum);
 }
 
-/* Fit the signals of a window by its polynomials: coefficients, squares left, and log evidence of
-   each degree. `white` is 1 for curves without noise, whose squares get those of unit noise. */
+/* Fit the signals of a window by its polynomials: writes `along`, `squares`, `value` and `number`
+   of `f`, from its other fields. `white` is 1 for curves without noise, whose squares get those of
+   unit noise. */
 static void
 fit_signals(Fit *f, int white)
 {
@@ -182,8 +184,8 @@ fit_signals(Fit *f, int white)
 }
 
 /* Fit the window that goes on until `after` intervals after time 0, of samples `time` (count) and
-   `values` (3, count). Writes `f`, and its basis to `memory` (MAX_DEGREE + 1, count). Returns 0 if
-   there are too few samples. */
+   `values` (3, count). Writes `f`, and its basis to `memory` (MAX_DEGREE + 1, count). Returns 1, or
+   0 if there are too few samples. */
 static int
 fit_window(const double *time, const double *values, long long count, long long after,
            double *memory, Fit *f)
@@ -211,8 +213,8 @@ fit_window(const double *time, const double *values, long long count, long long 
 }
 
 /* Find the sums `out` (number) after `places` (number), which rise, with the orders up to
-   `highest`. Sums move to a place by h earlier with (t - p + h)^k / k! = sum of (t - p)^(k - j) /
-   (k - j)! h^j / j!. */
+   `highest`; those of higher orders are 0. Sums move to a place by h earlier with (t - p + h)^k /
+   k! = sum of (t - p)^(k - j) / (k - j)! h^j / j!. */
 static void
 sum_after(const Fit *f, const double *places, int number, int highest, After *out)
 {
@@ -245,7 +247,7 @@ sum_after(const Fit *f, const double *places, int number, int highest, After *ou
     }
 }
 
-/* Return the products of the steps of a set, at the place after which the sums are. */
+/* Return the products of the steps of a set at a place, from the sums `after` it. */
 static Added
 steps_of(const Orders *set, const After *after)
 {
@@ -268,14 +270,15 @@ steps_of(const Orders *set, const After *after)
     return steps;
 }
 
-/* What polynomials leave of columns, each without those before it (Cholesky): one over its length,
-   0 if it is rounding; the part of the second along the first; and the signals along each. */
+/* What polynomials leave of columns, each without those before it (Cholesky). */
 typedef struct {
-    double inverse[PAIR], shared, value[PAIR][3];
+    double inverse[PAIR];  /* one over the length of each; 0 if it is rounding */
+    double shared;         /* the part of the second along the first */
+    double value[PAIR][3]; /* the signals along each */
 } Reduced;
 
-/* Return what polynomials leave of the columns `added`, from the products `left` without these, for
-   the signals from `first` to `last`. */
+/* Return what polynomials leave of the columns `added`, whose products without the polynomials are
+   `left`, for the signals from `first` to `last`. */
 static Reduced
 reduce(const Added *added, const Added *left, int first, int last)
 {
@@ -293,7 +296,8 @@ reduce(const Added *added, const Added *left, int first, int last)
     return out;
 }
 
-/* Subtract from the products of columns what they have along the polynomial of a degree. */
+/* Subtract from the products `left` of columns what they have along the polynomial of a `degree` up
+   to STEP_DEGREE. `along` stays. */
 static void
 subtract_degree(const Fit *f, int degree, Added *left)
 {
@@ -306,9 +310,9 @@ subtract_degree(const Fit *f, int degree, Added *left)
     }
 }
 
-/* Return the log evidence that columns add to the angle and to the position, each of which may
-   be without. Writes how much of it each part has, `gain` (2), and its likeliest `degree` (2).
-   Degrees that cannot matter are skipped. */
+/* Return the log evidence that the columns `added` bring to the angle and to the position, each of
+   which may be without, over that of all degrees together. Writes how much of it each part has,
+   `gain` (2), and its likeliest `degree` (2), 1 or more. Degrees that cannot matter are skipped. */
 static double
 gain_of(const Fit *f, const Added *added, double *gain, int *degree)
 {
@@ -349,8 +353,9 @@ gain_of(const Fit *f, const Added *added, double *gain, int *degree)
     return gain[0] + gain[1];
 }
 
-/* Find the place of a set of steps near `place`, within some `step`, and its standard deviation
-   `sigma`, by moments of the evidence at places tried. Writes both, returns the log evidence. */
+/* Find the place of a set of steps near `place`, within some `step`, both intervals, and its
+   standard deviation `sigma`, by moments of the evidence at places tried. Writes `place` and
+   `sigma`; returns the log evidence. */
 static double
 refine(const Fit *f, const Orders *set, double step, double *place, double *sigma)
 {
@@ -384,8 +389,9 @@ refine(const Fit *f, const Orders *set, double step, double *place, double *sigm
     return most;
 }
 
-/* Estimate the sizes of steps, by order and signal, with polynomials of the degrees `degree` (2),
-   and the standard deviations `sigma` (3) of the first. */
+/* Estimate the sizes of the steps `added`, `size` by order and signal, with polynomials of the
+   degrees `degree` (2), and the standard deviations `sigma` (3) of the first. Sizes that are
+   rounding are 0, and so is the second where there is one step. */
 static void
 estimate_sizes(const Fit *f, const Added *added, const int *degree, double size[PAIR][3],
                double *sigma)
@@ -403,15 +409,16 @@ estimate_sizes(const Fit *f, const Added *added, const int *degree, double size[
     }
 }
 
-/* Places of a window that are tried, `step` apart, and the sums after them. */
+/* Places of a window that are tried. */
 typedef struct {
     int number;
-    double step, place[2 * MAX_PLACES];
-    After after[2 * MAX_PLACES];
+    double step;                  /* intervals from one place to the next */
+    double place[2 * MAX_PLACES]; /* (number), rising */
+    After after[2 * MAX_PLACES];  /* (number): sums after them */
 } Places;
 
-/* List places at whole intervals from `first` to `last`, but the edges of the window, and sum
-   after them with the orders up to `highest`. */
+/* List places `p` at whole intervals from `first` to `last`, but the edges of the window, and sum
+   after them with the orders up to `highest`. There may be none. */
 static void
 list_places(const Fit *f, double first, double last, int highest, Places *p)
 {
@@ -423,8 +430,8 @@ list_places(const Fit *f, double first, double last, int highest, Places *p)
     sum_after(f, p->place, p->number, highest, p->after);
 }
 
-/* Return the log evidence of the best of SETS sets of steps at the places, and the number of its
-   place in `at`. */
+/* Return the log evidence of the best of SETS `sets` of steps at the places `p`, and the number of
+   its place in `at`; -infinity and 0 without places. */
 static double
 best_place(const Fit *f, const Orders *sets, const Places *p, int *at)
 {
@@ -441,18 +448,17 @@ best_place(const Fit *f, const Orders *sets, const Places *p, int *at)
     return best;
 }
 
-/* An event at a place: the set of its steps, the gains (2) of angle and position, and their
-   likeliest degrees. */
+/* An event at a place. */
 typedef struct {
-    const Orders *set;
-    Added steps;
-    double gain[2];
-    int degree[2];
+    const Orders *set; /* orders of its steps */
+    Added steps;       /* their products at the place */
+    double gain[2];    /* log evidence that angle and position have for it */
+    int degree[2];     /* their likeliest degrees */
 } Hypothesis;
 
-/* Find the best set of steps of an event near the place `near`, within some `step`, of which the
-   lowest order stands out. Writes `best`, and describes it in `found`; its gain is -infinity if
-   there is none. */
+/* Find the best set of steps of an event near the place `near`, within some `step`, both intervals.
+   The lower of two orders must stand out. Writes `best`, and describes it in `found`; if there is
+   none, the gain of `found` is -infinity, and `best` stays. */
 static void
 find_order(const Fit *f, double near, double step, Hypothesis *best, ChangePoint *found)
 {
@@ -468,7 +474,7 @@ find_order(const Fit *f, double near, double step, Hypothesis *best, ChangePoint
         own.steps = steps_of(own.set, &after);
         gain_of(f, &own.steps, own.gain, own.degree);
         for (int part = 0; part < 2; part++) {
-            more[part] = own.degree[part] + MORE_DEGREES;
+            more[part] = own.degree[part] + BIAS_DEGREES;
             more[part] = more[part] < f->simplest ? more[part] : f->simplest;
         }
         estimate_sizes(f, &own.steps, more, size, one.step_sigma);
@@ -480,9 +486,9 @@ find_order(const Fit *f, double near, double step, Hypothesis *best, ChangePoint
     }
 }
 
-/* Whether a shorter window shows the evidence for an event that the curve of the longer one `f`,
-   polynomial and steps, has there with unit noise. `curve` is memory for (3, count) of the shorter
-   one. */
+/* Whether a shorter window shows the evidence for an event at a `place` that the curve of the
+   longer one `f`, polynomial and steps, has there with unit noise. `curve` is memory for (3, count)
+   of the shorter one. */
 static int
 is_confirmed(const Fit *f, const Fit *shorter, const Hypothesis *event, double place, double *curve)
 {
@@ -524,9 +530,9 @@ is_confirmed(const Fit *f, const Fit *shorter, const Hypothesis *event, double p
     return found >= CONFIRMED * expected - CONFIRMED_LESS;
 }
 
-/* Find an event in the window `f`, at most `radius` from `offset`; `shorter` windows are parts of
-   it, the first of them f + 1. `p` and `scratch` (3, count) are memory. Writes `found`; returns
-   whether there is one. */
+/* Find an event in the window `f`, at most `radius` from `offset`, both intervals; as many as
+   `shorter` windows are parts of it, the first of them f + 1. `p` and `scratch` (3, count) are
+   memory. Writes `found`; returns whether there is one. */
 static int
 search_window(const Fit *f, int shorter, double offset, double radius, Places *p, double *scratch,
               ChangePoint *found)

@@ -93,8 +93,8 @@ unpack_models(const Table *table, Models *m)
     if (m->exact)
         m->residual_factor = m->shrinkage + m->chunks * m->rows;
     m->log_prior = m->residual_factor + m->chunks * m->rows;
-    m->freedom = m->log_prior + 2 * m->groups;
-    m->step_squares = (const double *)(m->freedom + m->groups);
+    m->parameters = m->log_prior + 2 * m->groups;
+    m->step_squares = (const double *)(m->parameters + m->groups);
 }
 
 /* Lay out the arrays of `w` and `set` for a window and so many `orders`. The set has the samples
@@ -103,41 +103,41 @@ unpack_models(const Table *table, Models *m)
 static int
 prepare_window(Call *call, const Models *m, long long orders, const Samples *s, Work *w, Set *set)
 {
-    long long cells = 0;
+    long long low = 0;
     int parts = 1;
     w->prior_samples = NOISE_PRIOR_SAMPLES, w->total_weight[0] = w->total_weight[1] = 0.0;
     for (long long k = 0; k < s->count; k++) {
         double a = s->weight[0][k], p = s->weight[1][k];
         w->total_weight[0] += a, w->total_weight[1] += p;
-        cells += a < 1.0 || p < 1.0;
+        low += a < 1.0 || p < 1.0;
         if (a != p)
             parts = 2;
     }
-    long long most = cells + (m->exact ? 0 : EVENT_COLUMNS), pairs = most * (most + 1) / 2;
+    long long most = low + (m->exact ? 0 : EVENT_COLUMNS), pairs = most * (most + 1) / 2;
     long long half = m->half + LANES, terms = pairs + (3 + orders) * most + 3 * orders + 6;
     long long of_lanes = 3 * m->groups + pairs + 3 * most + half + (3 * orders + 1) * most +
                          6 * SLOPE_ORDERS * (half / LANES);
     long long of_numbers = 6 * m->rows + terms * half;
-    size_t of_set = size_of_set(m, orders, cells, 0, parts);
+    size_t of_set = size_of_set(m, orders, low, 0, parts);
     char *data = kinpole_buffer(call, OF_MODELS, of_set + 8 * (of_lanes * LANES + of_numbers));
     if (!data)
         return NO_MEMORY;
-    data = lay_out_set(m, orders, cells, 0, parts, data, set);
+    data = lay_out_set(m, orders, low, 0, parts, data, set);
     TAKE(w->residual, 3 * m->groups), TAKE(w->column_products, pairs + 3 * most + half);
     TAKE(w->column_effects, 2 * orders * most), TAKE(w->over_pivots, (orders + 1) * most);
     TAKE(w->slopes, 6 * SLOPE_ORDERS * (half / LANES));
     TAKE(w->coefficients, 3 * m->rows), TAKE(w->squares, 3 * m->rows), TAKE(w->terms, terms * half);
-    set->cells = cells;
+    set->low_samples = low;
     for (long long k = 0, x = 0; k < s->count; k++)
         if (s->weight[0][k] < 1.0 || s->weight[1][k] < 1.0) {
-            set->cell[x] = k;
+            set->low_sample[x] = k;
             for (int part = 0; part < parts; part++) {
-                set->weight[part * cells + x] = s->weight[part][k];
-                set->root[part * cells + x] = sqrt(1.0 - s->weight[part][k]);
+                set->weight[part * low + x] = s->weight[part][k];
+                set->root[part * low + x] = sqrt(1.0 - s->weight[part][k]);
             }
             x++;
         }
-    project_cells(m, set);
+    project_low_samples(m, set);
     return DONE;
 }
 
@@ -203,8 +203,9 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
 
 /* Move samples to the even grid along the estimated motion, and estimate it again, until angle and
    position settle, each by itself. Writes the moved samples to `s`, and to `factor` (2) by how much
-   the last movement, as if it were noise, increases the standard deviation of the noise. `scratch`
-   is memory for 6 signals. Returns the same as `kinpole_derive`. */
+   the last movement, as if it were noise, increases the standard deviation of the noise. The
+   signals of `s` follow each other in memory; `scratch` is memory for 6 signals. Returns the same
+   as `kinpole_derive`. */
 static int
 move_until_settled(Call *call, const Window *window, Samples *s, double *scratch, double *factor)
 {
@@ -265,13 +266,14 @@ scale_estimate(Estimate *found, const double *factor)
 }
 
 /* Differentiate samples some of which may be missing, of low weight, or off the even grid, into
-   `out`. `scratch` is memory for 12 signals. `uneven` stays, unless the motion is exact and comes
-   out infinite. Returns the same as `kinpole_derive`. */
+   `out`. `scratch` is memory for 12 signals. The arrays of `uneven` follow each other in memory,
+   and stay, unless the motion is exact and comes out infinite. Returns the same as
+   `kinpole_derive`. */
 static int
 derive_uneven(Call *call, const Window *window, const Samples *uneven, double *scratch,
               Estimate *out)
 {
-    long long n = uneven->count, low_weights = 0;
+    long long n = uneven->count, low_samples = 0;
     Samples s = *uneven;
     double noise[2] = {1.0, 1.0}, moving[2] = {1.0, 1.0};
     int is_uneven = 0;
@@ -280,12 +282,12 @@ derive_uneven(Call *call, const Window *window, const Samples *uneven, double *s
         s.x[c] = scratch + c * n;
     s.weight[0] = scratch + 3 * n, s.weight[1] = scratch + 4 * n;
     for (long long k = 0; k < n; k++) {
-        low_weights += s.weight[0][k] < 1 || s.weight[1][k] < 1;
+        low_samples += s.weight[0][k] < 1 || s.weight[1][k] < 1;
         is_uneven |= s.off[k] != 0.0;
     }
     /* The cost goes by the square of the low weights. If there are many, all samples that are not
        missing get the mean variance. */
-    for (int c = 0; c < (low_weights > MAX_LOW_WEIGHT ? 2 : 0); c++) {
+    for (int c = 0; c < (low_samples > MAX_LOW_WEIGHT ? 2 : 0); c++) {
         double sum = 0.0, number = 0.0;
         for (long long k = 0; k < n; k++)
             if (s.weight[c][k] > 0)
@@ -293,7 +295,7 @@ derive_uneven(Call *call, const Window *window, const Samples *uneven, double *s
         noise[c] = sqrt(sum / larger(number, 1.0));
     }
     divide_samples(&s, noise);
-    if (low_weights)
+    if (low_samples)
         fill_missing(&s);
     int code = is_uneven ? move_until_settled(call, window, &s, scratch + 6 * n, moving) : DONE;
     Window in_noise = *window;
@@ -354,7 +356,7 @@ write_results(const Call *call, long long signal, long long now, const Estimate 
     }
     out->reference[signal] = arm;
     out->span[signal] = span;
-    out->freedom[signal] = estimate ? estimate->freedom : NAN;
+    out->parameters[signal] = estimate ? estimate->parameters : NAN;
 }
 
 /* Derive the signal of a body at an instant from the frames of its window, on their `grid`, and

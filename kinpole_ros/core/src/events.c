@@ -36,7 +36,7 @@ find_event_products(const Models *m, const Screen *screen, Set *set,
 {
     long long n = m->count, number = set->steps, group = screen->model / LANES;
     const double *columns = set->step_columns;
-    const double *coefficients = set->coefficients + set->cells * m->rows;
+    const double *coefficients = set->coefficients + set->low_samples * m->rows;
     const double *shrinkage =
         (const double *)(m->shrinkage + group % m->chunks * m->rows) + screen->model % LANES;
     project_steps(m, group / m->chunks, set);
@@ -65,13 +65,14 @@ find_event_products(const Models *m, const Screen *screen, Set *set,
     }
 }
 
-/* Set the prior standard deviations of the columns of an event, `root` of the set, with `weight` 1,
-   to the sizes that a screen estimates, each after the columns before it are removed. That of the
-   shift in time is the size of the step times the standard deviation of its place. */
+/* Set the prior standard deviations of the columns of an event of this order, `root` of the set,
+   with `weight` 1, for the angle or the position, to the sizes that its screen estimates, each
+   after the columns before it are removed; 0 if nothing is left of a column. That of the shift in
+   time is the size of the step times the standard deviation of its place. */
 static void
-estimate_sizes(const Models *m, const Screen *screen, Set *set, int order)
+estimate_prior_sizes(const Models *m, const Screen *screen, Set *set, int order)
 {
-    long long number = set->steps, c = screen->c, first = c * set->columns + set->cells;
+    long long number = set->steps, c = screen->c, first = c * set->columns + set->low_samples;
     double *weight = set->weight + first, *root = set->root + first;
     double products[EVENT_COLUMNS][EVENT_COLUMNS], squares[EVENT_COLUMNS];
     double with_residual[2][EVENT_COLUMNS];
@@ -98,27 +99,27 @@ estimate_sizes(const Models *m, const Screen *screen, Set *set, int order)
 }
 
 /* Make a set with the columns of an event besides those of `none`: its step, a step of the
-   derivative below, for its shift in time, and of the one above. It is laid out at `data`; returns
-   the end of its memory. */
+   derivative below, for its shift in time, and of the one above. Samples are means of `block`
+   cells. The set is laid out at `data` for so many `orders`; returns the end of its memory. */
 static char *
 add_event(const Models *m, const Set *none, const Screens *screens, const Candidate *event,
           long long orders, long long block, char *data, Set *set)
 {
-    long long n = m->count, cells = none->cells, steps = 1;
+    long long n = m->count, low = none->low_samples, steps = 1;
     /* The shift in time needs the size of the step, so the step is the first. */
     int order[EVENT_COLUMNS] = {event->order};
     if (event->order)
         order[steps++] = event->order - 1;
     order[steps++] = event->order + 1;
-    data = lay_out_set(m, orders, cells + steps, steps, 2, data, set);
-    set->cells = cells, set->steps = steps;
+    data = lay_out_set(m, orders, low + steps, steps, 2, data, set);
+    set->low_samples = low, set->steps = steps;
     set->log_prior = log(EVENT_PRIOR / (1 - EVENT_PRIOR) / (STEP_ORDERS * n)) - SIZE_COST;
-    memcpy(set->cell, none->cell, cells * sizeof *set->cell);
-    memcpy(set->coefficients, none->coefficients, cells * m->rows * sizeof(double));
+    memcpy(set->low_sample, none->low_sample, low * sizeof *set->low_sample);
+    memcpy(set->coefficients, none->coefficients, low * m->rows * sizeof(double));
     for (int part = 0; part < 2; part++) {
-        long long old = part < none->parts ? part * cells : 0;
-        memcpy(set->weight + part * set->columns, none->weight + old, cells * sizeof(double));
-        memcpy(set->root + part * set->columns, none->root + old, cells * sizeof(double));
+        long long old = part < none->parts ? part * low : 0;
+        memcpy(set->weight + part * set->columns, none->weight + old, low * sizeof(double));
+        memcpy(set->root + part * set->columns, none->root + old, low * sizeof(double));
     }
     double *signals[EVENT_COLUMNS];
     for (int k = 0; k < steps; k++) {
@@ -128,26 +129,27 @@ add_event(const Models *m, const Set *none, const Screens *screens, const Candid
     }
     fold(m, signals, steps, set->folded);
     for (int c = 0; c < 2; c++)
-        estimate_sizes(m, screens->signal + c, set, event->order);
+        estimate_prior_sizes(m, screens->signal + c, set, event->order);
     return data;
 }
 
-/* Compute the weights of the samples in the derivatives at the instant, by the models of screens
-   with the cells of a set. */
+/* Compute the `sample_weights` of screens, by their models with the samples of low weight of a set,
+   and set `has_sample_weights`. `lanes` (half) is memory. */
 static void
-find_sample_weights(const Models *m, const Stencils *by, const Set *set, Lanes *lanes,
+find_sample_weights(const Models *m, const Stencils *stencils, const Set *set, Lanes *lanes,
                     Screens *screens)
 {
-    long long n = m->count, orders = by->orders;
+    long long n = m->count, orders = stencils->orders;
     double *weights = screens->sample_weights;
     memset(weights, 0, 2 * orders * n * sizeof(double));
     screens->has_sample_weights = 1;
     for (long long k = 0; k < 2 * orders; k++, weights += n) {
         const Screen *screen = screens->signal + k / orders;
         /* From a signal of zeros, so these are minus the weights. */
-        subtract_model(m, screen->model, by->modes + k % orders * m->rows, weights, lanes, weights);
+        subtract_model(m, screen->model, stencils->modes + k % orders * m->rows, weights, lanes,
+                       weights);
         for (long long x = 0; x < screen->columns; x++) {
-            double change = weights[set->cell[x]] * screen->factor[x];
+            double change = weights[set->low_sample[x]] * screen->factor[x];
             for (long long t = 0; t < n; t++)
                 weights[t] -= change * screen->reduced_columns[x * n + t];
         }
@@ -155,14 +157,15 @@ find_sample_weights(const Models *m, const Stencils *by, const Set *set, Lanes *
 }
 
 /* Add to a set the covariance of derivatives from the place of its event: the weighted mean, over
-   the places k, of d d'. Here d is the difference of the derivatives with the event at k from
-   those with it at the best place. Weights are powers of the evidence. `lanes` (half) and `scratch`
+   the places k, of d d'. Here d is the difference of the derivatives with the event at k from those
+   with it at the best place. Weights are powers of the evidence. Nothing is added if all places
+   that count are far from the instant. `lanes` (half) and `scratch` (1 + STEP_ORDERS orders, count)
    are memory. */
 static void
-add_place_covariance(const Models *m, const Stencils *by, const Set *none, Screens *screens,
+add_place_covariance(const Models *m, const Stencils *stencils, const Set *none, Screens *screens,
                      Lanes *lanes, double *scratch, Set *set)
 {
-    long long n = m->count, orders = by->orders, places = n - 2 * EDGE_SAMPLES + 1, best = 0;
+    long long n = m->count, orders = stencils->orders, places = n - 2 * EDGE_SAMPLES + 1, best = 0;
     int order = set->step[0].order;
     double *weight = scratch, *sums = scratch + n, total = 0.0;
     const double *gain = screens->gain + order * n + EDGE_SAMPLES;
@@ -172,13 +175,13 @@ add_place_covariance(const Models *m, const Stencils *by, const Set *none, Scree
     for (long long k = 0; k < places; k++) {
         double loss = PLACE_EVIDENCE_POWER * (gain[best] - gain[k]);
         weight[k] = loss > MAX_LOG_CHANCE ? 0.0 : exp(-loss);
-        is_near |= weight[k] > 0.0 && fabs(by->at - (k + EDGE_SAMPLES - 0.5)) < NEAR_SAMPLES;
+        is_near |= weight[k] > 0.0 && fabs(stencils->at - (k + EDGE_SAMPLES - 0.5)) < NEAR_SAMPLES;
         total += weight[k];
     }
     if (!is_near)
         return;
     if (!screens->has_sample_weights)
-        find_sample_weights(m, by, none, lanes, screens);
+        find_sample_weights(m, stencils, none, lanes, screens);
     for (int c = 0; c < 2; c++) {
         const Screen *screen = screens->signal + c;
         for (long long o = 0; o < orders; o++)
@@ -189,7 +192,8 @@ add_place_covariance(const Models *m, const Stencils *by, const Set *none, Scree
             /* The best place comes first, as the origin of the differences. */
             for (long long i = -1; i < places; i++) {
                 long long k = i < 0 ? best : i, at = order * n + k + EDGE_SAMPLES;
-                double off[MAX_ORDERS], ratio, size, since = by->at - (k + EDGE_SAMPLES - 0.5);
+                double since = stencils->at - (k + EDGE_SAMPLES - 0.5);
+                double off[MAX_ORDERS], ratio, size;
                 if (weight[k] == 0.0)
                     continue;
                 explained_squares(screen, at, &ratio);
@@ -211,12 +215,13 @@ add_place_covariance(const Models *m, const Stencils *by, const Set *none, Scree
 }
 
 PRIVATE int
-search_events(Call *call, const Models *m, const Stencils *by, const Samples *s, const Work *w,
-              long long block, Set *sets, int *number, Division *d)
+search_events(Call *call, const Models *m, const Stencils *stencils, const Samples *s,
+              const Work *w, long long block, Set *sets, int *number, Division *d)
 {
-    long long cells = sets->cells, most = cells + EVENT_COLUMNS, n = m->count, orders = by->orders;
+    long long low = sets->low_samples, most = low + EVENT_COLUMNS;
+    long long n = m->count, orders = stencils->orders;
     size_t of_set = size_of_set(m, orders, most, EVENT_COLUMNS, 2);
-    size_t of_screens = 2 * ((2 + 4 * STEP_ORDERS + cells) * n + cells) + STEP_ORDERS * n +
+    size_t of_screens = 2 * ((2 + 4 * STEP_ORDERS + low) * n + low) + STEP_ORDERS * n +
         2 * orders * n;
     size_t of_scratch = (1 + STEP_ORDERS * MAX_ORDERS) * n;
     char *data = kinpole_buffer(
@@ -226,18 +231,18 @@ search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
     Screens screens;
     double *scratch;
     TAKE(scratch, (1 + STEP_ORDERS * MAX_ORDERS) * n);
-    data = lay_out_screens(n, orders, cells, data, &screens);
+    data = lay_out_screens(n, orders, low, data, &screens);
     Candidate event = screen_window(m, s, w, sets, scratch, &screens);
     if (!(event.gain >= MIN_GAIN))
         return DONE;
     if (divide_window(call, s, d))
         return NO_MEMORY;
     /* Once more with the event that segments show, if it is another one. */
-    long long place = nearest_event(d, sets, by->at);
+    long long place = nearest_event(d, sets, stencils->at);
     for (int is_other = 1; is_other;) {
         Set *set = sets + (*number)++;
         data = add_event(m, sets, &screens, &event, orders, block, data, set);
-        add_place_covariance(m, by, sets, &screens, w->column_products, scratch, set);
+        add_place_covariance(m, stencils, sets, &screens, w->column_products, scratch, set);
         evaluate_models(m, s, w, set);
         is_other = place >= EDGE_SAMPLES && place <= n - EDGE_SAMPLES && place != event.sample;
         event = (Candidate){.sample = place};

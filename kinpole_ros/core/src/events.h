@@ -24,9 +24,11 @@
 
 #include "segments.h"
 
-/* Search a window for events, and evaluate the models with each. The first of `sets` has no event,
-   and is evaluated already. `number` is the number of sets. */
-PRIVATE int search_events(Call *call, const Models *m, const Stencils *by, const Samples *s,
+/* Search a window for events, and evaluate the models with each. The first of `sets` (MAX_SETS) has
+   no event, and is evaluated already. Samples are means of `block` cells. Appends a set for each
+   event to `sets`, and adds to their `number`. Without a likely event nothing changes, and `d`
+   neither; with one `d` is the division of the window. Returns DONE or NO_MEMORY. */
+PRIVATE int search_events(Call *call, const Models *m, const Stencils *stencils, const Samples *s,
                           const Work *w, long long block, Set *sets, int *number, Division *d);
 
 #endif

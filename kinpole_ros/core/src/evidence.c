@@ -16,8 +16,8 @@
 /* Bound of the number of spectra, of which _models.py has three. */
 #define MAX_SPECTRA 8
 
-/* Solve L y = root values in place, (number) of each, with L D L' of `factorize`. Writes y / D to
-   `over_pivots` (number). */
+/* Solve L y = root values in place, (number) of each, with L D L' of `factorize`, its `factor`.
+   Writes y / D to `over_pivots` (number). */
 static inline void
 forward_substitute(const Lanes *factor, const double *root, long long number, Lanes *values,
                    Lanes *over_pivots)
@@ -110,8 +110,8 @@ correct_for_columns(const Models *m, const Stencils *stencils, long long group, 
     Columns modes = {stencils->modes, orders}, columns = {set->coefficients, number};
     add_mode_products(m, m->shrinkage, group, modes, columns, w->terms, effects);
     for (long long k = 0; k < orders; k++)
-        for (long long x = set->cells; x < number; x++) {
-            const Step *step = set->step + x - set->cells;
+        for (long long x = set->low_samples; x < number; x++) {
+            const Step *step = set->step + x - set->low_samples;
             if (k <= step->order)
                 FOR_VECTORS effects[k * number + x].part[h] -=
                     step_value(step->order - k, stencils->at - step->place);

@@ -18,8 +18,9 @@ static const double SAME_PLACE = 4 * 2.220446049250313e-16, LEAST_LENGTH = 2.225
    position that bring its shape nearest to them (Procrustes). A marker is used if it has a weight,
    is seen, and does not repeat while measured ones never do. There is no pose, NaN with an
    information of 0, without two markers at different places, or where all repeat: then no marker is
-   used. Nor is there one if they are too close together for their noise: then they stay used, as
-   the frame shows them. Writes the newest row; returns its UNUSUAL_BITS. */
+   used. Nor is there one if markers are too close together for their noise: then they stay used, as
+   the frame shows them. Writes the newest row, and returns its UNUSUAL_BITS; a turn since the row
+   before is one of them only if the row `goes_on`. */
 static int
 fit(const Frames *f, long long b, const Number *points, int goes_on)
 {

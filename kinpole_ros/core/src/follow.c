@@ -96,8 +96,9 @@ tilt_turn_between(Number before, Number after, double heading)
     return isnan(extra) ? 0.0 : extra;
 }
 
-/* Writes `tilt_turn` of the newest row, from the `tilts` (B) of its poses. It adds up from one pose
-   that is surely right to the next, the `sure` tracks. */
+/* Writes `tilt_turn` of the newest row, from the `tilts` (B) of its poses, after
+   `kinpole_follow_paths`. It adds up from one pose that is surely right to the next, the `sure`
+   tracks. */
 static void
 follow_tilts(const Frames *f, const Number *tilts)
 {
@@ -281,7 +282,7 @@ copy_derivatives(const Call *call, Results *r)
             to->angle_covariance[k * all + at] = is_known ? from->angle_covariance[square] : NAN;
         }
         to->span[at] = is_known ? from->span[b] : NAN;
-        to->freedom[at] = is_known ? from->freedom[b] : NAN;
+        to->parameters[at] = is_known ? from->parameters[b] : NAN;
     }
 }
 

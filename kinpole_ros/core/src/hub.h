@@ -36,7 +36,8 @@ PRIVATE int find_hub(Call *call, const Stencils *stencils, double radians, doubl
                      Samples *s, Hub *hub);
 
 /* Replace the position in `estimate` by that of a hub, which `moved` has in units of its noise, and
-   add the covariance of its arm. `orders` derivatives change, and `hub`. */
+   add the covariance of its arm. `orders` derivatives change, and `hub`. `radians` is the unit of
+   the angle. */
 PRIVATE void take_hub(const Hub *hub, const Estimate *moved, double radians, long long orders,
                       Estimate *estimate);
 

@@ -37,8 +37,8 @@ add_state(const Motion *m, const Joints *joints, long long body, long long t, do
     return kinpole_is_known(m, at);
 }
 
-/* Writes an integer at `out`, or up to 3 bytes later, so that it is a multiple of 4 bytes after
-   `start`; returns where it ends. */
+/* Writes the integer `value` at `out`, or up to 3 bytes later, so that it is a multiple of 4 bytes
+   after `start`; returns where it ends. */
 static unsigned char *
 put_integer(unsigned char *start, unsigned char *out, int value)
 {

@@ -31,7 +31,7 @@ all_lanes(double value)
     return all;
 }
 
-/* a times a number */
+/* a times the number `by` */
 static inline Lanes
 scaled(Lanes a, double by)
 {

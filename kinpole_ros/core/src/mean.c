@@ -7,7 +7,7 @@
 typedef struct {
     Lanes mean[3 * MAX_ORDERS];                    /* (3, orders): of derivatives */
     Lanes covariance[2 * MAX_ORDERS * MAX_ORDERS]; /* (2, orders, orders): lower triangles */
-    Lanes freedom;
+    Lanes parameters;
 } Sums;
 
 /* Write to `variance` (2) the weights of a group in the covariance, times the variances of the
@@ -50,9 +50,9 @@ add_group(const Models *m, const Stencils *stencils, long long group, const Work
         }
         is_computed = 1;
         memcpy(derivatives, without_columns, 3 * orders * sizeof(Lanes));
-        Lanes freedom = m->freedom[group];
-        FOR_VECTORS freedom.part[h] += (double)(set->steps > 0);
-        sums->freedom = multiply_add(sums->freedom, set->probability[group], freedom);
+        Lanes parameters = m->parameters[group];
+        FOR_VECTORS parameters.part[h] += (double)(set->steps > 0);
+        sums->parameters = multiply_add(sums->parameters, set->probability[group], parameters);
         for (int c = 0; c < 2; c++)
             for (long long k = 0; k < square; k++)
                 sums->covariance[c * square + k] =
@@ -106,7 +106,7 @@ differentiate(const Models *m, const Stencils *stencils, const Work *w, Set *set
         out->mean[k / orders][k % orders] = sum_of(sums.mean[k]);
     for (int n = 0; n < number; n++)
         add_disagreement(m, orders, sets + n, out, sums.covariance);
-    out->freedom = sum_of(sums.freedom), out->hub = 0.0;
+    out->parameters = sum_of(sums.parameters), out->hub = 0.0;
     for (int c = 0; c < 2; c++) {
         for (long long k = 0; k < orders; k++)
             for (long long j = 0; j <= k; j++)
@@ -123,8 +123,9 @@ differentiate(const Models *m, const Stencils *stencils, const Work *w, Set *set
     }
 }
 
-/* Add to `error` (cells, 3) by how much samples at the cells of a set without steps exceed their
-   prediction from the other samples, in the mean of all models. `over_pivots` is scratch. */
+/* Add to `error` (low_samples, 3) by how much the samples of low weight of a set without steps
+   exceed their prediction from the other samples, in the mean of all models. `over_pivots` is
+   scratch. */
 static inline void
 add_prediction_errors(const Models *m, const Work *w, const Set *set, double *error)
 {
@@ -192,10 +193,11 @@ move_to_grid(const Models *m, const Lanes *slopes, const Samples *uneven, const 
             moved[c][t] = uneven->x[c][t] - sum;
         }
     double *error = w->terms;
-    memset(error, 0, 3 * set->cells * sizeof(double));
+    memset(error, 0, 3 * set->low_samples * sizeof(double));
     add_prediction_errors(m, w, set, error);
-    for (long long x = 0; x < set->cells; x++)
+    for (long long x = 0; x < set->low_samples; x++)
         for (int c = 0; c < 3; c++)
-            if (set->weight[x] <= 0.0 && set->weight[(set->parts - 1) * set->cells + x] <= 0.0)
-                moved[c][set->cell[x]] = placed->x[c][set->cell[x]] - error[3 * x + c];
+            if (set->weight[x] <= 0.0 &&
+                set->weight[(set->parts - 1) * set->low_samples + x] <= 0.0)
+                moved[c][set->low_sample[x]] = placed->x[c][set->low_sample[x]] - error[3 * x + c];
 }

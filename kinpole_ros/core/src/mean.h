@@ -11,7 +11,7 @@
 typedef struct {
     double mean[3][MAX_ORDERS];                   /* derivatives of the signals */
     double covariance[2][MAX_ORDERS][MAX_ORDERS]; /* of the angle, and of one coordinate */
-    double freedom;     /* effective number of parameters of the motion of the angle */
+    double parameters;  /* effective number of parameters of the motion of the angle */
     double evidence[2]; /* log evidence of all models */
     Number hub; /* from the position of the samples to that of `mean`, while the angle is 0 */
 } Estimate;

@@ -37,7 +37,7 @@ kinpole_lay_out_derivatives(Call *call, int which, long long poses, DerivativeAr
         return NO_MEMORY;
     TAKE(d->position, orders * poses), TAKE(d->reference, poses), TAKE(d->angle, orders * poses);
     TAKE(d->position_covariance, square * poses), TAKE(d->angle_covariance, square * poses);
-    TAKE(d->span, poses), TAKE(d->freedom, poses);
+    TAKE(d->span, poses), TAKE(d->parameters, poses);
     return DONE;
 }
 

@@ -92,7 +92,7 @@ lay_out_set(const Models *m, long long orders, long long columns, long long step
     TAKE(set->step_columns, steps * m->count), TAKE(set->folded, steps * 2 * m->half);
     TAKE(set->coefficients, columns * m->rows);
     TAKE(set->column_products, pairs + 3 * columns), TAKE(set->weight, 2 * columns);
-    TAKE(set->root, 2 * columns), TAKE(set->cell, columns), TAKE(set->is_used, m->groups);
+    TAKE(set->root, 2 * columns), TAKE(set->low_sample, columns), TAKE(set->is_used, m->groups);
     return data;
 }
 
@@ -109,10 +109,10 @@ fill_step_column(const Step *step, long long count, long long block, double *col
 }
 
 PRIVATE void
-project_cells(const Models *m, Set *set)
+project_low_samples(const Models *m, Set *set)
 {
-    for (long long x = 0; x < set->cells; x++) {
-        long long at = set->cell[x], opposite = m->count - 1 - at;
+    for (long long x = 0; x < set->low_samples; x++) {
+        long long at = set->low_sample[x], opposite = m->count - 1 - at;
         long long near = at < opposite ? at : opposite;
         double even = at == opposite ? 2.0 : 1.0, odd = at > opposite ? -1.0 : 1.0;
         for (long long r = 0; r < m->rows; r++)
@@ -127,23 +127,23 @@ project_steps(const Models *m, long long process, Set *set)
     for (int parity = 0; parity < 2; parity++) {
         const long long *first = m->first_row + parity * (m->processes + 1) + process;
         project(m, set->folded, set->steps, first[0], first[1],
-                set->coefficients + set->cells * m->rows);
+                set->coefficients + set->low_samples * m->rows);
     }
 }
 
 PRIVATE void
 find_column_products(const Models *m, const Samples *s, Set *set)
 {
-    long long number = set->columns, cells = set->cells, n = m->count;
+    long long number = set->columns, low = set->low_samples, n = m->count;
     double *out = set->column_products;
     for (long long i = 0; i < number + 3; i++)
         for (long long j = 0; j < (i < number ? i + 1 : number); j++) {
-            if (i < cells) {
+            if (i < low) {
                 *out++ = i == j;
                 continue;
             }
-            const double *row = i < number ? set->step_columns + (i - cells) * n : s->x[i - number];
-            *out++ = j < cells ? row[set->cell[j]]
-                               : dot(row, set->step_columns + (j - cells) * n, n);
+            const double *row = i < number ? set->step_columns + (i - low) * n : s->x[i - number];
+            *out++ = j < low ? row[set->low_sample[j]]
+                             : dot(row, set->step_columns + (j - low) * n, n);
         }
 }

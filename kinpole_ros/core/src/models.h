@@ -39,7 +39,7 @@ typedef struct {
     const Lanes *residual_factor; /* (chunks, rows): 1 - shrinkage if exact, where a difference
                                      would be rounding; otherwise the shrinkage */
     const Lanes *log_prior;     /* (2, groups), plus (c + 1) sum of log(1 - shrinkage) / 2 */
-    const Lanes *freedom;       /* (groups): sum of the shrinkage, the effective parameters */
+    const Lanes *parameters;    /* (groups): sum of the shrinkage, the effective parameters */
     const double *step_squares; /* (models, STEP_ORDERS, count), if not exact: b' P b, of a step b
                                    half a sample before each sample, and the inverse P of a model's
                                    covariance */
@@ -72,8 +72,9 @@ typedef struct {
 PRIVATE void add_mode_products(const Models *m, const Lanes *table, long long group, Columns left,
                                Columns right, double *terms, Lanes *out);
 
-/* Fold signals (columns, count) about the middle of the window: sums and differences (2, columns,
-   half) of opposite samples. Even modes depend on sums only, odd ones on differences. */
+/* Fold `signals` (columns, count) about the middle of the window. Writes `folded` (2, columns,
+   half): sums and differences of opposite samples. Even modes depend on sums only, odd ones on
+   differences. */
 PRIVATE void fold(const Models *m, double *const *signals, long long columns, double *folded);
 
 /* Compute the `coefficients` (columns, rows) of folded signals in the modes from row `begin` to
@@ -96,20 +97,20 @@ typedef struct {
     double *squares;      /* (3, rows), of the coefficients */
     Lanes *residual;      /* (3, groups): residual sum of squares of each model */
     double *terms;        /* scratch of sums over modes, and of folded signals */
-    Lanes *column_products; /* scratch (pairs + 3 columns): see `apply_columns` */
+    Lanes *column_products; /* scratch (pairs + 3 columns + half): see `apply_columns` */
     Lanes *column_effects;  /* scratch (2, orders, columns): see `correct_for_columns` */
     Lanes *over_pivots;     /* scratch (orders + 1, columns), of `forward_substitute` */
     Lanes *slopes;          /* scratch (2, SLOPE_ORDERS, 3, half / LANES), of `move_to_grid` */
 } Work;
 
-/* Models with columns: first `cells`, samples with a weight below 1, then `steps` of an event. The
-   size of a column has a prior of zero mean and variance root^2 / weight. That of a step is the
-   estimated size squared, with a weight of 1. That of a sample of weight w is (1 - w) / w, so its
-   noise has the variance 1 / w. Weights and roots are by angle and position, (parts, columns), with
-   one part if these are equal. */
+/* Models with columns: first `low_samples`, samples with a weight below 1, then `steps` of an
+   event. The size of a column has a prior of zero mean and variance root^2 / weight. That of a step
+   is the estimated size squared, with a weight of 1. That of a sample of weight w is (1 - w) / w,
+   so its noise has the variance 1 / w. Weights and roots are by angle and position, (parts,
+   columns), with one part if these are equal. */
 typedef struct {
-    long long columns, cells, steps, parts;
-    long long *cell;          /* (cells): the samples of low weight */
+    long long columns, low_samples, steps, parts;
+    long long *low_sample;    /* (low_samples): their numbers in the window */
     Step step[EVENT_COLUMNS]; /* (steps) */
     double log_prior;         /* of the event; 0 without one */
     double best_evidence[2];  /* the largest log evidence of a model */
@@ -140,8 +141,8 @@ step_value(int order, double since)
     return power;
 }
 
-/* Return the bytes of a set with so many columns, of which `steps` are steps; `parts` is 2 if
-   weights of angle and position differ, else 1. */
+/* Return the bytes of a set for so many `orders` and `columns`, of which `steps` are steps; `parts`
+   is 2 if weights of angle and position differ, else 1. */
 PRIVATE size_t size_of_set(const Models *m, long long orders, long long columns, long long steps,
                            int parts);
 
@@ -153,8 +154,9 @@ PRIVATE char * lay_out_set(const Models *m, long long orders, long long columns,
 /* Compute the `column` (count) of a step, for samples that are means of `block` cells. */
 PRIVATE void fill_step_column(const Step *step, long long count, long long block, double *column);
 
-/* Write the `coefficients` of the cells of a set, which are unit vectors, from the basis. */
-PRIVATE void project_cells(const Models *m, Set *set);
+/* Write the `coefficients` of the samples of low weight, whose columns are unit vectors, from the
+   basis. */
+PRIVATE void project_low_samples(const Models *m, Set *set);
 
 /* Compute the `coefficients` of the steps of a set in the modes of one process, from `folded`. */
 PRIVATE void project_steps(const Models *m, long long process, Set *set);

@@ -12,29 +12,29 @@
 /* A second, ns. */
 #define SECOND 1000000000ll
 
-/* The larger of two numbers; b if either is NaN. */
+/* The larger of a and b; b if either is NaN. */
 static inline double
 larger(double a, double b)
 {
     return a > b ? a : b;
 }
 
-/* The smaller of two numbers; b if either is NaN. */
+/* The smaller of a and b; b if either is NaN. */
 static inline double
 smaller(double a, double b)
 {
     return a < b ? a : b;
 }
 
-/* The squared absolute value. */
+/* The squared absolute value of z. */
 static inline double
 square_of(Number z)
 {
     return creal(z) * creal(z) + cimag(z) * cimag(z);
 }
 
-/* The sum of products of two arrays (count). Four sums at once, so that the processor need not wait
-   for each addition. */
+/* The sum of the products of a and b (count). Four sums at once, so that the processor need not
+   wait for each addition. */
 static inline double
 dot(const double *a, const double *b, long long count)
 {

@@ -8,7 +8,7 @@
 #include "../include/messages.h"
 #include "numbers.h"
 
-/* The unsigned integer in so many bytes, at most 8. */
+/* The unsigned integer in `width` bytes, at most 8; big endian if the first is the highest. */
 static inline unsigned long long
 integer_at(const unsigned char *bytes, int width, int is_big_endian)
 {

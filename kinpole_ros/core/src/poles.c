@@ -288,8 +288,8 @@ curvature_at(const Motion *m, long long t)
     return q;
 }
 
-/* CIRCLE_CENTER, m, or CIRCLE_DIAMETER, m, of the inflection circle, determined where the ICR is
-   seen to move. */
+/* The `quantity` CIRCLE_CENTER, m, or CIRCLE_DIAMETER, m, of the inflection circle, determined
+   where the ICR is seen to move. */
 static Quantity
 circle_at(const Motion *m, long long t, int quantity)
 {
@@ -343,7 +343,7 @@ kinpole_missing(const Motion *m, long long t)
     return m->reason ? m->reason[t] : KNOWN;
 }
 
-/* As `kinpole_quantity`, with the reason as if the pose had a result. */
+/* As `kinpole_quantity`, with the reason as if pose `t` had a result. */
 static Quantity
 quantity_of_known(const Motion *m, long long t, int quantity)
 {
@@ -405,7 +405,7 @@ kinpole_relative_center(const Motion *m, long long j, long long i)
     return q;
 }
 
-/* Writes a quantity to element `at` of arrays: its value, covariance (2, 2), and flags. */
+/* Writes a quantity to the elements `at` of `values`, `covariances` of (2, 2) and `flags`. */
 static void
 store(const Quantity *q, long long at, Number *values, double *covariances, unsigned char *flags)
 {

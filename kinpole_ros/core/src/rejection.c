@@ -208,7 +208,7 @@ kinpole_follow_paths(const Frames *f)
     }
 }
 
-/* Whether marker `k` of `points` (n), m, of body `b` repeats that of the row so many before the
+/* Whether marker `k` of `points` (n), m, of body `b` repeats that of the row `rows_before` the
    newest to the last bit; 0 if there is no such row. */
 static int
 repeats(const Frames *f, long long b, const Number *points, long long k, long long rows_before)

@@ -181,9 +181,9 @@ write_covariance(const Plane *plane, const Pose *pose, const double (*by)[2], do
         }
 }
 
-/* Writes where the frame of a body is, and for odometry its covariance, and its twist in that frame
-   with its covariance (REP-105). Returns the number of doubles; 0 if nothing is known, and nothing
-   is written. */
+/* Writes to `out` where the frame of a body is, and for odometry its covariance, and its twist in
+   that frame with its covariance (REP-105). Returns the number of doubles; 0 if nothing is known,
+   and nothing is written. */
 static int
 write_pose(const Task *task, Doubles *out)
 {
@@ -232,7 +232,7 @@ typedef struct {
     StateVector velocity;
 } StatePoint;
 
-/* A vector of the plane, m or m/s, with its covariance. */
+/* The vector `value` of the plane, m or m/s, with its covariance (xx, xy, yy). */
 static StateVector
 state_vector(Number value, double xx, double xy, double yy)
 {
@@ -265,7 +265,7 @@ typedef struct {
     unsigned char reasons[STATE_REASONS];
 } Verdicts;
 
-/* Appends whether a quantity is determined, and its code of REASONS. */
+/* Appends to `verdicts` whether a quantity is determined, and its `reason`, one of REASONS. */
 static void
 add_verdict(Verdicts *verdicts, int is_determined, int reason)
 {
@@ -273,7 +273,8 @@ add_verdict(Verdicts *verdicts, int is_determined, int reason)
     verdicts->reasons[verdicts->count++] = (unsigned char)reason;
 }
 
-/* Writes a quantity of a body, zeros if it is undetermined, and returns where it ends. */
+/* Writes a quantity of the pose `at`, zeros if it is undetermined, to `out`, and whether it is
+   determined to `verdicts`. Returns where it ends. */
 static unsigned char *
 write_state_quantity(const Task *task, long long at, int quantity, Verdicts *verdicts,
                      unsigned char *out)

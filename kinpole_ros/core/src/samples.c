@@ -86,7 +86,7 @@ fill_missing(const Samples *s)
                 }
                 number++;
             }
-        /* The value of the parabola at the cell, by Cramer's rule. */
+        /* The value of the parabola at the place of the sample, by Cramer's rule. */
         double a = m[2] * m[4] - m[3] * m[3], b = m[2] * m[3] - m[1] * m[4];
         double d = m[1] * m[3] - m[2] * m[2], det = m[0] * a + m[1] * b + m[2] * d;
         for (int c = 0; c < 3; c++)

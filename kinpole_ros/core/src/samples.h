@@ -13,7 +13,7 @@
 #include "../include/call.h"
 #include "private.h"
 
-/* The samples of a body in a window, the oldest first; all arrays have `count` elements. */
+/* The samples of a body in a window, the oldest first. All arrays have `count` elements. */
 typedef struct {
     long long count;
     double *x[3];      /* the signals */
@@ -21,8 +21,8 @@ typedef struct {
     double *off;       /* samples by which each is after its place on the even grid */
 } Samples;
 
-/* Lay out `count` samples of zeros in memory for the purpose `which` of memory.h. Returns 1, or 0
-   if there is no memory. */
+/* Lay out `count` samples of zeros in memory for the purpose `which` of memory.h: one array after
+   the other, in their order in the struct. Returns 1, or 0 if there is no memory. */
 PRIVATE int lay_out_samples(Call *call, int which, long long count, Samples *s);
 
 /* Divide the signals of angle and position by the numbers `noise` (2). Weights stay. */
@@ -31,8 +31,8 @@ PRIVATE void divide_samples(const Samples *s, const double *noise);
 /* Return the largest size of a sample of the angle (c = 0), or of either coordinate (c = 1). */
 PRIVATE double largest_sample(const Samples *s, int c);
 
-/* Return the mean of the numbers (count) that are at least SIMILAR_INFORMATION times the largest.
-   */
+/* Return the mean of `information` (count) that is at least SIMILAR_INFORMATION times the
+   largest. */
 PRIVATE double mean_of_similar(const double *information, long long count);
 
 /* Divide information (count) by the usual one, in place; similar information becomes a weight of 1.

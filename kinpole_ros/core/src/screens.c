@@ -5,7 +5,8 @@
 #include "memory.h"
 #include "numbers.h"
 
-/* Return the number of the most probable model of a set, of angle or position. */
+/* Return the number, group times LANES plus lane, of the most probable model of a set, of the angle
+   (c = 0) or the position (c = 1). */
 static long long
 most_probable_model(const Models *m, const Set *set, int c)
 {
@@ -90,9 +91,9 @@ screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, d
 {
     long long n = m->count, part = set->parts > 1 && screen->c > 0;
     const double *of_model = m->step_squares + screen->model * STEP_ORDERS * n;
-    for (long long x = 0; x < set->cells; x++) {
+    for (long long x = 0; x < set->low_samples; x++) {
         long long at = part * set->columns + x;
-        memset(scratch, 0, n * sizeof(double)), scratch[set->cell[x]] = 1.0;
+        memset(scratch, 0, n * sizeof(double)), scratch[set->low_sample[x]] = 1.0;
         add_column(m, s, scratch, set->coefficients + x * m->rows, set->weight[at], set->root[at],
                    w->column_products, screen);
         double *products = screen->squared_products; /* free until the columns are added */
@@ -147,8 +148,8 @@ evidence_gain(const Screen *screen, const Work *w, long long k)
     return larger(number / 2 * log(before / after) - (screen->c + 1) * log(1 + ratio) / 2, 0.0);
 }
 
-/* Find the gains of steps at all places, in `gain` of the screens, and return the best with its log
-   evidence. */
+/* Find the gains of steps at all places, in `gain` of the screens, and return the best that is not
+   at an edge, with its log evidence; -infinity if the window is too short for any. */
 static Candidate
 find_candidate(const Models *m, const Work *w, Screens *screens)
 {
@@ -181,16 +182,16 @@ find_candidate(const Models *m, const Work *w, Screens *screens)
 }
 
 PRIVATE char *
-lay_out_screens(long long n, long long orders, long long columns, char *data, Screens *screens)
+lay_out_screens(long long count, long long orders, long long columns, char *data, Screens *screens)
 {
-    TAKE(screens->gain, STEP_ORDERS * n), TAKE(screens->sample_weights, 2 * orders * n);
+    TAKE(screens->gain, STEP_ORDERS * count), TAKE(screens->sample_weights, 2 * orders * count);
     for (int c = 0; c < 2; c++) {
         Screen *screen = screens->signal + c;
         screen->c = c;
-        TAKE(screen->residual, 2 * n), TAKE(screen->step_products, 2 * STEP_ORDERS * n);
-        TAKE(screen->squared_products, STEP_ORDERS * n);
-        TAKE(screen->step_squares, STEP_ORDERS * n);
-        TAKE(screen->reduced_columns, columns * n), TAKE(screen->factor, columns);
+        TAKE(screen->residual, 2 * count), TAKE(screen->step_products, 2 * STEP_ORDERS * count);
+        TAKE(screen->squared_products, STEP_ORDERS * count);
+        TAKE(screen->step_squares, STEP_ORDERS * count);
+        TAKE(screen->reduced_columns, columns * count), TAKE(screen->factor, columns);
     }
     return data;
 }

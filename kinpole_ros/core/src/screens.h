@@ -33,7 +33,8 @@ typedef struct {
 typedef struct {
     Screen signal[2];
     double *gain; /* (STEP_ORDERS, count): log evidence that a step adds, without SIZE_COST */
-    double *sample_weights; /* (2, orders, count): of the samples in the derivatives */
+    double *sample_weights; /* (2, orders, count): minus those of the samples in the
+                               derivatives at the instant, if `has_sample_weights` */
     int has_sample_weights;
 } Screens;
 
@@ -44,25 +45,30 @@ typedef struct {
     int order;
 } Candidate;
 
-/* Compute the residual P x (count) that a model leaves of a signal x with these coefficients. */
+/* Compute the `residual` P x (count) that a model, by its number, leaves of a `signal` x (count),
+   which may be the same memory, with these `coefficients` (rows). `sums` (half) is memory. */
 PRIVATE void subtract_model(const Models *m, long long model, const double *coefficients,
                             const double *signal, Lanes *sums, double *residual);
 
-/* Compute the products (STEP_ORDERS, count) of a signal with steps half a sample before each one.
-   Those with (t + 1/2)^k / k! follow from repeated cumulative sums, in one pass. */
+/* Compute the products `sums` (STEP_ORDERS, count) of a `signal` (count) with steps half a
+   sample before each one. Those with (t + 1/2)^k / k! follow from repeated cumulative sums, in
+   one pass. */
 PRIVATE void sum_products_with_steps(const double *signal, long long count, double *sums);
 
-/* Return by how much a step reduces the residual sum of squares, if the prior variance of its size
-   is the square of the estimate. `ratio` is that square over the variance of the estimate. */
+/* Return by how much the step `k`, order times count plus its place, reduces the residual sum of
+   squares, if the prior variance of its size is the square of the estimate. Writes `ratio`, that
+   square over the variance of the estimate. */
 PRIVATE double explained_squares(const Screen *screen, long long k, double *ratio);
 
-/* Lay out the arrays of screens, each for so many columns; returns the end of their memory. */
-PRIVATE char * lay_out_screens(long long n, long long orders, long long columns, char *data,
+/* Lay out the arrays of screens at `data`, for `count` samples, so many orders and so many columns
+   of each; returns the end of their memory. */
+PRIVATE char * lay_out_screens(long long count, long long orders, long long columns, char *data,
                                Screens *screens);
 
 /* Screen steps of all orders at all places of a window, with the most probable models of the set
    without events, and return the best. The gain of a place is without the cost of the size, and has
-   the approximation z (6 - z) / (6 - 4 z) of -log(1 - z), because there are many places. */
+   the approximation z (6 - z) / (6 - 4 z) of -log(1 - z), because there are many places. `screens`
+   is laid out; `scratch` (count) is memory. */
 PRIVATE Candidate screen_window(const Models *m, const Samples *s, const Work *w, const Set *set,
                                 double *scratch, Screens *screens);
 

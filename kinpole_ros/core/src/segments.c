@@ -20,15 +20,18 @@
 /* Power of the evidence by which segments count in the covariance, as other places of an event. */
 #define COVARIANCE_POWER 0.25
 /* Log evidence behind the models with which segments have no weight, whatever their covariance. */
-#define NEGLIGIBLE 60.0
+#define MAX_BEHIND_MODELS 60.0
 
-/* The polynomials of all segments of one length, by their first sample (count). */
+/* The polynomials of all segments of one length; all arrays (count) are by their first sample. */
 typedef struct {
-    double *factor[DEGREE + 1][DEGREE + 1], *along[DEGREE + 1][3], *squares[3];
-    double *row[DEGREE + 1], *cosine[DEGREE + 1], *sine[DEGREE + 1];
+    double *factor[DEGREE + 1][DEGREE + 1]; /* the triangular factor of the powers of time */
+    double *along[DEGREE + 1][3];           /* orthonormal coefficients of the signals */
+    double *squares[3];                     /* what the highest degree leaves of the signals */
+    double *row[DEGREE + 1], *cosine[DEGREE + 1], *sine[DEGREE + 1]; /* of the last sample */
 } Fits;
 
-/* Rotate two numbers by an angle with this cosine and sine (Givens). */
+/* Rotate the numbers `own` and `other`, in place, by an angle with this cosine and sine
+   (Givens). */
 static inline void
 rotate(double cosine, double sine, double *own, double *other)
 {
@@ -38,7 +41,8 @@ rotate(double cosine, double sine, double *own, double *other)
 }
 
 /* Rotate one more sample, the one `last` after the first, into the triangular factors of all
-   segments that it extends. If all samples count alike, the `distinct` factors are one. */
+   segments that it extends. There are `distinct` factors: one if all samples count alike, or one
+   for each segment. */
 static void
 extend_factors(const Division *d, long long distinct, long long last, Fits *f)
 {
@@ -57,8 +61,9 @@ extend_factors(const Division *d, long long distinct, long long last, Fits *f)
         }
 }
 
-/* Rotate the sample into the coefficients of signal `c` of so many `segments`: the one of segment i
-   is sample[i], with the root[i] of its weight. What is left adds to the squares of the segment. */
+/* Rotate the sample into the coefficients of signal `c` of so many `segments`, whose factors are as
+   `distinct` as in `extend_factors`: the one of segment i is sample[i], with the root[i] of its
+   weight. What is left adds to the squares of the segment. */
 static void
 extend_signal(const double *restrict sample, const double *restrict root, long long segments,
               long long distinct, const Fits *f, int c)
@@ -86,10 +91,10 @@ extend_signal(const double *restrict sample, const double *restrict root, long l
     }
 }
 
-/* Find the log evidence of a segment by its degree, from the `squares` that the highest degree
-   leaves and those of each coefficient, both summed over the signals of a part. It has no more
-   coefficients than its `length`, the samples that are not missing. Where it has as many, nothing
-   but their cost bounds them, so each costs `excess` more. */
+/* Find the log `evidence` of a segment by its degree, from the `squares` that the highest degree
+   leaves and those of each coefficient, `of_degree`, both summed over the signals of a part. It has
+   no more coefficients than its `length`, the samples that are not missing. Where it has as many,
+   nothing but their cost bounds them, so each costs `excess` more. */
 static inline void
 evidence_of_degrees(int part, double length, double excess, double squares,
                     const double *of_degree, double *evidence)
@@ -180,9 +185,9 @@ evaluate_segments(Call *call, const Samples *s, Division *d)
     return DONE;
 }
 
-/* Find the best log evidence of the samples before each one, in `before`. The first segment is not
-   after an event, and its mean and slope cost nothing, as those of the models. Returns the evidence
-   of all, over that of noise alone, which leaves a square of 1 a sample. */
+/* Find the best log evidence of the samples of a part before each one, in `before`. The first
+   segment is not after an event, and its mean and slope cost nothing, as those of the models.
+   Returns the log evidence of all, over that of noise alone, which leaves 1 a sample of squares. */
 static double
 divide_before(const Division *d, int part)
 {
@@ -198,7 +203,7 @@ divide_before(const Division *d, int part)
     return before[n] + d->present[n] * (part + 1) / 2;
 }
 
-/* Find the best log evidence of the samples from each one on, in `after`. */
+/* Find the best log evidence of the samples of a part from each one on, in `after`. */
 static void
 divide_after(const Division *d, int part)
 {
@@ -213,15 +218,15 @@ divide_after(const Division *d, int part)
                 after[first], after[end] + d->value[part][(end - 1 - first) * n + first]);
 }
 
-/* Samples from `first` to before `end`, and the evidence of the best division that has them as a
-   segment. */
+/* Samples from `first` to before `end`. */
 typedef struct {
     long long first, end;
-    double value;
+    double value; /* log evidence of the best division that has them as a segment */
 } Segment;
 
-/* Find the best segments around the instant `at`, samples after the first, of a part. Writes
-   `kept`, at most MAX_KEPT, the best first; returns how many. */
+/* Find the best segments around the instant `at`, samples after the first, of a part, from the best
+   log evidence `before` and `after` each sample. Writes `kept`, at most MAX_KEPT, the best first;
+   returns how many. */
 static int
 keep_segments(const Division *d, int part, double at, Segment *kept)
 {
@@ -244,18 +249,19 @@ keep_segments(const Division *d, int part, double at, Segment *kept)
     return number;
 }
 
-/* The derivatives of a segment at the instant: means (3, orders), and deviations as vectors over
-   the coefficients of the polynomial. */
+/* The derivatives of a segment at the instant, of one part. */
 typedef struct {
-    int degree, highest[MAX_ORDERS];
-    double mean[3][MAX_ORDERS], spread[MAX_ORDERS][COLUMNS];
+    int degree;                           /* the likeliest */
+    int highest[MAX_ORDERS];              /* degree that an order has for its deviation */
+    double mean[3][MAX_ORDERS];
+    double deviation[MAX_ORDERS][COLUMNS]; /* by coefficient: covariances are products of these */
 } Piece;
 
-/* Fit a segment by a polynomial of COLUMNS coefficients, and differentiate that of its best
-   degree. The powers of time, of which each is made orthonormal to those before it, and the
-   signals are at `scratch` (COLUMNS + 3, n). */
+/* Fit a segment of a part by a polynomial of COLUMNS coefficients, and differentiate that of its
+   best degree. The powers of time, of which each is made orthonormal to those before it, and the
+   signals are at `scratch` (COLUMNS + 3, n). Writes `out`. */
 static void
-differentiate_segment(const Stencils *by, const Samples *s, const Division *d, int part,
+differentiate_segment(const Stencils *stencils, const Samples *s, const Division *d, int part,
                       const Segment *segment, double *scratch, Piece *out)
 {
     double of_degree[COLUMNS] = {0.0}, left = 0.0, evidence[DEGREE + 1];
@@ -267,9 +273,9 @@ differentiate_segment(const Stencils *by, const Samples *s, const Division *d, i
         for (int j = 0; j <= part; j++)
             scratch[(COLUMNS + j) * n + t] = root[t] * s->x[part + j][first + t];
     }
-    make_polynomials(scratch, n, first - by->at, &p);
+    make_polynomials(scratch, n, first - stencils->at, &p);
     fit_polynomials(scratch, n, scratch + COLUMNS * n, part + 1, &p);
-    differentiate_polynomials(&p, n, by->orders, derivatives);
+    differentiate_polynomials(&p, n, stencils->orders, derivatives);
     for (int j = 0; j <= part; j++) {
         left += p.left[j];
         for (int k = 0; k < COLUMNS; k++) {
@@ -281,56 +287,57 @@ differentiate_segment(const Stencils *by, const Samples *s, const Division *d, i
     evidence_of_degrees(part, p.length, d->excess[part], left, of_degree, evidence);
     for (int k = 1; k <= DEGREE; k++)
         out->degree = evidence[k] > evidence[out->degree] ? k : out->degree;
-    for (int o = 0; o < by->orders; o++) {
+    for (int o = 0; o < stencils->orders; o++) {
         out->highest[o] = out->degree + MORE_DEGREES > o ? out->degree + MORE_DEGREES : o;
         for (int k = 0; k <= out->highest[o] && k < COLUMNS; k++)
-            out->spread[o][k] = derivatives[o][k];
+            out->deviation[o][k] = derivatives[o][k];
         for (int k = 0; k <= out->degree; k++)
             for (int j = 0; j <= part; j++)
                 out->mean[part + j][o] += derivatives[o][k] * p.along[k][j];
     }
 }
 
-/* The result of several segments: means (3, orders), covariance, and effective number of
-   parameters. */
+/* The result of several segments, of one part. */
 typedef struct {
-    double mean[3][MAX_ORDERS], covariance[MAX_ORDERS][MAX_ORDERS], freedom;
+    double mean[3][MAX_ORDERS];                /* derivatives at the instant */
+    double covariance[MAX_ORDERS][MAX_ORDERS]; /* the lower triangle */
+    double parameters;                         /* effective number */
 } Average;
 
-/* Average the best segments of one part by their evidence, and by a power of it in the covariance.
-   Where a segment is too short to show a derivative, it is that of the `models`, or another.
-   Returns how many segments there are. */
+/* Average the best segments of a part, into `out`, by their evidence, and by a power of it in the
+   covariance. Where a segment is too short to show a derivative, it is that of the `models`, or
+   another. Returns how many segments there are. */
 static int
-average_segments(const Stencils *by, const Samples *s, const Division *d, int part,
+average_segments(const Stencils *stencils, const Samples *s, const Division *d, int part,
                  const Estimate *models, Average *out)
 {
     Segment kept[MAX_KEPT];
     Piece piece[MAX_KEPT];
-    int number = keep_segments(d, part, by->at, kept);
+    int number = keep_segments(d, part, stencils->at, kept);
     double total = 0.0, power_total = 0.0;
-    *out = (Average){.freedom = 0.0};
+    *out = (Average){.parameters = 0.0};
     for (int k = 0; k < number; k++)
         total += exp(kept[k].value - kept->value),
             power_total += exp(COVARIANCE_POWER * (kept[k].value - kept->value));
     for (int k = 0; k < number; k++) {
         double probability = exp(kept[k].value - kept->value) / total;
-        differentiate_segment(by, s, d, part, kept + k, d->scratch, piece + k);
-        out->freedom += probability * (piece[k].degree + 1);
+        differentiate_segment(stencils, s, d, part, kept + k, d->scratch, piece + k);
+        out->parameters += probability * (piece[k].degree + 1);
         for (int c = part; c <= 2 * part; c++)
-            for (int o = 0; o < by->orders; o++)
+            for (int o = 0; o < stencils->orders; o++)
                 out->mean[c][o] += probability * piece[k].mean[c][o];
     }
     for (int k = 0; k < number; k++) {
         double weight = exp(COVARIANCE_POWER * (kept[k].value - kept->value)) / power_total;
         double length = d->present[kept[k].end] - d->present[kept[k].first];
-        for (int o = 0; o < by->orders; o++) {
+        for (int o = 0; o < stencils->orders; o++) {
             for (int c = part; c <= (piece[k].highest[o] < length ? -1 : 2 * part); c++) {
                 double off = models->mean[c][o] - piece[k].mean[c][o];
                 out->covariance[o][o] +=
                     weight * (models->covariance[part][o][o] + off * off) / (part + 1);
             }
             for (int p = 0; p <= o; p++) {
-                double sum = dot(piece[k].spread[o], piece[k].spread[p], COLUMNS);
+                double sum = dot(piece[k].deviation[o], piece[k].deviation[p], COLUMNS);
                 for (int c = part; c <= 2 * part; c++)
                     sum += (piece[k].mean[c][o] - out->mean[c][o]) *
                         (piece[k].mean[c][p] - out->mean[c][p]) / (part + 1);
@@ -341,8 +348,8 @@ average_segments(const Stencils *by, const Samples *s, const Division *d, int pa
     return number;
 }
 
-/* Mix a result of segments into that of the models, `estimate`, of a part: by a probability in the
-   mean, and a weight in the covariance. */
+/* Mix a result of segments into that of the models, `estimate`, of a part: by the probability of
+   the segments in the mean, and by their weight in the covariance. */
 static void
 mix(const Average *segments, int part, long long orders, double probability, double weight,
     Estimate *estimate)
@@ -363,7 +370,7 @@ mix(const Average *segments, int part, long long orders, double probability, dou
         for (int o = 0; o < orders; o++)
             estimate->mean[c][o] += probability * (segments->mean[c][o] - estimate->mean[c][o]);
     if (!part)
-        estimate->freedom += probability * (segments->freedom - estimate->freedom);
+        estimate->parameters += probability * (segments->parameters - estimate->parameters);
 }
 
 PRIVATE int
@@ -392,13 +399,14 @@ nearest_event(const Division *d, const Set *none, double at)
 }
 
 PRIVATE void
-add_segments(const Stencils *by, const Samples *s, const Division *d, Estimate *estimate)
+add_segments(const Stencils *stencils, const Samples *s, const Division *d, Estimate *estimate)
 {
     for (int part = 0; part < 2; part++) {
         Average segments;
         double ahead = d->evidence[part] - estimate->evidence[part];
-        if (ahead > -NEGLIGIBLE && average_segments(by, s, d, part, estimate, &segments))
-            mix(&segments, part, by->orders, 1 / (1 + exp(-ahead)),
+        if (ahead > -MAX_BEHIND_MODELS &&
+            average_segments(stencils, s, d, part, estimate, &segments))
+            mix(&segments, part, stencils->orders, 1 / (1 + exp(-ahead)),
                 1 / (1 + exp(-COVARIANCE_POWER * ahead)), estimate);
         estimate->evidence[part] = larger(estimate->evidence[part], d->evidence[part]);
     }

@@ -19,30 +19,32 @@
 
 #include "mean.h"
 
-/* All segments of a window, by part: the log evidence of those of length k + 1, by their first
-   sample (count, count); the best evidence of the samples before and from each one on (count +
-   1). */
+/* All segments of a window. Part 0 is the angle, part 1 the position. */
 typedef struct {
-    long long count;
-    double *root;    /* (count): of the weights */
-    double *present; /* (count + 1): how many samples before each one are not missing */
-    double *value[2], *before[2], *after[2];
+    long long count;    /* samples; 0 if the window is not divided */
+    double *root;       /* (count): of the smaller weight of each sample */
+    double *present;    /* (count + 1): how many samples before each one are not missing */
+    double *value[2];   /* (count, count): log evidence, by length less one and first sample */
+    double *before[2];  /* (count + 1): the best log evidence of the samples before each one */
+    double *after[2];   /* (count + 1): that of the samples from each one on */
     double excess[2];   /* log size of the samples, over COEFFICIENT_COST, if this is more */
     double evidence[2]; /* of the best division, over that of noise alone */
-    double *scratch; /* at least (COLUMNS + 3, count) */
+    double *scratch;    /* at least (COLUMNS + 3, count) */
 } Division;
 
-/* Divide a window into segments. */
+/* Divide a window into segments. Writes `d`, whose memory the next call uses again. Returns DONE or
+   NO_MEMORY. */
 PRIVATE int divide_window(Call *call, const Samples *s, Division *d);
 
-/* Return the sample after the event that is nearest to the instant in the best division, that of
-   the angle or of the position, if its evidence is more than that of models without events
-   (`none`); -1 otherwise. */
+/* Return the sample after the event that is nearest to the instant `at`, samples after the first,
+   in the best division, that of the angle or of the position, if its evidence is more than that of
+   models without events (`none`); -1 otherwise. */
 PRIVATE long long nearest_event(const Division *d, const Set *none, double at);
 
-/* Estimate the derivatives by segments, and mix them into those of the models, by the evidence
-   of both. */
-PRIVATE void add_segments(const Stencils *by, const Samples *s, const Division *d,
+/* Estimate the derivatives by segments, and mix them into those of the models, `estimate`, by the
+   evidence of both, part by part. Its `evidence` becomes the larger. Segments far behind the models
+   change nothing. */
+PRIVATE void add_segments(const Stencils *stencils, const Samples *s, const Division *d,
                           Estimate *estimate);
 
 #endif

@@ -8,8 +8,8 @@
 #include "../include/frames.h"
 #include "../include/messages.h"
 
-/* The `count` of a field that is no block; the structs or enums at most, with the end of the list.
-   */
+/* The `count` of a field that is no block; the structs or enums at most, with the end of the
+   list. */
 enum { OF_VALUE = 0, OF_ARRAY = -1, LONGEST_LIST = 32 };
 
 /* `Owner` is the struct whose fields are described. */

@@ -22,7 +22,7 @@
 /* A window is at most so many times as long as the samples that are present reach. */
 #define MAX_SIZE_RATIO 1.25
 
-/* Compare two doubles, for qsort. */
+/* Compare the doubles `a` and `b`, for qsort. */
 static int
 compare_numbers(const void *a, const void *b)
 {
@@ -164,7 +164,7 @@ fill_cells(Call *call, long long instant, long long body, const Grid *grid, Cell
 /* Return the number of blocks of the longest window with enough samples, or 0. A full window has
    `full` blocks, `last` is the number of whole blocks up to the oldest sample, and `ahead` blocks
    are newer than the instant. filled[k], k < `blocks`, is how many of the first k + 1 blocks, from
-   the newest, have samples. */
+   the newest, have samples. A window of `exact` samples is as long as these reach, of any size. */
 static long long
 find_size(long long full, long long last, long long ahead, int exact, const long long *filled,
           long long blocks)

@@ -41,9 +41,9 @@ typedef struct {
     int exact;       /* whether the motion is larger than EXACT_RATIO times the noise */
 } Cells;
 
-/* Fill the cells of one body, relative to its pose at the instant: of several frames in a cell the
-   oldest counts. A cell without a frame that is used is a missing sample. Returns DONE or
-   NO_MEMORY. */
+/* Fill the cells of one body on a `grid` of `find_grid`, relative to its pose at the instant: of
+   several frames in a cell the oldest counts. A cell without a frame that is used is a missing
+   sample. Returns DONE or NO_MEMORY. */
 PRIVATE int fill_cells(Call *call, long long instant, long long body, const Grid *grid,
                        Cells *cells);
 
@@ -53,9 +53,9 @@ PRIVATE int fill_cells(Call *call, long long instant, long long body, const Grid
    in bunches. */
 PRIVATE long long choose_size(Call *call, const Cells *cells, long long whole, long long *block);
 
-/* Average the cells in each block, into samples `out`, which are zeros, in units of their noise,
-   the oldest first. Writes to `coarser` (2) their noise over that of a cell; it stays if a block is
-   one cell. */
+/* Average the `cells` in each block, into samples `out`, which are zeros, in units of their noise,
+   the oldest first. Empty cells follow those of a window that is not full, up to the last block.
+   Writes to `coarser` (2) their noise over that of a cell; it stays if a block is one cell. */
 PRIVATE void average_blocks(const Samples *cells, long long block, Samples *out, double *coarser);
 
 #endif
