@@ -162,13 +162,13 @@ class Step:
         history.end = columns.end
         return bool(code == UNUSUAL)
 
-    def wait_for_window(self, waits: bool) -> None:
-        """Whether the first results are those of a full window, also of its older instants."""
-        self.limits.waits = waits
+    def complete_results(self, is_complete: bool) -> None:
+        """Whether each frame gets a result, the first ones once the window is full."""
+        self.limits.complete = is_complete
 
     def follow_to_end(self, results: Results) -> None:
         """Compute the results of all frames that are left from the newest window."""
-        lag, self.limits.lag_ns, self.limits.waits = self.limits.lag_ns, 0.0, 0
+        lag, self.limits.lag_ns, self.limits.complete = self.limits.lag_ns, 0.0, 0
         self.follow(0, results)
         self.limits.lag_ns = lag
 

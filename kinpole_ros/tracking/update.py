@@ -120,7 +120,7 @@ def begin_known(state: State) -> None:
         widen(state)
     state.space.plane = state.space.plane or stretch.plane
     state.assignment.set_plane(state.space.plane)
-    state.step.wait_for_window(True)
+    state.step.complete_results(True)
     recall(state, recording)
 
 
@@ -239,6 +239,7 @@ def drop_old_frames(state: State) -> None:
     drop = len(history) - kept
     if drop > 0:
         history.drop(drop)
-        # A history that is full gets no longer.
-        state.step.wait_for_window(False)
+        # A history that is full gets no longer, so that the window may never be full.
+        if not columns.next_result:
+            state.step.complete_results(False)
         columns.next_result = max(0, columns.next_result - drop)

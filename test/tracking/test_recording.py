@@ -1,6 +1,7 @@
 """A recording known as a whole: what is learned up to its end is known from its first frame on."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -128,6 +129,18 @@ def test_frames_before_a_jump_of_the_stamps_have_results_to_the_last() -> None:
     estimates = known(clock_jumps())
     assert len(column(estimates, 'stamp')) == FRAMES - 2
     assert (column(estimates, 'reason') == KNOWN).all()
+
+
+@pytest.mark.parametrize('step', [10_000_000, 13_333_333])
+def test_frames_beside_a_gap_have_results(step: int) -> None:
+    """The window that comes after a gap leaves frames behind, and so may the first one."""
+    kept = np.r_[:60, 78:120]
+    stream = Stream(PARAMETERS, [frames(markers(4)[kept], 10**9 + step * kept)])
+    settings = settings_from(stream.parameters)
+    shorter = replace(settings, window=0.02 + 18e-9 * step, lag=0.01)
+    tracker = Tracker(shorter, learn_recording(shorter, stream.parts)[1])
+    estimates = tracker.add(stream.parts[0], 1) + tracker.finish(1)
+    assert column(estimates, 'stamp').tolist() == stream.parts[0].stamps.tolist()
 
 
 def test_few_stretches_are_kept_of_many_frames() -> None:

@@ -17,7 +17,7 @@
 #define FRAME_LIMITS_FIELDS(VALUE, BLOCK, ARRAY)                                           \
     VALUE(long long, window_ns, "ns: length of the window")                                \
     VALUE(double, lag_ns, "ns: age of a frame when its result is due")                     \
-    VALUE(long long, waits, "1 if the first results wait until the window is full")        \
+    VALUE(long long, complete, "1 if each frame gets a result, also at the ends")          \
     VALUE(double, far, "a pose farther off its path, in standard deviations, is not used") \
     VALUE(double, newest_factor, "the same of the newest poses, over `far`")               \
     VALUE(double, near, "rad, or body sizes: a pose nearer to its path is always used")    \

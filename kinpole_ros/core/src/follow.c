@@ -384,37 +384,33 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
     return DONE;
 }
 
-/* Whether results wait until the window is full, which the newest frame does not fill. */
-static int
-waits_for_window(const Frames *f)
-{
-    const HistoryColumns *history = &f->history;
-    double length = (double)(history->time[history->end - 1] - history->time[history->first]);
-    return f->limits.waits && !history->next_result &&
-        length < (double)f->limits.window_ns - EARLY * history->interval;
-}
-
-/* Computes the results that are due with the newest frame, and moves `next_result` behind them. A
-   frame is due once it is as old as the lag, and the first ones once the window is full. Also
-   writes `window_frames` and `interval`. Returns DONE, or an error below 0. */
-static int
-compute_due(Frames *f, Call *call, Results *r)
+/* Writes `window_frames` and `interval` of the window up to the newest frame. Returns its first
+   row. */
+static long long
+measure_window(Frames *f)
 {
     HistoryColumns *history = &f->history;
-    const BodyArrays *known = &f->known;
-    if (history->end == history->first)
-        return DONE;
     long long newest = history->end - 1, oldest;
     oldest = history->first + number_before(f, history->time[newest] - f->limits.window_ns);
     history->window_frames = newest - oldest + 1;
     history->interval = (double)(history->time[newest] - history->time[oldest]) /
         (history->window_frames > 1 ? history->window_frames - 1 : 1);
-    if (waits_for_window(f))
+    return oldest;
+}
+
+/* Computes the results of the rows before `end`, from `first` on, that have none, from the window
+   up to the newest frame, and moves `next_result` behind them. If results are to be complete, they
+   wait for a window of enough frames. Returns DONE, or an error below 0. */
+static int
+compute_before(Frames *f, Call *call, Results *r, long long end)
+{
+    HistoryColumns *history = &f->history;
+    const BodyArrays *known = &f->known;
+    long long newest = history->end - 1, oldest = measure_window(f);
+    int is_enough = newest - oldest >= r->fewest - 1;
+    if (f->limits.complete && !is_enough)
         return DONE;
-    long long latest =
-        history->time[newest] - (long long)rint(f->limits.lag_ns - EARLY * history->interval);
-    long long end = number_before(f, latest + 1);
-    if (history->next_result < end && r->instants && newest - oldest >= r->fewest - 1) {
+    if (history->next_result < end && r->instants && is_enough) {
         if (history->first + history->next_result < oldest)
             history->next_result = oldest - history->first;
         long long all = (history->end - oldest) * known->bodies;
@@ -436,6 +432,39 @@ compute_due(Frames *f, Call *call, Results *r)
     }
     history->next_result = end > history->next_result ? end : history->next_result;
     return DONE;
+}
+
+/* Computes the results that are due with the newest frame. A frame is due once it is as old as the
+   lag. If results are to be complete, the first ones are due once the window is full, and those of
+   frames that the window has left behind, or that fell due in a gap, are from the one before.
+   Returns DONE, or an error below 0. */
+static int
+compute_due(Frames *f, Call *call, Results *r)
+{
+    HistoryColumns *history = &f->history;
+    if (history->end == history->first)
+        return DONE;
+    long long newest = history->time[history->end - 1];
+    long long behind = measure_window(f) - history->first;
+    if (f->limits.complete) {
+        long long in_gap = number_before(f, newest - (long long)rint(f->limits.lag_ns));
+        if (!history->goes_on[history->end - 1] && in_gap > behind)
+            behind = in_gap;
+        double length = (double)(newest - history->time[history->first]);
+        if (!history->next_result &&
+            length < (double)f->limits.window_ns - EARLY * history->interval)
+            return DONE;
+        if (history->next_result < behind) {
+            history->end--;
+            int code = compute_before(f, call, r, behind);
+            history->end++;
+            if (code)
+                return code;
+            measure_window(f);
+        }
+    }
+    long long latest = newest - (long long)rint(f->limits.lag_ns - EARLY * history->interval);
+    return compute_before(f, call, r, number_before(f, latest + 1));
 }
 
 int
