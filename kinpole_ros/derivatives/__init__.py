@@ -10,8 +10,8 @@ instant, the poses of a body in a window around it become one result, which depe
    spectrum, length and amplitude, and the window alone determines their modes.
 3. Evidence. Each model gives the probability of the samples under it, and derivatives at the
    instant, as sums over its modes. Missing samples are low-rank corrections.
-4. Steps. If the evidence of all models is low, steps of position, velocity or acceleration are
-   searched, as at an impact. The best are columns of a regression, with which models are evaluated.
+4. Steps. Steps of position, velocity or acceleration are searched, as at an impact. The best are
+   columns of a regression, with which models are evaluated.
 5. Averaging. The derivatives are the mean of all models by probability. The covariance is the mean
    of theirs, by the root of the evidence, plus the variance between models and event places.
 6. Segments. Free flight between impacts, or turning between stops, is a low polynomial between

@@ -8,7 +8,6 @@ from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex
 from kinpole_ros.tracking.correction import correct_markers
 from kinpole_ros.tracking.identity import predict_poses
-from kinpole_ros.tracking.rejection import SPOILING_LIMITS
 from kinpole_ros.tracking.statistics import bulk_maximum, mean_square
 
 
@@ -51,7 +50,7 @@ def consensus_shape(
     limit = max(sigmas * np.sqrt(squares[best]), least * size)
     residual = np.abs(fits.residual[best])
     worst = np.where(np.isnan(residual), 0.0, residual).max(axis=-1)
-    if worst.max() <= SPOILING_LIMITS * limit:
+    if worst.max() <= limit:
         return None
     points, counts = points.copy(), Counter[str]()
     angles = np.where(worst > limit, np.nan, fits.angle[best])

@@ -22,6 +22,7 @@ from kinpole_ros.tracking.rejection import (
     EXCHANGED,
     LEFT_OUT,
     MAX_SEARCH_INTERVAL,
+    MAX_SQUARE_RATIO,
     MIRROR_NATS,
     MIRRORED,
     NAME_DOUBTFUL,
@@ -30,6 +31,7 @@ from kinpole_ros.tracking.rejection import (
     OUTLIER_NATS,
 )
 from kinpole_ros.tracking.state import NameSearch, State, put_bodies, restart_bodies
+from kinpole_ros.tracking.statistics import mean_square
 from kinpole_ros.tracking.thresholds import MIN_SAMPLES
 
 _NOWHERE = complex(np.nan, np.nan)
@@ -152,6 +154,12 @@ def _correct_body(bodies: Bodies, predicted: Prediction, markers: Complex, b: in
     if not (fitting.mature[b] and counts):
         # Nothing is left out while residuals are not known.
         return Correction(markers[order], order, Counter())
+    fit = fit_pose(points, shape, np.where(np.isnan(points), 0.0, weights))
+    square = mean_square(fit.residual / np.sqrt(bodies.relative[b]), fit.freedom)[0]
+    if square > MAX_SQUARE_RATIO * bodies.misfit[b]:
+        # Where one marker is wrong another may be, by less than makes it an outlier.
+        counts[DROPPED] += int(np.count_nonzero(~np.isnan(points)))
+        points = np.full_like(points, _NOWHERE)
     # Exchanged markers are counted in every frame that has them: see `count_exchanged`.
     del counts[EXCHANGED]
     return Correction(points, order, counts)

@@ -20,6 +20,7 @@ here.
 | a marker | EXCHANGED | ODD: the least is elsewhere | `correct_markers` | markers_exchanged |
 | a body | MIRRORED | ODD: the least is mirrored | `correct_markers` | markers_mirrored |
 | a body | DROPPED | ODD: no pose costs less | `correct_markers` | markers_of_misfits |
+| a body | DROPPED | corrected, above `MAX_SQUARE_RATIO` | `_correct_body` | markers_of_misfits |
 | a body | UNCERTAIN | points fit it in several ways | `match` | bodies_ambiguous |
 | a pose | NOT_SEEN | less than two markers, or all at one place | `fit` in C | a reason |
 | a marker | HELD | repeats the last two | `kinpole_is_marker_held` in C | markers_held |
@@ -64,6 +65,9 @@ MAX_ANGLE_NOISE = 0.15
 # A pose, or a marker, that repeats the one before to the last bit is held by the tracker if noise
 # repeats it with less than this probability.
 MAX_REPEAT_CHANCE = 1e-6
+# Mean square residual of a corrected body over that of the body; 0.1% of chi-squares of three
+# degrees exceed it. Without it a soft kite on a fast rod, with spikes, has 13 times the error.
+MAX_SQUARE_RATIO = 5.4
 # A point is taken for a predicted marker if the second nearest point is this many times as far.
 DISTANCE_RATIO = 2.0
 # nats. What makes a way to place a body on its markers unlikely: a marker left out, which costs as
@@ -72,8 +76,6 @@ OUTLIER_NATS = OUTLIER_SIGMAS**2 / 2
 EXCHANGE_NATS, MIRROR_NATS = 0.5 * OUTLIER_NATS, 0.75 * OUTLIER_NATS
 # Most frames between two searches for the names of markers after searches without a result.
 MAX_SEARCH_INTERVAL = 16
-# An outlier of so many limits spoils a learned shape for longer than a new start takes.
-SPOILING_LIMITS = 3.0
 # A marker has moved if it was seen in half of so many frames and fitted in none. Markers that stay
 # exchanged for as long had wrong names before.
 MOVED_FRAMES = 100

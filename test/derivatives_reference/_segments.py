@@ -14,8 +14,6 @@ from derivatives_reference._evidence import Found
 from derivatives_reference._samples import Window
 from kinpole_ros.planar._plane import Real
 
-# Windows with more samples are divided only where an event was found.
-FEW_SAMPLES = 48
 # Degree of a segment, and the degrees more that its covariance has.
 _DEGREE, _MORE = 2, 2
 # Evidence that a coefficient and an event cost.
@@ -25,6 +23,8 @@ _SHORTEST = 2
 _KEPT, _BEHIND = 8, 20.0
 # The power of the evidence in the covariance.
 _POWER = 0.25
+# Evidence behind the models with which segments do not count.
+_NEGLIGIBLE = 60.0
 _SIGNALS = (slice(0, 1), slice(1, 3))
 
 
@@ -52,7 +52,9 @@ def divide(window: Window, samples: Real, weight: Real) -> Division:
         excess = np.maximum(np.log(largest) / 2 - _COEFFICIENT, 0.0) * (1, 2)
     values, evidence = _values(samples, weight, excess), np.empty(2)
     first, end = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing='ij')
-    around = (first - 0.5 <= at) & (end - 0.5 > at)
+    # A sample that is missing is in the segment before.
+    begins = np.concatenate(([True], weight[1:] > 0, [True]))
+    around = (first - 0.5 <= at) & (end - 0.5 > at) & begins[first] & begins[end]
     for c in range(2):
         before, after = _divide(values[c], c + 1)
         evidence[c] = before[count] + np.count_nonzero(weight) * (c + 1) / 2
@@ -86,6 +88,8 @@ def add_segments(
     present = np.concatenate(([0], np.cumsum(weight > 0)))
     for c, part in enumerate(_SIGNALS):
         whole, ahead = division.values[c], division.evidence[c] - found.evidence[c]
+        if ahead <= -_NEGLIGIBLE:
+            continue
         found.evidence[c] = max(found.evidence[c], division.evidence[c])
         order = np.argsort(-whole, axis=None, kind='stable')[:_KEPT]
         kept = [one for one in order if whole.flat[one] > -_BEHIND]

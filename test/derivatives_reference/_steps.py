@@ -17,18 +17,13 @@ from derivatives_reference._evidence import KNOWN, Found, derive, weights_of
 from derivatives_reference._hub import find_hub, turning_of
 from derivatives_reference._models import LOG_PRIOR_WIDTH, _layout, modes_of, stencils_of
 from derivatives_reference._samples import Window, seen_of
-from derivatives_reference._segments import (
-    FEW_SAMPLES,
-    Division,
-    add_segments,
-    divide,
-    nearest_event,
-)
+from derivatives_reference._segments import add_segments, divide, nearest_event
 from kinpole_ros.planar._plane import Real
 
 # Steps of the motion itself, of its first and of its second derivative are looked for.
 _ORDERS = (0, 1, 2)
-# Flat priors of a parameter by which the likeliest model has less evidence than a line, or more.
+# Flat priors of a parameter by which the likeliest model has less evidence than a line, or more,
+# where a window is divided without a likely event.
 _WORTH = 3
 # How probable an event is, and the logarithm of the part of all sizes that is as large.
 _PRIOR, _SIZE_COST = 0.05, 2.4
@@ -42,9 +37,8 @@ _EDGE = 3
 _MORE_EDGE = 2
 # Standard deviation of the place of an event, samples.
 _PLACE = 0.5
-# The power of the evidence of other places, the logarithm of the least chance, and how near to the
-# instant one of them is, samples.
-_POWER, _LEAST_CHANCE, _NEAR = 0.25, 7.0, 12
+# The power of the evidence of other places.
+_POWER = 0.25
 _LEFT_OF_STEP = 1e-6
 _ROUNDING = 1e-9
 
@@ -110,15 +104,11 @@ def derive_even(window: Window, samples: Real, weights: Real | None, radians: Re
     whole = derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking)
     if window.exact:
         return whole
-    some = (
-        (whole.best < -_WORTH * LOG_PRIOR_WIDTH * np.array((1, 2))[:, None])
-        .any(axis=0)
-        .nonzero()[0]
-    )
-    for k in some:
+    least = -_WORTH * LOG_PRIOR_WIDTH * np.array((1, 2))[:, None]
+    for k, is_simple in enumerate((whole.best >= least).all(axis=0)):
         weight = np.ones((window.size, 2)) if weights is None else weights[..., k]
-        found = _derive_signal(window, samples[..., k], weight)
-        for all_, part in zip(whole, found, strict=True):
+        found = _derive_signal(window, samples[..., k], weight, bool(is_simple))
+        for all_, part in zip(whole, found or (), strict=found is not None):
             all_[..., k] = part
     for k in range(samples.shape[2]):
         own = None if weights is None else weights[..., [k]]
@@ -173,8 +163,12 @@ def _power(since: Real, order: int) -> Real:
     return np.where(since > 0, np.maximum(since, 0) ** order / factorial(max(order, 0)), 0.0)
 
 
-def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
-    """The derivatives of one signal, `samples` (n, 3), as of `derive_even` but without the S."""
+def _derive_signal(window: Window, samples: Real, weight: Real, is_simple: bool) -> Found | None:
+    """
+    The derivatives of one signal, `samples` (n, 3), as of `derive_even` but without the S.
+
+    None of a simple one without a likely event.
+    """
     modes, bank = modes_of(*window.models), _bank_of(window)
     seen = weight.sum(axis=0)
     cells = np.flatnonzero((weight < 1).any(axis=1))
@@ -184,8 +178,13 @@ def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
         np.sqrt(1 - weight[cells].T), 0.0, 0, np.zeros((2, window.orders, window.orders)),
         len(cells),
     )  # fmt: skip
+    steps = _ranked(window, samples, seen, weight[cells].T, empty, empty.evidence.argmax(axis=0))
+    is_likely = steps[_best(steps)].gain >= _GAIN
+    if not is_likely and is_simple:
+        return None
     division = divide(window, samples, weight.min(axis=1))
-    sets = _sets(window, samples, seen, weight[cells].T, empty, division)
+    place = nearest_event(window, division, empty.evidence.max(axis=0))
+    sets = _sets(window, samples, seen, weight[cells].T, empty, steps, is_likely, place)
     mean, freedom, evidence = np.zeros((window.orders, 3)), np.zeros(2), np.zeros(2)
     covariance = np.zeros((window.orders, window.orders, 2))
     for c in range(2):
@@ -216,8 +215,7 @@ def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
         events = np.array([one.events for one in sets])
         freedom[c] = np.sum(likely[..., 0] * (modes.freedom + events[:, None]))
     found = Found(mean, covariance, freedom, evidence, evidence.copy(), np.zeros((), complex))
-    if len(sets) > 1 or window.size <= FEW_SAMPLES:
-        add_segments(window, samples, weight.min(axis=1), division, found)
+    add_segments(window, samples, weight.min(axis=1), division, found)
     return found
 
 
@@ -299,23 +297,42 @@ def _derivatives(order: int, since: float, orders: int) -> Real:
     return np.array(each, float)
 
 
-def _sets(
-    window: Window, samples: Real, seen: Real, lacking: Real, empty: _Set, division: Division
-) -> list[_Set]:
-    """All sets of steps that count: the empty one, and those that explain samples better."""
-    models = empty.evidence.argmax(axis=0)
+def _ranked(
+    window: Window, samples: Real, seen: Real, lacking: Real, empty: _Set, models: Real
+) -> dict[int, _Candidate]:
+    """The best step of each order by these models (2,) of angle and position."""
     screens = [_screen(window, empty, lacking, c, models[c]) for c in range(2)]
-    found = _candidates(window, samples, seen, screens)
-    order = max(found, key=lambda order: found[order].gain)
-    if found[order].gain < _GAIN:
-        return [empty]
-    sets = [empty, _extended(window, samples, seen, lacking, empty, order, found[order])]
-    # The event that segments show is another one.
-    place = nearest_event(window, division, empty.evidence.max(axis=0))
-    if _EDGE <= place <= window.size - _EDGE and place != found[order].at:
-        order = max(found, key=lambda order: found[order].rank[place])
-        one = found[order]._replace(at=place)
-        sets.append(_extended(window, samples, seen, lacking, empty, order, one))
+    return _candidates(window, samples, seen, screens)
+
+
+def _best(found: dict[int, _Candidate]) -> int:
+    return max(found, key=lambda order: found[order].gain)
+
+
+def _sets(
+    window: Window,
+    samples: Real,
+    seen: Real,
+    lacking: Real,
+    empty: _Set,
+    found: dict[int, _Candidate],
+    is_likely: bool,
+    place: int,
+) -> list[_Set]:
+    """The empty set, and those of the likeliest event and of that at the `place` of a boundary."""
+    about = window, samples, seen, lacking, empty
+    sets, events = [empty], []
+    for kind in ('likeliest', 'by its model', 'at a boundary')[0 if is_likely else 2 :]:
+        if kind == 'by its model':
+            found = _ranked(*about, sets[1].evidence.argmax(axis=0))
+        if kind != 'at a boundary':
+            order = _best(found)
+            at = found[order].at
+        else:
+            order, at = max(found, key=lambda order: found[order].rank[place]), place
+        if _EDGE <= at <= window.size - _EDGE and (at, order) not in events:
+            events.append((at, order))
+            sets.append(_extended(*about, order, found[order]._replace(at=at)))
     return sets
 
 
@@ -388,11 +405,8 @@ def _spread(window: Window, samples: Real, order: int, candidate: _Candidate) ->
     spread = np.zeros((2, window.orders, window.orders))
     places = np.arange(_EDGE, window.size - _EDGE + 1)
     rank = candidate.rank[places]
-    less = _POWER * (rank.max() - rank)
-    chance = np.where(less > _LEAST_CHANCE, 0.0, np.exp(-less))
+    chance = np.exp(_POWER * (rank - rank.max()))
     since = window.at + (window.size - 1) / 2 - (places - 0.5)
-    if not (chance[np.abs(since) < _NEAR] > 0).any():
-        return spread
     here = np.array([_derivatives(order, each, window.orders) for each in since])
     for c, screen in enumerate(candidate.screens):
         own = samples[:, [0]] if c == 0 else samples[:, 1:]

@@ -35,12 +35,6 @@
 #define SETTLED_SIGMAS 0.05
 /* Noise prior, in samples, while samples move: their noise is larger than the measured one. */
 #define MOVING_PRIOR_SAMPLES 1.0
-/* Windows are searched if their best evidence is below that of a line by this many log widths of
-   the flat prior. With 1 the errors are the same, and the search takes a sixth longer. */
-#define SEARCH_BELOW 3
-/* Windows of more samples are divided into segments only if an event was found. In fewer a
-   process explains what is an event. */
-#define FEW_SAMPLES 48
 
 /* Cells of a window at most: more than any has, and an integer. */
 #define MAX_LENGTH 1e15
@@ -162,9 +156,8 @@ derive_hub(Call *call, const Window *window, const Models *m, const Stencils *st
     return DONE;
 }
 
-/* Differentiate even samples at the instant of a window, into `out`. Events are searched if the
-   best evidence of the angle or of the position is below SEARCH_BELOW log widths of a flat prior a
-   component. Returns the same as `kinpole_derive`. */
+/* Differentiate even samples at the instant of a window, into `out`. Returns the same as
+   `kinpole_derive`. */
 static int
 derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
 {
@@ -185,13 +178,8 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
     long long modes = window->orders * m.rows;
     Stencils stencils = {window->orders, window->from_middle + (s->count - 1) / 2.0,
                          of_instant.numbers, (const Lanes *)(of_instant.numbers + modes)};
-    int is_searched = !window->exact &&
-        (sets[0].best_evidence[0] < -SEARCH_BELOW * call->log_prior_width ||
-         sets[0].best_evidence[1] < -SEARCH_BELOW * call->log_prior_width * 2);
-    if (is_searched)
+    if (!window->exact)
         code = search_events(call, &m, &stencils, s, &w, window->block, sets, &number, &d);
-    if (!code && is_searched && !d.count && s->count <= FEW_SAMPLES)
-        code = divide_window(call, s, &d);
     if (!code)
         differentiate(&m, &stencils, &w, sets, number, out);
     if (!code && d.count)

@@ -14,17 +14,16 @@
 #define SIZE_COST 2.4
 /* Log evidence that a candidate has to add in the screening: below it the prior wins. */
 #define MIN_GAIN 8.0
+/* Without such a candidate, windows are divided into segments if their best evidence is below that
+   of a line by this many log widths of the flat prior: a process may explain what is an event. With
+   1, smooth windows take a third longer; with 6, fast rebounds at 60 Hz are not divided. */
+#define DIVIDE_BELOW 3
 /* Standard deviation of an event's place, samples: an event lies between two samples. By how well
    the samples show the place, up to 3, errors and coverage are the same. */
 #define PLACE_SIGMA 0.5
 /* Power of the evidence by which other places count in the covariance. A step may be a ramp, which
    no model of steps has. With 1/2, 10.5% of the cells cover less than 85%; with 1/4, 8.7%. */
 #define PLACE_EVIDENCE_POWER 0.25
-/* Places whose chance is below exp(-this) of the best do not count: less than 0.1%. */
-#define MAX_LOG_CHANCE 7.0
-/* Other places count if one of them is this close to the instant, samples: farther events change
-   derivatives by less than their standard deviation. */
-#define NEAR_SAMPLES 12
 
 /* Compute what a screen leaves of the columns of a new event, the steps of a set: their `products`
    (steps, steps) with each other, below the diagonal; their `squares` (steps) without the screen;
@@ -169,17 +168,12 @@ add_place_covariance(const Models *m, const Stencils *stencils, const Set *none,
     int order = set->step[0].order;
     double *weight = scratch, *sums = scratch + n, total = 0.0;
     const double *gain = screens->gain + order * n + EDGE_SAMPLES;
-    int is_near = 0;
     for (long long k = 0; k < places; k++)
         best = gain[k] > gain[best] ? k : best;
     for (long long k = 0; k < places; k++) {
-        double loss = PLACE_EVIDENCE_POWER * (gain[best] - gain[k]);
-        weight[k] = loss > MAX_LOG_CHANCE ? 0.0 : exp(-loss);
-        is_near |= weight[k] > 0.0 && fabs(stencils->at - (k + EDGE_SAMPLES - 0.5)) < NEAR_SAMPLES;
+        weight[k] = exp(PLACE_EVIDENCE_POWER * (gain[k] - gain[best]));
         total += weight[k];
     }
-    if (!is_near)
-        return;
     if (!screens->has_sample_weights)
         find_sample_weights(m, stencils, none, lanes, screens);
     for (int c = 0; c < 2; c++) {
@@ -194,8 +188,6 @@ add_place_covariance(const Models *m, const Stencils *stencils, const Set *none,
                 long long k = i < 0 ? best : i, at = order * n + k + EDGE_SAMPLES;
                 double since = stencils->at - (k + EDGE_SAMPLES - 0.5);
                 double off[MAX_ORDERS], ratio, size;
-                if (weight[k] == 0.0)
-                    continue;
                 explained_squares(screen, at, &ratio);
                 size = screen->step_products[j * STEP_ORDERS * n + at] / screen->step_squares[at] *
                     ratio / (1 + ratio);
@@ -213,6 +205,31 @@ add_place_covariance(const Models *m, const Stencils *stencils, const Set *none,
         }
     }
 }
+
+/* Return the event before a sample, of the order with the best gain of all `n` samples. */
+static Candidate
+best_order(const Screens *screens, long long sample, long long n)
+{
+    Candidate best = {.sample = sample};
+    for (int k = 1; k < (sample < 0 ? 0 : STEP_ORDERS); k++)
+        if (screens->gain[k * n + sample] > screens->gain[best.order * n + sample])
+            best.order = k;
+    return best;
+}
+
+/* Return whether one of the sets has this event. */
+static int
+has_event(const Set *sets, int number, const Candidate *event)
+{
+    int found = 0;
+    for (int k = 1; k < number; k++)
+        found |= sets[k].step->place == event->sample - 0.5 && sets[k].step->order == event->order;
+    return found;
+}
+
+/* The events that are evaluated: the likeliest, the likeliest by the most probable model with that
+   one, whose order is surer, and the one that segments show nearest to the instant. */
+enum { LIKELIEST, BY_ITS_MODEL, AT_BOUNDARY };
 
 PRIVATE int
 search_events(Call *call, const Models *m, const Stencils *stencils, const Samples *s,
@@ -232,23 +249,25 @@ search_events(Call *call, const Models *m, const Stencils *stencils, const Sampl
     double *scratch;
     TAKE(scratch, (1 + STEP_ORDERS * MAX_ORDERS) * n);
     data = lay_out_screens(n, orders, low, data, &screens);
-    Candidate event = screen_window(m, s, w, sets, scratch, &screens);
-    if (!(event.gain >= MIN_GAIN))
+    Candidate event = screen_window(m, s, w, sets, sets, scratch, &screens);
+    int is_likely = event.gain >= MIN_GAIN;
+    if (!is_likely && sets->best_evidence[0] >= -DIVIDE_BELOW * call->log_prior_width &&
+        sets->best_evidence[1] >= -DIVIDE_BELOW * call->log_prior_width * 2)
         return DONE;
     if (divide_window(call, s, d))
         return NO_MEMORY;
-    /* Once more with the event that segments show, if it is another one. */
-    long long place = nearest_event(d, sets, stencils->at);
-    for (int is_other = 1; is_other;) {
+    for (int kind = is_likely ? LIKELIEST : AT_BOUNDARY; kind <= AT_BOUNDARY; kind++) {
+        if (kind == BY_ITS_MODEL)
+            event = screen_window(m, s, w, sets, sets + 1, scratch, &screens);
+        if (kind == AT_BOUNDARY)
+            event = best_order(&screens, nearest_event(d, sets, stencils->at), n);
+        if (event.sample < EDGE_SAMPLES || event.sample > n - EDGE_SAMPLES ||
+            has_event(sets, *number, &event))
+            continue;
         Set *set = sets + (*number)++;
         data = add_event(m, sets, &screens, &event, orders, block, data, set);
         add_place_covariance(m, stencils, sets, &screens, w->column_products, scratch, set);
         evaluate_models(m, s, w, set);
-        is_other = place >= EDGE_SAMPLES && place <= n - EDGE_SAMPLES && place != event.sample;
-        event = (Candidate){.sample = place};
-        for (int k = 1; k < (is_other ? STEP_ORDERS : 0); k++)
-            if (screens.gain[k * n + place] > screens.gain[event.order * n + place])
-                event.order = k;
     }
     return DONE;
 }

@@ -76,7 +76,7 @@ extend_signal(const double *restrict sample, const double *restrict root, long l
         for (int k = 0; k <= DEGREE; k++)
             cosine[k] = f->cosine[k][0], sine[k] = f->sine[k][0];
         for (long long i = 0; i < segments; i++) {
-            double x = sample[i];
+            double x = root[i] * sample[i];
             for (int k = 0; k <= DEGREE; k++)
                 rotate(cosine[k], sine[k], along[k] + i, &x);
             squares[i] += x * x;
@@ -224,6 +224,13 @@ typedef struct {
     double value; /* log evidence of the best division that has them as a segment */
 } Segment;
 
+/* Return whether a segment may begin at a sample: one that is missing is in the segment before. */
+static inline int
+begins_segment(const Division *d, long long sample)
+{
+    return sample == 0 || sample == d->count || d->root[sample] > 0.0;
+}
+
 /* Find the best segments around the instant `at`, samples after the first, of a part, from the best
    log evidence `before` and `after` each sample. Writes `kept`, at most MAX_KEPT, the best first;
    returns how many. */
@@ -237,7 +244,7 @@ keep_segments(const Division *d, int part, double at, Segment *kept)
         for (long long end = (long long)floor(at + 0.5) + 1; end <= n; end++) {
             double value = d->before[part][first] + d->after[part][end] +
                 d->value[part][(end - 1 - first) * n + first];
-            if (!(value > least))
+            if (!(value > least) || !begins_segment(d, first) || !begins_segment(d, end))
                 continue;
             int k = number < MAX_KEPT ? number++ : MAX_KEPT - 1;
             for (; k > 0 && kept[k - 1].value < value; k--)
