@@ -152,7 +152,9 @@ def _change_history(history: History, before: Bodies, bodies: Bodies, stretch: S
         refit(bodies, history)
     with np.errstate(invalid='ignore', divide='ignore'):
         ratio = np.where(stretch.changed, bodies.noise / before.noise, 1.0)
-    history['information'][...] *= np.where(np.isfinite(ratio), ratio, 1.0) ** 2
+        is_known = np.isfinite(ratio) & (ratio > 0)
+    # Information is in units of the noise now.
+    history['information'][...] *= np.where(is_known, ratio, 1.0) ** 2
 
 
 def _learn_shapes_and_noise(state: State, bodies: Bodies) -> tuple[Bodies, np.ndarray, np.ndarray]:
