@@ -322,10 +322,8 @@ def _sets(
     """The empty set, and those of the likeliest event and of that at the `place` of a boundary."""
     about = window, samples, seen, lacking, empty
     sets, events = [empty], []
-    for kind in ('likeliest', 'by its model', 'at a boundary')[0 if is_likely else 2 :]:
-        if kind == 'by its model':
-            found = _ranked(*about, sets[1].evidence.argmax(axis=0))
-        if kind != 'at a boundary':
+    for kind in ('likeliest', 'at a boundary')[0 if is_likely else 1 :]:
+        if kind == 'likeliest':
             order = _best(found)
             at = found[order].at
         else:

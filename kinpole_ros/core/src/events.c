@@ -227,9 +227,9 @@ has_event(const Set *sets, int number, const Candidate *event)
     return found;
 }
 
-/* The events that are evaluated: the likeliest, the likeliest by the most probable model with that
-   one, whose order is surer, and the one that segments show nearest to the instant. */
-enum { LIKELIEST, BY_ITS_MODEL, AT_BOUNDARY };
+/* The events that are evaluated: the likeliest, and the one that segments show nearest to the
+   instant. */
+enum { LIKELIEST, AT_BOUNDARY };
 
 PRIVATE int
 search_events(Call *call, const Models *m, const Stencils *stencils, const Samples *s,
@@ -249,7 +249,7 @@ search_events(Call *call, const Models *m, const Stencils *stencils, const Sampl
     double *scratch;
     TAKE(scratch, (1 + STEP_ORDERS * MAX_ORDERS) * n);
     data = lay_out_screens(n, orders, low, data, &screens);
-    Candidate event = screen_window(m, s, w, sets, sets, scratch, &screens);
+    Candidate event = screen_window(m, s, w, sets, scratch, &screens);
     int is_likely = event.gain >= MIN_GAIN;
     if (!is_likely && sets->best_evidence[0] >= -DIVIDE_BELOW * call->log_prior_width &&
         sets->best_evidence[1] >= -DIVIDE_BELOW * call->log_prior_width * 2)
@@ -257,8 +257,6 @@ search_events(Call *call, const Models *m, const Stencils *stencils, const Sampl
     if (divide_window(call, s, d))
         return NO_MEMORY;
     for (int kind = is_likely ? LIKELIEST : AT_BOUNDARY; kind <= AT_BOUNDARY; kind++) {
-        if (kind == BY_ITS_MODEL)
-            event = screen_window(m, s, w, sets, sets + 1, scratch, &screens);
         if (kind == AT_BOUNDARY)
             event = best_order(&screens, nearest_event(d, sets, stencils->at), n);
         if (event.sample < EDGE_SAMPLES || event.sample > n - EDGE_SAMPLES ||

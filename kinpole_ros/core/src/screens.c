@@ -197,11 +197,11 @@ lay_out_screens(long long count, long long orders, long long columns, char *data
 }
 
 PRIVATE Candidate
-screen_window(const Models *m, const Samples *s, const Work *w, const Set *set, const Set *of_model,
-              double *scratch, Screens *screens)
+screen_window(const Models *m, const Samples *s, const Work *w, const Set *set, double *scratch,
+              Screens *screens)
 {
     for (int c = 0; c < 2; c++) {
-        begin_screen(m, s, w, most_probable_model(m, of_model, c), screens->signal + c);
+        begin_screen(m, s, w, most_probable_model(m, set, c), screens->signal + c);
         screen_steps(m, s, w, set, scratch, screens->signal + c);
     }
     screens->has_sample_weights = 0;

@@ -65,11 +65,11 @@ PRIVATE double explained_squares(const Screen *screen, long long k, double *rati
 PRIVATE char * lay_out_screens(long long count, long long orders, long long columns, char *data,
                                Screens *screens);
 
-/* Screen steps of all orders at all places of a window, with the most probable models of `of_model`
-   and the columns of the `set` without events, and return the best. The gain of a place is without
-   the cost of the size, and has the approximation z (6 - z) / (6 - 4 z) of -log(1 - z), because
-   there are many places. `screens` is laid out; `scratch` (count) is memory. */
+/* Screen steps of all orders at all places of a window, with the most probable models of the set
+   without events, and return the best. The gain of a place is without the cost of the size, and has
+   the approximation z (6 - z) / (6 - 4 z) of -log(1 - z), because there are many places. `screens`
+   is laid out; `scratch` (count) is memory. */
 PRIVATE Candidate screen_window(const Models *m, const Samples *s, const Work *w, const Set *set,
-                                const Set *of_model, double *scratch, Screens *screens);
+                                double *scratch, Screens *screens);
 
 #endif
