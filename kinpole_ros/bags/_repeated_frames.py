@@ -104,13 +104,9 @@ def leave_out_repeats(
 
 
 def _kept(
-    noun: str,
-    stamps: np.ndarray,
-    points: np.ndarray,
-    rate: float | None = None,
-    least_step: float = 0.0,
+    noun: str, stamps: np.ndarray, points: np.ndarray, rate: float | None, least_step: float
 ) -> Kept:
-    """Return the same; where it is not known when frames were taken, the level is ERROR."""
+    """Return the frames; where it is not known when they were taken, the finding is an ERROR."""
     everything = Kept(np.ones(len(stamps), bool), stamps, None)
     if len(stamps) < 2 * _LONGEST:
         return everything
@@ -222,7 +218,7 @@ def conversion_fault(path: str, parts: Sequence[MarkerFrames]) -> Finding | None
         first += len(part.stamps)
     is_later = np.diff(np.maximum.accumulate(stamps), prepend=-1) > 0
     stamps, points = stamps[is_later], points[is_later].reshape(is_later.sum(), -1, 3)
-    kept = _kept('frames', stamps, points)
+    kept = _kept('frames', stamps, points, None, 0.0)
     if kept.finding is None or kept.finding.level == ERROR:
         return kept.finding
     off = np.abs(kept.stamps - stamps[kept.is_kept]).max()
