@@ -18,12 +18,12 @@
 
 typedef STRUCT(CHANGE_POINT_FIELDS) ChangePoint;
 
-/* Finds the likeliest event at most `radius` from `offset`, both in intervals, as the rising times
-   `time` (count) of samples, which are about 1 apart. `values` (3, count) are an angle and both
-   coordinates of a point, in deviations of their noise. The windows that are searched are about
-   time 0: the longest goes on for `after` intervals after it, and begins twice as long before it.
-   Returns 1 if there is an event, and writes it to `found`; 0 if smooth motion explains the samples
-   as well, or they are too few; -1 without memory. */
+/* Finds an event at most `radius` from `offset`, both in intervals, as the rising times `time`
+   (count) of samples, which are about 1 apart: that of the shortest window that shows one.
+   `values` (3, count) are an angle and both coordinates of a point, in deviations of their noise.
+   The windows that are searched are about time 0: the longest goes on for `after` intervals after
+   it, and begins twice as long before it. Returns 1 if there is an event, and writes it to `found`;
+   0 if smooth motion explains the samples as well, or they are too few; -1 without memory. */
 API int kinpole_find_event(const double *time, const double *values, long long count,
                            long long after, double offset, double radius, ChangePoint *found);
 

@@ -2,11 +2,12 @@
  * Polynomials with steps of their derivatives, by evidence: which events are reported.
  *
  * Within a window a signal is a polynomial and white noise. An event adds multiples of (t - p)^k /
- * k! after its place p, of one or two orders k. The evidence of polynomials with these steps is
- * held against that of polynomials without, of higher degrees too: each coefficient costs about the
- * logarithm of how far it exceeds its noise (the evidence of a Gaussian prior as wide as the
- * estimate). Angle and position have evidence of their own. Windows of several lengths are
- * searched, because a short one sees little but is simple.
+ * k! after its place p, of one or two orders k. Each coefficient costs about the logarithm of how
+ * far it exceeds its noise (the evidence of a Gaussian prior as wide as the estimate). Angle and
+ * position have evidence of their own. An event is reported for its log odds against all else:
+ * polynomials without steps, of higher degrees too, and steps that are no events. Windows of
+ * several lengths are searched, the shortest first: it is simple and has the time best, but sees
+ * little.
  *
  * Polynomials are orthonormal on the samples, so steps need no columns: their products with
  * polynomials, with samples and with each other are sums over the samples after the place, which a
@@ -41,28 +42,14 @@
    degree. */
 #define STEP_COST 2.4
 #define DEGREE_COST 1.0
-/* The log evidence that an event must have, by its order, and have more than its rivals. */
-static const double enough[] = {0.0, 18.0, 20.0, 24.0};
-#define AHEAD 3.0
-/* An event of order 2 or 3 is less distinct from smooth motion: its rivals must have less than
-   this share of its evidence, and signals of at most this degree must show it, */
-#define RIVAL_SHARE 0.65
+/* Log odds that an event must have against all else: found and false events over hours. */
+#define ENOUGH 16.0
+/* An event of order 2 or 3 is less distinct from smooth motion: signals of at most this degree must
+   show it, with so much evidence. */
 #define SIMPLE_DEGREE 4
-/* with so much evidence. */
 #define ENOUGH_SIMPLE 11.0
-/* A step of the lowest of two orders must exceed its noise by this, as a sum of squares of all
-   signals. */
-#define STANDS_OUT 25.0
-/* In a window half as long there must be this share of the evidence expected there, less an
-   offset. */
-#define CONFIRMED 0.6
-#define CONFIRMED_LESS 3.0
-/* Samples at either end of a window where no event is found, and places that are tried there at
-   most, about. */
-#define EDGE 2
-#define MAX_PLACES 192
-/* Degrees added where sizes are estimated, for the bias of the likeliest one. */
-#define BIAS_DEGREES 2
+/* Places of a window that are tried at first, about. */
+#define MAX_PLACES 32
 /* Squares below this share of a step's own are rounding. */
 #define ROUNDING 1e-9
 /* Log evidence below the best that does not matter. */
@@ -71,7 +58,9 @@ static const double enough[] = {0.0, 18.0, 20.0, 24.0};
 #define REFINED 17
 #define ROUNDS 6
 
-#define MOST_ORDER 6
+/* Orders of steps, and of events, at most. */
+#define MOST_ORDER 5
+#define MOST_EVENT 3
 /* Orders of a set of steps at most. */
 #define PAIR 2
 
@@ -80,10 +69,12 @@ typedef struct {
     int count, order[PAIR];
 } Orders;
 
-#define SETS 5
-static const Orders events[SETS] = {{1, {1}}, {2, {1, 2}}, {1, {2}}, {2, {2, 3}}, {1, {3}}};
-/* What may look like an event and is none: poses that jump, and motion that sets in gradually. */
-static const Orders rivals[SETS] = {{1, {0}}, {1, {4}}, {2, {4, 5}}, {1, {5}}, {2, {5, 6}}};
+/* Events, and from EVENTS on what looks like one: poses that jump, and motion that sets in
+   gradually. */
+#define EVENTS 5
+#define SETS 7
+static const Orders sets[SETS] = {{1, {1}}, {2, {1, 2}}, {1, {2}}, {2, {2, 3}}, {1, {3}},
+                                  {1, {0}}, {2, {4, 5}}};
 
 /* Polynomials on the samples of a window, and how well they explain these. */
 typedef struct {
@@ -93,6 +84,7 @@ typedef struct {
     double *basis;                            /* (highest + 1, count): the polynomials */
     double along[MAX_DEGREE + 1][3];          /* coefficients of the signals */
     double squares[2][STEP_DEGREE + 1];       /* sum of squares that is left, by part and degree */
+    double inverse[2][STEP_DEGREE + 1];       /* one over those, with the prior */
     double value[2][STEP_DEGREE + 1];         /* log evidence, over that of all degrees together */
     double number[2];                         /* half of the samples of a part, with the prior */
 } Fit;
@@ -161,7 +153,7 @@ fit_signals(Fit *f, int white)
         for (int c = 0; c < 3; c++)
             f->along[d][c] = dot(f->basis + d * f->count, f->values[c], f->count);
     for (int part = 0; part < 2; part++) {
-        double value[MAX_DEGREE + 1], squares[MAX_DEGREE + 1] = {0.0}, cost = 0.0;
+        double value[MAX_DEGREE + 1] = {0.0}, squares[MAX_DEGREE + 1] = {0.0}, cost = 0.0;
         f->number[part] = (PRIOR_SAMPLES + (part + 1) * f->count) / 2;
         for (int d = 0; d <= f->highest; d++) {
             for (int c = part; c <= 2 * part; c++)
@@ -179,7 +171,8 @@ fit_signals(Fit *f, int white)
             value[d] -= f->number[part] * log(PRIOR_SAMPLES + squares[d]);
         double smooth = log_of_sum(value + 1, f->highest);
         for (int d = 0; d <= f->simplest; d++)
-            f->squares[part][d] = squares[d], f->value[part][d] = value[d] - smooth;
+            f->squares[part][d] = squares[d], f->value[part][d] = value[d] - smooth,
+            f->inverse[part][d] = 1 / (PRIOR_SAMPLES + squares[d]);
     }
 }
 
@@ -270,28 +263,25 @@ steps_of(const Orders *set, const After *after)
     return steps;
 }
 
-/* What polynomials leave of columns, each without those before it (Cholesky). */
+/* What polynomials leave of columns, each without those before it. */
 typedef struct {
-    double inverse[PAIR];  /* one over the length of each; 0 if it is rounding */
-    double shared;         /* the part of the second along the first */
-    double value[PAIR][3]; /* the signals along each */
+    double inverse[PAIR];  /* one over the square of each; 0 if it is rounding */
+    double value[PAIR][3]; /* their products with the signals */
 } Reduced;
 
 /* Return what polynomials leave of the columns `added`, whose products without the polynomials are
-   `left`, for the signals from `first` to `last`. */
+   `left`. */
 static Reduced
-reduce(const Added *added, const Added *left, int first, int last)
+reduce(const Added *added, const Added *left)
 {
-    Reduced out = {{0.0}, 0.0, {{0.0}}};
+    Reduced out = {{0.0}, {{0.0}}};
     for (int k = 0; k < added->count; k++) {
-        double own = left->own[k][k];
-        if (k)
-            out.shared = left->own[1][0] * out.inverse[0], own -= out.shared * out.shared;
+        double shared = k ? left->own[1][0] * out.inverse[0] : 0.0;
+        double own = left->own[k][k] - shared * left->own[0][k];
         if (own > ROUNDING * added->own[k][k])
-            out.inverse[k] = 1 / sqrt(own);
-        for (int c = first; c <= last; c++)
-            out.value[k][c] = out.inverse[k] *
-                (left->product[c][k] - (k ? out.shared * out.value[0][c] : 0.0));
+            out.inverse[k] = 1 / own;
+        for (int c = 0; c < 3; c++)
+            out.value[k][c] = left->product[c][k] - shared * out.value[0][c];
     }
     return out;
 }
@@ -322,21 +312,21 @@ gain_of(const Fit *f, const Added *added, double *gain, int *degree)
     degree[0] = degree[1] = 1;
     for (int d = 1; d <= f->simplest; d++) {
         subtract_degree(f, d, &left);
-        Reduced reduced = reduce(added, &left, 0, 2);
+        Reduced reduced = reduce(added, &left);
         for (int part = 0; part < 2; part++) {
-            double signals = part + 1, explained = 0.0, ratio = 1.0;
+            double signals = part + 1, explained = 0.0, square[PAIR] = {0.0};
             for (int k = 0; k < added->count; k++) {
-                double square = 0.0;
                 for (int c = part; c <= 2 * part; c++)
-                    square += reduced.value[k][c] * reduced.value[k][c];
-                explained += square, ratio *= 1 + square / signals;
+                    square[k] += reduced.value[k][c] * reduced.value[k][c];
+                square[k] *= reduced.inverse[k], explained += square[k];
             }
-            double all = PRIOR_SAMPLES + f->squares[part][d], *own = value[part] + d;
-            double z = smaller(explained, f->squares[part][d]) / all;
+            double *own = value[part] + d;
+            double z = smaller(explained, f->squares[part][d]) * f->inverse[part][d];
             *own = f->value[part][d] - added->count * STEP_COST;
             /* A bound of -log(1 - z). */
             if (*own + f->number[part] * z * (2 - z) / (2 - 2 * z) > most[part] - NEGLIGIBLE)
-                *own -= f->number[part] * log(1 - z) + signals / 2 * log(ratio);
+                *own -= f->number[part] * log(1 - z) +
+                    signals / 2 * log((1 + square[0] / signals) * (1 + square[1] / signals));
             most[part] = larger(most[part], *own);
             if (*own > value[part][degree[part]])
                 degree[part] = d;
@@ -400,11 +390,12 @@ estimate_sizes(const Fit *f, const Added *added, const int *degree, double size[
         Added left = *added;
         for (int d = 0; d <= degree[part]; d++)
             subtract_degree(f, d, &left);
-        Reduced reduced = reduce(added, &left, part, 2 * part);
+        Reduced reduced = reduce(added, &left);
+        double shared = left.own[1][0] * reduced.inverse[0];
         for (int c = part; c <= 2 * part; c++) {
             size[1][c] = reduced.value[1][c] * reduced.inverse[1];
-            size[0][c] = (reduced.value[0][c] - reduced.shared * size[1][c]) * reduced.inverse[0];
-            sigma[c] = reduced.inverse[0] * hypot(1.0, reduced.shared * reduced.inverse[1]);
+            size[0][c] = reduced.value[0][c] * reduced.inverse[0] - shared * size[1][c];
+            sigma[c] = sqrt(reduced.inverse[0] + shared * shared * reduced.inverse[1]);
         }
     }
 }
@@ -417,117 +408,108 @@ typedef struct {
     After after[2 * MAX_PLACES];  /* (number): sums after them */
 } Places;
 
-/* List places `p` at whole intervals from `first` to `last`, but the edges of the window, and sum
-   after them with the orders up to `highest`. There may be none. */
+/* List places `p` from `first` to `last` and a step around, inside the window, and sum after them
+   with the orders up to `highest`. There may be none. */
 static void
 list_places(const Fit *f, double first, double last, int highest, Places *p)
 {
     p->step = ceil((f->time[f->count - 1] - f->time[0]) / MAX_PLACES);
-    first = larger(first, ceil(f->time[0]) + EDGE);
-    last = smaller(last, floor(f->time[f->count - 1]) - EDGE);
+    first = larger(first - p->step, f->time[0] + 1);
+    last = smaller(last + p->step, f->time[f->count - 1] - 1);
     for (p->number = 0; first <= last && p->number < 2 * MAX_PLACES; first += p->step)
         p->place[p->number++] = first;
     sum_after(f, p->place, p->number, highest, p->after);
 }
 
-/* Return the log evidence of the best of SETS `sets` of steps at the places `p`, and the number of
-   its place in `at`; -infinity and 0 without places. */
+/* Return the log evidence of the best of the sets from `first` to before `last` at the places `p`,
+   and its place in `place`; -infinity without places. */
 static double
-best_place(const Fit *f, const Orders *sets, const Places *p, int *at)
+best_place(const Fit *f, int first, int last, const Places *p, double *place)
 {
     double best = -INFINITY, parts[2];
     int degree[2];
-    *at = 0;
-    for (int k = 0; k < SETS; k++)
+    for (int k = first; k < last; k++)
         for (int i = 0; i < p->number; i++) {
             Added steps = steps_of(sets + k, p->after + i);
             double gain = gain_of(f, &steps, parts, degree);
             if (gain > best)
-                best = gain, *at = i;
+                best = gain, *place = p->place[i];
         }
     return best;
 }
 
 /* An event at a place. */
 typedef struct {
-    const Orders *set; /* orders of its steps */
-    Added steps;       /* their products at the place */
-    double gain[2];    /* log evidence that angle and position have for it */
-    int degree[2];     /* their likeliest degrees */
+    const Orders *set;    /* orders of its steps */
+    Added steps;          /* their products at the place */
+    double gain[2];       /* log evidence that angle and position have for it */
+    int degree[2];        /* their likeliest degrees, */
+    int more[2];          /* and one more, for the bias of the likeliest */
+    double size[PAIR][3]; /* sizes of the steps with these, by signal */
 } Hypothesis;
 
 /* Find the best set of steps of an event near the place `near`, within some `step`, both intervals.
-   The lower of two orders must stand out. Writes `best`, and describes it in `found`; if there is
-   none, the gain of `found` is -infinity, and `best` stays. */
+   Writes `best`, and describes it in `found`. */
 static void
 find_order(const Fit *f, double near, double step, Hypothesis *best, ChangePoint *found)
 {
     found->gain = -INFINITY;
-    for (int k = 0; k < SETS; k++) {
-        ChangePoint one = {.place = near, .step_order = events[k].order[0]};
-        Hypothesis own = {.set = events + k};
-        After after;
-        int more[2];
-        double size[PAIR][3], square = 0.0;
-        one.gain = refine(f, own.set, step, &one.place, &one.place_sigma);
-        sum_after(f, &one.place, 1, MOST_ORDER / 2, &after);
-        own.steps = steps_of(own.set, &after);
-        gain_of(f, &own.steps, own.gain, own.degree);
-        for (int part = 0; part < 2; part++) {
-            more[part] = own.degree[part] + BIAS_DEGREES;
-            more[part] = more[part] < f->simplest ? more[part] : f->simplest;
-        }
-        estimate_sizes(f, &own.steps, more, size, one.step_sigma);
-        memcpy(one.step, size[0], sizeof one.step);
-        for (int c = 0; c < 3; c++)
-            square += pow(one.step[c] / one.step_sigma[c], 2);
-        if (one.gain > found->gain && (own.set->count == 1 || square > STANDS_OUT))
-            *found = one, *best = own;
+    for (int k = 0; k < EVENTS; k++) {
+        ChangePoint one = {.place = near, .step_order = sets[k].order[0]};
+        one.gain = refine(f, sets + k, step, &one.place, &one.place_sigma);
+        if (one.gain > found->gain)
+            *found = one, best->set = sets + k;
     }
+    After after;
+    sum_after(f, &found->place, 1, MOST_EVENT, &after);
+    best->steps = steps_of(best->set, &after);
+    gain_of(f, &best->steps, best->gain, best->degree);
+    for (int part = 0; part < 2; part++)
+        best->more[part] = best->degree[part] + (best->degree[part] < f->simplest);
+    estimate_sizes(f, &best->steps, best->more, best->size, found->step_sigma);
+    memcpy(found->step, best->size[0], sizeof found->step);
 }
 
-/* Whether a shorter window shows the evidence for an event at a `place` that the curve of the
-   longer one `f`, polynomial and steps, has there with unit noise. `curve` is memory for (3, count)
-   of the shorter one. */
+/* Whether a shorter window shows half of the evidence for an event at a `place` that the curve of
+   the longer one `f`, polynomial and steps, has there with unit noise. `curve` is memory for
+   (3, count) of the shorter one. */
 static int
 is_confirmed(const Fit *f, const Fit *shorter, const Hypothesis *event, double place, double *curve)
 {
     if (!(place > shorter->time[0] + 3 && place < shorter->time[shorter->count - 1] - 3))
         return 1;
-    double size[PAIR][3], sigma[3], expected = 0.0, found = 0.0, gain[2];
-    int likeliest[2];
-    const Added *added = &event->steps;
-    Fit second = *shorter;
-    After after;
-    estimate_sizes(f, added, event->degree, size, sigma);
+    double most[2] = {0.0}, gain[2];
+    int degree[2];
+    Fit expected = *shorter;
     for (int c = 0; c < 3; c++) {
-        double *own = curve + c * second.count;
-        for (long long t = 0; t < second.count; t++) {
-            double since = second.time[t] - place;
-            long long row = second.time + t - f->time;
+        double *own = curve + c * expected.count;
+        expected.values[c] = own;
+        for (long long t = 0; t < expected.count; t++) {
+            double since = expected.time[t] - place;
+            long long row = expected.time + t - f->time;
             own[t] = 0.0;
-            for (int d = 0; d <= event->degree[c > 0]; d++) {
+            for (int d = 0; d <= event->more[c > 0]; d++) {
                 double along = f->along[d][c];
-                for (int k = 0; k < added->count; k++)
-                    along -= size[k][c] * added->along[d][k];
+                for (int k = 0; k < event->set->count; k++)
+                    along -= event->size[k][c] * event->steps.along[d][k];
                 own[t] += along * f->basis[d * f->count + row];
             }
-            for (int k = 0; k < added->count && since > 0; k++)
-                own[t] += size[k][c] * pow(since, event->set->order[k]) /
+            for (int k = 0; k < event->set->count && since > 0; k++)
+                own[t] += event->size[k][c] * pow(since, event->set->order[k]) /
                     tgamma(event->set->order[k] + 1);
         }
-        second.values[c] = own;
     }
-    fit_signals(&second, 1);
-    for (int k = 0; k < SETS; k++) {
-        sum_after(shorter, &place, 1, MOST_ORDER / 2, &after);
-        Added steps = steps_of(events + k, &after);
-        found = larger(found, gain_of(shorter, &steps, gain, likeliest));
-        sum_after(&second, &place, 1, MOST_ORDER / 2, &after);
-        steps = steps_of(events + k, &after);
-        expected = larger(expected, gain_of(&second, &steps, gain, likeliest));
+    fit_signals(&expected, 1);
+    for (int which = 0; which < 2; which++) {
+        const Fit *fit = which ? &expected : shorter;
+        After after;
+        sum_after(fit, &place, 1, MOST_EVENT, &after);
+        for (int k = 0; k < EVENTS; k++) {
+            Added steps = steps_of(sets + k, &after);
+            most[which] = larger(most[which], gain_of(fit, &steps, gain, degree));
+        }
     }
-    return found >= CONFIRMED * expected - CONFIRMED_LESS;
+    return most[0] >= most[1] / 2;
 }
 
 /* Find an event in the window `f`, at most `radius` from `offset`, both intervals; as many as
@@ -538,24 +520,23 @@ search_window(const Fit *f, int shorter, double offset, double radius, Places *p
               ChangePoint *found)
 {
     Hypothesis event;
-    int at, other;
-    double simple = 0.0;
+    double place, simple = 0.0;
+    list_places(f, offset - radius, offset + radius, MOST_EVENT, p);
+    if (best_place(f, 0, EVENTS, p, &place) < ENOUGH)
+        return 0;
     list_places(f, -INFINITY, INFINITY, MOST_ORDER, p);
-    double best = best_place(f, events, p, &at);
-    if (best < enough[1] || fabs(p->place[at] - offset) > radius + 0.5 * p->step)
+    best_place(f, 0, EVENTS, p, &place);
+    if (fabs(place - offset) > radius + 0.5 * p->step)
         return 0;
-    double rival = best_place(f, rivals, p, &other);
-    if (best < rival + AHEAD)
-        return 0;
-    find_order(f, p->place[at], p->step, &event, found);
-    if (fabs(found->place - offset) > radius || found->gain < enough[event.set->order[0]])
+    find_order(f, place, p->step, &event, found);
+    double odds = found->gain - larger(best_place(f, EVENTS, SETS, p, &place), 0.0);
+    if (fabs(found->place - offset) > radius || odds < ENOUGH)
         return 0;
     /* Without a shorter window nothing says whether more degrees would explain it. */
     int most = found->step_order > 1 ? SIMPLE_DEGREE : shorter ? STEP_DEGREE : f->simplest - 1;
     for (int part = 0; part < 2; part++)
         simple += event.degree[part] <= most ? event.gain[part] : 0.0;
-    if ((found->step_order > 1 && rival > RIVAL_SHARE * found->gain) ||
-        ((found->step_order > 1 || !shorter) && simple < ENOUGH_SIMPLE))
+    if ((found->step_order > 1 || !shorter) && simple < ENOUGH_SIMPLE)
         return 0;
     return !shorter || is_confirmed(f, f + 1, &event, found->place, scratch);
 }
@@ -565,31 +546,20 @@ kinpole_find_event(const double *time, const double *values, long long count, lo
                    double offset, double radius, ChangePoint *found)
 {
     Fit fits[MAX_WINDOWS];
-    int number = 0, is_likely[MAX_WINDOWS], any = 0, at;
+    int number = 0, code = 0;
     size_t of_basis = (MAX_DEGREE + 1) * count;
     double *memory = malloc((MAX_WINDOWS * of_basis + 3 * count) * sizeof(double));
     Places *places = malloc(sizeof *places);
-    found->gain = -INFINITY;
     int is_last = !memory || !places;
     for (; !is_last && number < MAX_WINDOWS; after = (after + 1) / 2) {
         is_last = after <= SHORTEST;
         after = is_last ? SHORTEST : after;
-        Fit *f = fits + number;
-        if (!fit_window(time, values, count, after, memory + number * of_basis, f))
-            continue;
-        double around = ceil(radius) + ceil(3.0 * after / MAX_PLACES), center = rint(offset);
-        list_places(f, center - around, center + around, MOST_ORDER / 2, places);
-        is_likely[number] = best_place(f, events, places, &at) > enough[1];
-        any |= is_likely[number++];
+        number += fit_window(time, values, count, after, memory + number * of_basis, fits + number);
     }
-    for (int k = 0; k < (any ? number : 0); k++) {
-        ChangePoint one;
-        if (is_likely[k] && search_window(fits + k, number - 1 - k, offset, radius, places,
-                                          memory + MAX_WINDOWS * of_basis, &one) &&
-            one.gain > found->gain)
-            *found = one;
-    }
-    int code = !memory || !places ? -1 : found->gain > -INFINITY;
+    for (int k = number - 1; k >= 0 && !code; k--)
+        code = search_window(fits + k, number - 1 - k, offset, radius, places,
+                             memory + MAX_WINDOWS * of_basis, found);
+    code = !memory || !places ? -1 : code;
     free(memory), free(places);
     return code;
 }
