@@ -7,10 +7,10 @@
  *    give the evidence that a step of each order at each place would add (`screen_window`). This
  *    is done with the most probable model.
  * 2. Evaluation. The best candidate becomes columns of the regression: the step, its shift in time,
- *    and a step of the next derivative. All models are evaluated with them (`add_event`,
- *    `evaluate_models`). Their most probable model screens once more, because that without an event
- *    is rough and shows the order badly. If segments (segments.c) show another event near the
- *    instant, it is a set of its own. More events in a window are left to segments.
+ *    and a step of the next derivative, because the model without an event is rough and shows the
+ *    order badly. All models are evaluated with them (`add_event`, `evaluate_models`). If segments
+ *    (segments.c) show another event near the instant, it is a set of its own. More events in a
+ *    window are left to segments.
  * 3. Other places of an event, by their evidence, add to the covariance (`add_place_covariance`).
  *
  * `search_events` returns the sets, and `differentiate` averages all models with all of them. The
