@@ -148,6 +148,17 @@ def test_samples_that_are_missing_make_no_events_and_hide_none() -> None:
     assert (off.min(axis=1) < 0.02).all()
 
 
+@pytest.mark.parametrize('scale', [1e-300, 1.0, 1e160, 1e300])
+@pytest.mark.parametrize('variance', [1e-300, 1.0, 1e250])
+def test_samples_of_any_size_make_finite_events_or_none(scale: float, variance: float) -> None:
+    time, rng = np.arange(200) / RATE, np.random.default_rng(0)
+    values = scale * (rng.normal(size=(200, 3)) + 50 * np.maximum(time - 0.47, 0)[:, None])
+    with np.errstate(all='ignore'):
+        event = find_event(Samples(time, values, np.full((200, 2), variance), 0.45, 0.49), WINDOW)
+    if event is not None:
+        assert np.isfinite((event.time, event.time_sigma, *event.step, *event.step_sigma)).all()
+
+
 # From markers to results
 
 

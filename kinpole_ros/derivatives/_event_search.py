@@ -60,19 +60,19 @@ def find_event(samples: Samples, after: float) -> Event | None:
     before. There is none where smooth motion explains the samples as well.
     """
     time, values, variance, begin, end = samples
-    known = np.count_nonzero(np.isfinite(variance[:, 0]))
-    if known < _FEWEST:
+    seen = np.isfinite(variance).all(axis=1)
+    if np.count_nonzero(seen) < _FEWEST:
         return None
-    interval = float(np.sort(time[1:] - time[:-1])[(len(time) - 1) // 2])
+    interval = float(np.sort(np.diff(time))[(len(time) - 1) // 2])
     # Time is from half an interval before the first sample after the middle of the places.
-    number = min(int(time.searchsorted((begin + end) / 2)), len(time) - 1)
+    number = min(int(np.searchsorted(time, (begin + end) / 2)), len(time) - 1)
     middle = float(time[number]) - interval / 2
-    most = _NOISY * np.sort(variance, axis=0)[known // 2]
-    rows = np.flatnonzero((variance[:, 0] <= most[0]) & (variance[:, 1] <= most[1]))
-    since = (time[rows] - middle) / interval
-    scale = np.sqrt(variance[rows].sum(axis=0) / len(rows))[[0, 1, 1]]
-    first = rows[min(int(since.searchsorted(0.0)), len(rows) - 1)]
-    samples_in_sigmas = np.ascontiguousarray(((values[rows] - values[first]) / scale).T)
+    usual = np.sort(variance, axis=0)[np.count_nonzero(seen) // 2]
+    seen = (variance <= _NOISY * usual).all(axis=1)
+    since, values, variance = (time[seen] - middle) / interval, values[seen], variance[seen]
+    scale = np.sqrt(variance.mean(axis=0))[[0, 1, 1]]
+    first = min(int(np.searchsorted(since, 0.0)), len(since) - 1)
+    samples_in_sigmas = np.ascontiguousarray(((values - values[first]) / scale).T)
     found = ChangePoint()
     code = library.kinpole_find_event(
         pass_new_array(since),

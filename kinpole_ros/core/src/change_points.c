@@ -84,7 +84,6 @@ typedef struct {
     double *basis;                            /* (highest + 1, count): the polynomials */
     double along[MAX_DEGREE + 1][3];          /* coefficients of the signals */
     double squares[2][STEP_DEGREE + 1];       /* sum of squares that is left, by part and degree */
-    double inverse[2][STEP_DEGREE + 1];       /* one over those, with the prior */
     double value[2][STEP_DEGREE + 1];         /* log evidence, over that of all degrees together */
     double number[2];                         /* half of the samples of a part, with the prior */
 } Fit;
@@ -171,8 +170,7 @@ fit_signals(Fit *f, int white)
             value[d] -= f->number[part] * log(PRIOR_SAMPLES + squares[d]);
         double smooth = log_of_sum(value + 1, f->highest);
         for (int d = 0; d <= f->simplest; d++)
-            f->squares[part][d] = squares[d], f->value[part][d] = value[d] - smooth,
-            f->inverse[part][d] = 1 / (PRIOR_SAMPLES + squares[d]);
+            f->squares[part][d] = squares[d], f->value[part][d] = value[d] - smooth;
     }
 }
 
@@ -320,8 +318,8 @@ gain_of(const Fit *f, const Added *added, double *gain, int *degree)
                     square[k] += reduced.value[k][c] * reduced.value[k][c];
                 square[k] *= reduced.inverse[k], explained += square[k];
             }
-            double *own = value[part] + d;
-            double z = smaller(explained, f->squares[part][d]) * f->inverse[part][d];
+            double all = PRIOR_SAMPLES + f->squares[part][d], *own = value[part] + d;
+            double z = smaller(explained, f->squares[part][d]) / all;
             *own = f->value[part][d] - added->count * STEP_COST;
             /* A bound of -log(1 - z). */
             if (*own + f->number[part] * z * (2 - z) / (2 - 2 * z) > most[part] - NEGLIGIBLE)
@@ -449,11 +447,11 @@ typedef struct {
 } Hypothesis;
 
 /* Find the best set of steps of an event near the place `near`, within some `step`, both intervals.
-   Writes `best`, and describes it in `found`. */
+   Writes `best`, and describes it in `found`, with a gain of -infinity if none is finite. */
 static void
 find_order(const Fit *f, double near, double step, Hypothesis *best, ChangePoint *found)
 {
-    found->gain = -INFINITY;
+    *found = (ChangePoint){.place = near, .gain = -INFINITY}, best->set = sets;
     for (int k = 0; k < EVENTS; k++) {
         ChangePoint one = {.place = near, .step_order = sets[k].order[0]};
         one.gain = refine(f, sets + k, step, &one.place, &one.place_sigma);
