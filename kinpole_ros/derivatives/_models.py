@@ -277,7 +277,7 @@ def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
         _fill_lanes(parameters),
     ]
     if not exact:
-        numbers.append(_step_squares(count, members, amplitudes))
+        numbers.append(_step_products(count, members, amplitudes))
     # Polynomials and rest have the number after those of the spectra: common to all.
     last = len(SPECTRA)
     spectrum = np.array([*(one.process.spectrum % (last + 1) for one in members), last])
@@ -287,32 +287,46 @@ def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
     return integers, np.concatenate([one.ravel() for one in numbers])
 
 
-def _step_squares(count: int, members: list[_Member], amplitudes: Real) -> Real:
+def _step_products(count: int, members: list[_Member], amplitudes: Real) -> Real:
     """
-    Return the squares b' P b (processes, amplitudes, orders, n) of steps b, with P as in screens.h.
+    Return products b' P c (processes, amplitudes, products, n) of steps b, c, with P of screens.h.
 
     A step of the motion, or of its first or second derivative, lies half a sample before each
-    sample. Squares that are rounding are infinite, and so are those of rest, the last process.
+    sample. The products are the squares of each order, and then those of orders that follow each
+    other. Squares that are rounding are infinite, and so are those of rest, the last process.
     """
     time = np.arange(count)
     since = np.maximum(time - time[:, None] + 0.5, 0.0)
-    powers = (since**k / factorial(k) for k in range(1, SIZES['STEP_ORDERS']))
+    orders = SIZES['STEP_ORDERS']
+    powers = (since**k / factorial(k) for k in range(1, orders))
     steps = np.concatenate((since > 0, *powers)).T
-    square = (steps**2).sum(axis=0)
+    left = np.concatenate((steps, steps[:, count:]), axis=1)
+    right = np.concatenate((steps, steps[:, :-count]), axis=1)
     _, root, lines = _half_window(count)
-    opposite = steps[::-1][: len(root)]
-    halves = [root[:, None] / 2 * (steps[: len(root)] + sign * opposite) for sign in (1, -1)]
-    no_line = square - sum((line @ half) ** 2 for line, half in zip(lines, halves, strict=True))
+
+    def halves(columns: Real) -> list[Real]:
+        opposite = columns[::-1][: len(root)]
+        return [root[:, None] / 2 * (columns[: len(root)] + sign * opposite) for sign in (1, -1)]
+
+    product = (left * right).sum(axis=0)
+    no_line = product - sum(
+        (line @ a) * (line @ b)
+        for line, a, b in zip(lines, halves(left), halves(right), strict=True)
+    )
     lanes = len(amplitudes) + -len(amplitudes) % _LANES
-    squares = np.full((len(members) + 1, lanes, len(square)), np.inf)
+    products = np.full((len(members) + 1, lanes, len(product)), np.inf)
     for p, member in enumerate(members):
-        squares[p, : len(amplitudes)] = no_line
-        for one, sizes, half in zip(member.functions, member.sizes, halves, strict=True):
+        products[p, : len(amplitudes)] = no_line
+        each = zip(member.functions, member.sizes, halves(left), halves(right), strict=True)
+        for one, sizes, a, b in each:
             variance = (amplitudes[:, None] * sizes) ** 2
-            coefficients = one.vectors[:, : len(sizes)].T @ half
-            squares[p, : len(amplitudes)] -= variance / (1 + variance) @ coefficients**2
-    squares[squares < _STEP_ROUNDING * square] = np.inf
-    return squares
+            vectors = one.vectors[:, : len(sizes)].T
+            products[p, : len(amplitudes)] -= (
+                variance / (1 + variance) @ ((vectors @ a) * (vectors @ b))
+            )
+    squares = products[..., : orders * count]
+    squares[squares < _STEP_ROUNDING * product[: orders * count]] = np.inf
+    return products
 
 
 def _derivatives(

@@ -17,4 +17,5 @@
 #include "segments.c"
 #include "hub.c"
 #include "events.c"
+#include "window_events.c"
 #include "derive.c"

@@ -83,25 +83,43 @@ sum_products_with_steps(const double *signal, long long count, double *sums)
     }
 }
 
+/* Add a column of a set to a screen, as `add_column` does, and take from the squares of steps what
+   it explains of them. `at` is the column in the `weight` and `root` of the set. */
+static void
+screen_column(const Models *m, const Samples *s, const Work *w, const Set *set, long long at,
+              const double *column, const double *coefficients, Screen *screen)
+{
+    long long n = m->count, x = screen->columns;
+    double *products = screen->squared_products; /* free until the columns are added */
+    add_column(m, s, column, coefficients, set->weight[at], set->root[at], w->column_products,
+               screen);
+    sum_products_with_steps(screen->reduced_columns + x * n, n, products);
+    for (long long k = 0; k < STEP_ORDERS * n; k++)
+        screen->step_squares[k] -= screen->factor[x] * products[k] * products[k];
+    for (long long k = n; k < STEP_ORDERS * n; k++)
+        screen->step_squares[(STEP_ORDERS - 1) * n + k] -=
+            screen->factor[x] * products[k] * products[k - n];
+}
+
 /* Add the columns of a set to a screen, and write its products and squares of steps at all places.
    `scratch` is memory (count). */
 static void
 screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, double *scratch,
              Screen *screen)
 {
-    long long n = m->count, part = set->parts > 1 && screen->c > 0;
-    const double *of_model = m->step_squares + screen->model * STEP_ORDERS * n;
-    for (long long x = 0; x < set->low_samples; x++) {
-        long long at = part * set->columns + x;
+    long long n = m->count, low = set->low_samples;
+    long long first = set->parts > 1 && screen->c > 0 ? set->columns : 0;
+    const double *of_model = m->step_squares + screen->model * STEP_PRODUCTS * n;
+    for (long long x = 0; x < low; x++) {
         memset(scratch, 0, n * sizeof(double)), scratch[set->low_sample[x]] = 1.0;
-        add_column(m, s, scratch, set->coefficients + x * m->rows, set->weight[at], set->root[at],
-                   w->column_products, screen);
-        double *products = screen->squared_products; /* free until the columns are added */
-        sum_products_with_steps(screen->reduced_columns + x * n, n, products);
-        for (long long k = 0; k < STEP_ORDERS * n; k++)
-            screen->step_squares[k] -= screen->factor[x] * products[k] * products[k];
+        screen_column(m, s, w, set, first + x, scratch, set->coefficients + x * m->rows, screen);
     }
-    memset(screen->squared_products, 0, STEP_ORDERS * n * sizeof(double));
+    if (set->steps)
+        project_steps(m, screen->model / LANES / m->chunks, set);
+    for (long long k = 0; k < set->steps; k++)
+        screen_column(m, s, w, set, first + low + k, set->step_columns + k * n,
+                      set->coefficients + (low + k) * m->rows, screen);
+    memset(screen->squared_products, 0, STEP_PRODUCTS * n * sizeof(double));
     screen->residual_squares = 0.0;
     for (int j = 0; j <= screen->c; j++) {
         screen->residual_squares += dot(screen->residual + j * n, s->x[screen->c + j], n);
@@ -109,6 +127,8 @@ screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, d
         sum_products_with_steps(screen->residual + j * n, n, products);
         for (long long k = 0; k < STEP_ORDERS * n; k++)
             screen->squared_products[k] += products[k] * products[k];
+        for (long long k = n; k < STEP_ORDERS * n; k++)
+            screen->squared_products[(STEP_ORDERS - 1) * n + k] += products[k] * products[k - n];
     }
     screen->residual_squares = larger(screen->residual_squares, 0.0);
     for (long long k = 0; k < STEP_ORDERS * n; k++)
@@ -125,8 +145,8 @@ begin_screen(const Models *m, const Samples *s, const Work *w, long long model, 
     for (int j = 0; j <= screen->c; j++)
         subtract_model(m, model, w->coefficients + (screen->c + j) * m->rows, s->x[screen->c + j],
                        w->column_products, screen->residual + j * n);
-    memcpy(screen->step_squares, m->step_squares + model * STEP_ORDERS * n,
-           STEP_ORDERS * n * sizeof(double));
+    memcpy(screen->step_squares, m->step_squares + model * STEP_PRODUCTS * n,
+           STEP_PRODUCTS * n * sizeof(double));
 }
 
 PRIVATE_INLINE double
@@ -136,16 +156,38 @@ explained_squares(const Screen *screen, long long k, double *ratio)
     return (screen->c + 1) * *ratio * *ratio / (1 + *ratio);
 }
 
+/* Return by how much the step `k`, of `count` places, with its shift in time, the step of the order
+   before, reduces the residual sum of squares. Writes by what the `determinant` of the covariance
+   is multiplied for each coordinate. The prior variance of the step is the square of its estimate,
+   and that of the shift this times PLACE_SIGMA squared, as in `estimate_prior_sizes`. */
+static inline double
+explained_with_shift(const Screen *screen, long long k, long long count, double *determinant)
+{
+    const double *products = screen->squared_products, *squares = screen->step_squares;
+    double ratio, explained = explained_squares(screen, k, &ratio);
+    *determinant = 1 + ratio;
+    if (k < count || !(squares[k] < INFINITY) || !(squares[k - count] < INFINITY))
+        return explained;
+    /* What the step leaves of the shift. */
+    long long with_shift = (STEP_ORDERS - 1) * count + k;
+    double by = ratio / (1 + ratio) * squares[with_shift] / squares[k];
+    double square = larger(squares[k - count] - by * squares[with_shift], 0.0);
+    double product = products[k - count] - 2 * by * products[with_shift] + by * by * products[k];
+    double variance = PLACE_SIGMA * PLACE_SIGMA * ratio / squares[k];
+    *determinant *= 1 + variance * square;
+    return explained + variance * product / (1 + variance * square);
+}
+
 /* Return the log evidence that the step `k` adds to the signal of a screen: order times count, and
    its place. */
 static double
-evidence_gain(const Screen *screen, const Work *w, long long k)
+evidence_gain(const Screen *screen, const Work *w, long long k, long long n)
 {
-    double ratio, explained = explained_squares(screen, k, &ratio);
+    double determinant, explained = explained_with_shift(screen, k, n, &determinant);
     double before = screen->residual_squares + w->prior_samples;
     double number = w->prior_samples + w->total_weight[screen->c] * (screen->c + 1);
     double after = larger(before - explained, w->prior_samples);
-    return larger(number / 2 * log(before / after) - (screen->c + 1) * log(1 + ratio) / 2, 0.0);
+    return larger(number / 2 * log(before / after) - (screen->c + 1) * log(determinant) / 2, 0.0);
 }
 
 /* Find the gains of steps at all places, in `gain` of the screens, and return the best that is not
@@ -158,12 +200,13 @@ find_candidate(const Models *m, const Work *w, Screens *screens)
     memset(screens->gain, 0, STEP_ORDERS * n * sizeof(double));
     for (int c = 0; c < 2; c++) {
         const Screen *screen = screens->signal + c;
-        double per = 1 / (c + 1.0), all = 1 / (screen->residual_squares + w->prior_samples);
+        double all = 1 / (screen->residual_squares + w->prior_samples);
         double number = (w->prior_samples + w->total_weight[c] * (c + 1)) / 2;
         for (long long k = 0; k < STEP_ORDERS * n; k++) {
-            double ratio = screen->squared_products[k] / screen->step_squares[k] * per;
-            double z = smaller((c + 1) * all * ratio * ratio / (1 + ratio), 1.0);
-            screens->gain[k] += number * z * (6 - z) / (6 - 4 * z);
+            double determinant;
+            double z = smaller(explained_with_shift(screen, k, n, &determinant) * all, 1.0);
+            double gain = number * z * (6 - z) / (6 - 4 * z) - (c + 1) * log(determinant) / 2;
+            screens->gain[k] += larger(gain, 0.0);
         }
     }
     for (int order = 0; order < STEP_ORDERS; order++) {
@@ -173,12 +216,19 @@ find_candidate(const Models *m, const Work *w, Screens *screens)
         for (long long k = at; k <= (order + 1) * n - edge; k++)
             if (screens->gain[k] > screens->gain[at])
                 at = k;
-        double gain = evidence_gain(screens->signal, w, at) +
-                      evidence_gain(screens->signal + 1, w, at);
+        double gain = evidence_gain(screens->signal, w, at, n) +
+                      evidence_gain(screens->signal + 1, w, at, n);
         if (gain > best.gain)
-            best = (Candidate){gain, at - order * n, order};
+            best = (Candidate){.gain = gain, .sample = at - order * n, .order = order};
     }
     return best;
+}
+
+PRIVATE size_t
+size_of_screens(long long count, long long orders, long long columns)
+{
+    long long of_signal = (2 + 3 * STEP_ORDERS + 2 * STEP_PRODUCTS + columns) * count + columns;
+    return (2 * of_signal + (STEP_ORDERS + 2 * orders) * count) * sizeof(double);
 }
 
 PRIVATE char *
@@ -189,19 +239,19 @@ lay_out_screens(long long count, long long orders, long long columns, char *data
         Screen *screen = screens->signal + c;
         screen->c = c;
         TAKE(screen->residual, 2 * count), TAKE(screen->step_products, 2 * STEP_ORDERS * count);
-        TAKE(screen->squared_products, STEP_ORDERS * count);
-        TAKE(screen->step_squares, STEP_ORDERS * count);
+        TAKE(screen->squared_products, STEP_PRODUCTS * count);
+        TAKE(screen->step_squares, STEP_PRODUCTS * count);
         TAKE(screen->reduced_columns, columns * count), TAKE(screen->factor, columns);
     }
     return data;
 }
 
 PRIVATE Candidate
-screen_window(const Models *m, const Samples *s, const Work *w, const Set *set, double *scratch,
-              Screens *screens)
+screen_window(const Models *m, const Samples *s, const Work *w, const Set *set, const Set *by,
+              double *scratch, Screens *screens)
 {
     for (int c = 0; c < 2; c++) {
-        begin_screen(m, s, w, most_probable_model(m, set, c), screens->signal + c);
+        begin_screen(m, s, w, most_probable_model(m, by, c), screens->signal + c);
         screen_steps(m, s, w, set, scratch, screens->signal + c);
     }
     screens->has_sample_weights = 0;

@@ -1,5 +1,5 @@
 /*
- * Screening of steps at all places of a window, by one model.
+ * Screening of steps at all places of a window, each with its shift in time, by one model.
  */
 
 #ifndef KINPOLE_SCREENS_H
@@ -15,6 +15,10 @@
 /* A step of which the columns leave less than this share is already in the set. */
 #define MIN_STEP_LEFT 1e-6
 
+/* Standard deviation of an event's place, samples: an event lies between two samples. By how well
+   the samples show the place, up to 3, errors and coverage are the same. */
+#define PLACE_SIGMA 0.5
+
 /* What one model with the columns of a set leaves of the angle (c = 0), or of the position (c = 1).
    P is that of the model less the sum of factor r r' of the reduced columns r. */
 typedef struct {
@@ -23,8 +27,9 @@ typedef struct {
     double residual_squares;  /* x' P x */
     double *residual;         /* (c + 1, count): P x */
     double *step_products;    /* (c + 1, STEP_ORDERS, count): b' P x */
-    double *squared_products; /* (STEP_ORDERS, count): their squares, summed over coordinates */
-    double *step_squares;     /* (STEP_ORDERS, count): b' P b, infinite if it is rounding */
+    double *squared_products; /* (STEP_PRODUCTS, count): their squares, and their products with the
+                                 order before, summed over coordinates */
+    double *step_squares;     /* (STEP_PRODUCTS, count): see `Models`, less what columns explain */
     double *reduced_columns;  /* (columns, count): P b with the P before this column */
     double *factor;           /* (columns) */
 } Screen;
@@ -32,7 +37,8 @@ typedef struct {
 /* The screens of angle and position. */
 typedef struct {
     Screen signal[2];
-    double *gain; /* (STEP_ORDERS, count): log evidence that a step adds, without SIZE_COST */
+    double *gain; /* (STEP_ORDERS, count): log evidence that a step adds, without SIZE_COST, with
+                     its shift in time: at no place is a large step without one */
     double *sample_weights; /* (2, orders, count): minus those of the samples in the
                                derivatives at the instant, if `has_sample_weights` */
     int has_sample_weights;
@@ -43,6 +49,7 @@ typedef struct {
     double gain;
     long long sample;
     int order;
+    long long length; /* samples after which it steps back; 0 if it stays */
 } Candidate;
 
 /* Compute the `residual` P x (count) that a model, by its number, leaves of a `signal` x (count),
@@ -60,16 +67,20 @@ PRIVATE void sum_products_with_steps(const double *signal, long long count, doub
    square over the variance of the estimate. */
 PRIVATE double explained_squares(const Screen *screen, long long k, double *ratio);
 
+/* Return the bytes of screens for `count` samples, so many orders and so many columns of each. */
+PRIVATE size_t size_of_screens(long long count, long long orders, long long columns);
+
 /* Lay out the arrays of screens at `data`, for `count` samples, so many orders and so many columns
    of each; returns the end of their memory. */
 PRIVATE char * lay_out_screens(long long count, long long orders, long long columns, char *data,
                                Screens *screens);
 
-/* Screen steps of all orders at all places of a window, with the most probable models of the set
-   without events, and return the best. The gain of a place is without the cost of the size, and has
-   the approximation z (6 - z) / (6 - 4 z) of -log(1 - z), because there are many places. `screens`
-   is laid out; `scratch` (count) is memory. */
+/* Screen steps of all orders at all places of a window, beside the columns of `set`, with the most
+   probable models of the set `by`, which may be another, and return the best. The gain of a place
+   has the approximation z (6 - z) / (6 - 4 z) of -log(1 - z), because there are many places.
+   Writes `coefficients` of the steps of the set. `screens` is laid
+   out; `scratch` (count) is memory. */
 PRIVATE Candidate screen_window(const Models *m, const Samples *s, const Work *w, const Set *set,
-                                double *scratch, Screens *screens);
+                                const Set *by, double *scratch, Screens *screens);
 
 #endif
