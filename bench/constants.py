@@ -53,6 +53,7 @@ _REASONS = {
     'derive.c': 'bounds of time; the noise prior and few samples count over many cases',
     'events.c': 'bounds of time; coverage over many events',
     'evidence.c': 'save time: what is left out weighs less than rounding, or than 1e-5',
+    'fit.c': 'no division by nothing',
     'follow.c': 'lag of live results',
     'hub.c': 'noise of the angle is no turning',
     'polynomials.h': 'coverage over many cases; hubs',

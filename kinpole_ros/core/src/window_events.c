@@ -20,8 +20,9 @@
 #define GRADUAL STEP_ORDERS
 /* Poses in a row that are off without an event. */
 #define LONGEST_OUTLIER 3
-/* Steps of higher derivatives that come with that of an event: motion differs before and after. */
-#define FOLLOWING 2
+/* Steps of higher derivatives that come with that of an event, besides its shift in time: motion
+   differs before and after. */
+#define FOLLOWING (EVENT_COLUMNS - 2)
 /* Samples beyond the radius where events are listed: a window beside may place them here. */
 #define BEYOND 2
 /* Sets that are in memory at once: the other events, one by one, and two of an event. */
