@@ -19,12 +19,11 @@ from kinpole_ros.planar._plane import Real
 # this many samples on either side of an event.
 _LENGTHS, _RATIO = 6, 2**0.5
 _FEWEST = 6
-# Log odds of an event in a window that does not show it: about those before any sample.
+# Log odds of an event in a length that does not show it, though a shorter one does.
 _NOT_SHOWN = -5.0
-# An event has these log odds in all windows together but the one that shows it best: false ones are
-# counted in docs/live.md.
-_ENOUGH = 80.0
-_MOST = 45.0
+# An event has these log odds in all lengths together, where each counts for so many at most,
+# because its models may be wrong: docs/estimator.md has what other values find.
+_ENOUGH, _MOST = 80.0, 45.0
 # Lengths, over the window: of a share of time, and of what is needed before and after it.
 SHARE, AROUND = 0.5, 0.75
 # Events nearer to each other than this share of the window are one.
