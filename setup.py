@@ -76,7 +76,7 @@ setup(
                 f'{NAME}/core/src/{name}.c'
                 for name in (
                     *('structs', 'memory', 'slots', 'fit', 'rejection', 'follow', 'poles'),
-                    *('points', 'rows', 'joints'),
+                    *('points', 'rows', 'joints', 'change_points'),
                     # All files of the estimator, twice.
                     *('dispatch', 'estimator', 'estimator_avx2'),
                 )

@@ -50,10 +50,10 @@ _BOUNDS = {
 
 # Why constants of a file stay that have no effect on the panel.
 _REASONS = {
+    'change_points.c': 'reports over many events and hours',
     'derive.c': 'bounds of time; the noise prior and few samples count over many cases',
     'events.c': 'bounds of time; coverage over many events',
     'evidence.c': 'save time: what is left out weighs less than rounding, or than 1e-5',
-    'fit.c': 'no division by nothing',
     'follow.c': 'lag of live results',
     'hub.c': 'noise of the angle is no turning',
     'polynomials.h': 'coverage over many cases; hubs',
@@ -62,10 +62,9 @@ _REASONS = {
     'screens.c': 'save time',
     'screens.h': 'no event at the ends of a window, or of rounding',
     'segments.c': 'save time; coverage over many events',
-    'window_events.c': 'reports over many events and hours',
     'window.c': 'exact samples, long windows, and stamps that the clock has not made even',
     'window.h': 'the same',
-    '_event_search.py': 'reports over many events and hours',
+    '_event_search.py': 'short records',
     '_models.py': 'exact samples, parabolas, rounding',
     'bodies.py': 'long records',
     'candidates.py': 'bounds of time in clouds without names',

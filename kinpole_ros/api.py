@@ -89,7 +89,7 @@ class _Motion:
 @dataclass(frozen=True)
 class Events:
     """
-    E instants at which the velocity or acceleration of a body steps, in the order found.
+    E instants at which the velocity, acceleration or jerk of a body steps, in the order found.
 
     `t` (E,) s and `t_sigma` are when; `order` (E,) is that of the lowest derivative that steps, 1
     for the velocity, as at an impact. By how much, in rad/s^order and m/s^order: `angle_step` (E,)

@@ -1,4 +1,4 @@
-"""Events: instants at which the velocity or acceleration of a body steps."""
+"""Events: instants at which the velocity, acceleration or jerk of a body steps."""
 
 import csv
 import warnings
@@ -14,7 +14,7 @@ from sensor_msgs.msg import PointCloud2
 from bench._events import event_motions, smooth_motions
 from kinpole_ros import track
 from kinpole_ros.bags import BagWriter, replay
-from kinpole_ros.derivatives import APART, Event, Poses, Windows, derive_poses, find_events
+from kinpole_ros.derivatives import Event, Poses, Samples, Windows, derive_poses, find_event
 from kinpole_ros.messages import read_event, serialize_message, to_message
 from kinpole_ros.planar._plane import Real
 from kinpole_ros.settings import Settings
@@ -24,6 +24,7 @@ from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.tracker import Tracker
 
 RATE, WINDOW = 200, 0.3
+SHARE = WINDOW / 8
 START, STEP = 10**18, 5_000_000
 # m, about their mean, and twice their rms radius.
 KITE = np.array((0.09 + 0.02j, -0.03 + 0.1j, -0.08 - 0.05j, 0.05 - 0.06j))
@@ -43,29 +44,18 @@ def poses_of(name: str, noise: float, seconds: float, seed: int = 0) -> tuple[Re
 
 def events_in(values: Real, noise: float, seen: np.ndarray | None = None) -> list[Event]:
     """Find events in samples (N, 3) at even times, as the tracker does."""
-    count = len(values)
-    is_seen = np.ones((count, 1)) if seen is None else 1.0 * seen[:, None]
-    position = values[:, 1:2] + 1j * values[:, 2:]
-    poses = Poses(
-        STEP * np.arange(count),
-        np.ascontiguousarray(values[:, :1]),
-        0 * is_seen,
-        position,
-        is_seen * (SIZE / 2) ** 2,
-        is_seen,
-    )
-    window = round(WINDOW * 1e9)
-    begins = np.arange(2 * window, STEP * count - 5 * window // 4, window // 2)
+    time = np.arange(len(values)) / RATE
+    variance = np.tile(np.square((noise, noise * SIZE / 2)), (len(values), 1))
+    if seen is not None:
+        variance[~seen] = np.inf
     found: list[Event] = []
-    for event in find_events(poses, np.array([noise * SIZE / 2]), WINDOW, begins):
-        if not found or event.time - found[-1].time >= APART * window:
+    for begin in np.arange(2.2 * WINDOW, time[-1] - WINDOW - SHARE, SHARE):
+        rows = slice(*np.searchsorted(time, (begin - 2 * WINDOW, begin + WINDOW + SHARE)))
+        samples = Samples(time[rows], values[rows], variance[rows], begin, begin + SHARE)
+        event = find_event(samples, WINDOW)
+        if event is not None and not (found and event.time - found[-1].time < SHARE / 2):
             found.append(event)
     return found
-
-
-def seconds_of(events: list[Event]) -> np.ndarray:
-    """When events are, s."""
-    return np.array([event.time * 1e-9 for event in events])
 
 
 def rate_sigma(values: Real, noise: float) -> float:
@@ -97,10 +87,10 @@ def found_of_impacts(name: str, noise: float) -> np.ndarray:
     # The body turns about a point that is its radius of gyration away.
     events = events_in(exact + errors + ramp[:, None] * (1.0, SIZE / 2, 0.0), noise)
     rows = []
-    for event, time in zip(events, seconds_of(events), strict=True):
-        k = int(np.abs(time - hits).argmin())
-        if event.order == 1 and abs(time - hits[k]) < 3 / RATE:
-            off = RATE * (time - hits[k]), event.step[0] / (signs[k] * step) - 1
+    for event in events:
+        k = int(np.abs(event.time - hits).argmin())
+        if event.order == 1 and abs(event.time - hits[k]) < 3 / RATE:
+            off = RATE * (event.time - hits[k]), event.step[0] / (signs[k] * step) - 1
             rows.append((*off, RATE * event.time_sigma, event.step_sigma[0] / step))
     return np.array([(len(hits), len(rows), len(events) - len(rows), 0.0), *rows])
 
@@ -128,12 +118,12 @@ def test_there_is_less_than_one_false_event_in_1000_s_of_smooth_motion() -> None
 def test_accelerations_that_step_are_found_with_their_order() -> None:
     exact, errors = poses_of('reversing drive', 3e-4, 10.0)
     found = events_in(exact + errors, 3e-4)
-    expected = np.arange(0.31, 9.65, 0.31)[1:]
-    off = np.abs(seconds_of(found)[:, None] - expected)
+    expected = np.arange(0.31, 9.65, 0.31)[2:]
+    off = np.abs(np.array([event.time for event in found])[:, None] - expected)
     assert (off.min(axis=0) < 1 / RATE).mean() > 0.9 and (off.min(axis=1) < 1 / RATE).all()
     assert {event.order for event in found} == {2}
     # What is pushed by 25, -25, -10 and 10 rad/s^2 in turn.
-    due = np.array([(-50.0, 15.0, 20.0, 15.0)[k % 4] for k in range(1, 1 + len(expected))])
+    due = np.array([(-50.0, 15.0, 20.0, 15.0)[k % 4] for k in range(2, 2 + len(expected))])
     for k, event in zip(off.argmin(axis=1), found, strict=True):
         assert abs(event.step[0] - due[k]) < max(4 * event.step_sigma[0], 0.1 * abs(due[k]))
 
@@ -153,7 +143,7 @@ def test_samples_that_are_missing_make_no_events_and_hide_none() -> None:
     seen[1300:1330] = False
     found = events_in(np.where(seen[:, None], exact + errors, np.nan), 1e-4, seen)
     hits = 0.83 * np.arange(1, 12)
-    off = np.abs(seconds_of(found)[:, None] - hits)
+    off = np.abs(np.array([event.time for event in found])[:, None] - hits)
     assert (off.min(axis=0) < 1 / RATE).sum() >= 9
     assert (off.min(axis=1) < 0.02).all()
 
@@ -162,10 +152,10 @@ def test_samples_that_are_missing_make_no_events_and_hide_none() -> None:
 @pytest.mark.parametrize('variance', [1e-300, 1.0, 1e250])
 def test_samples_of_any_size_make_finite_events_or_none(scale: float, variance: float) -> None:
     time, rng = np.arange(200) / RATE, np.random.default_rng(0)
-    values = scale * (rng.normal(size=(200, 3)) + 50 * np.maximum(time - 0.67, 0)[:, None])
+    values = scale * (rng.normal(size=(200, 3)) + 50 * np.maximum(time - 0.47, 0)[:, None])
     with np.errstate(all='ignore'):
-        events = events_in(values, float(np.sqrt(variance)))
-    for event in events:
+        event = find_event(Samples(time, values, np.full((200, 2), variance), 0.45, 0.49), WINDOW)
+    if event is not None:
         assert np.isfinite((event.time, event.time_sigma, *event.step, *event.step_sigma)).all()
 
 
@@ -222,7 +212,7 @@ def test_no_events_are_searched_for_unless_they_are_asked_for(
     def refuse(*_: Any) -> None:
         raise AssertionError('searched')
 
-    monkeypatch.setattr('kinpole_ros.tracking.events.find_events', refuse)
+    monkeypatch.setattr('kinpole_ros.tracking.events.find_event', refuse)
     assert not any(one.events for one in Tracker(SETTINGS).add(bounces, 1))
 
 

@@ -137,10 +137,6 @@ class DerivativeArrays(Struct):
     """Derivatives of poses: see call.h."""
 
 
-class EventArrays(Struct):
-    """Events near instants: see call.h."""
-
-
 class Call(Struct):
     """The arguments of `kinpole_derive`, and the memory it works in: see call.h."""
 
@@ -204,6 +200,10 @@ class Joints(Struct):
     """The joints of joint states: see messages.h."""
 
 
+class ChangePoint(Struct):
+    """An event: see change_points.h."""
+
+
 def _add_fields(struct: type[Struct], description: Any) -> None:
     """Give a class the fields of its struct, and check it against the compiler's layout."""
     fields: list[tuple[str, Any]] = []
@@ -264,6 +264,7 @@ _CODES = _read_list('kinpole_codes', _Codes)
 SIZES = codes_of('SIZES')
 
 _pointer = ctypes.POINTER
+_POINT = _pointer(ChangePoint)
 _ARRAY, _DATA = ctypes.c_void_p, ctypes.c_char_p
 # What the functions of the headers return, and their arguments. Structs that are rows of an array,
 # or in one, are passed as arrays: `Results`, `Plane` and `Row`.
@@ -272,6 +273,7 @@ _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     'free_workspace': (None, [_pointer(Call)]),
     'try_frame': (ctypes.c_int, [_pointer(Frames), _ARRAY]),
     'follow': (ctypes.c_int, [_pointer(Frames), _pointer(Call), _ARRAY]),
+    'find_event': (ctypes.c_int, [*2 * [_ARRAY], *2 * [_NUMBER], *2 * [ctypes.c_double], _POINT]),
     'assign': (_NUMBER, [_pointer(Slots), _ARRAY, _NUMBER, *3 * [_ARRAY]]),
     'quantities': (None, [ctypes.c_int, _pointer(Motion), *4 * [_ARRAY]]),
     'relative_centers': (None, [_pointer(Motion), _NUMBER, _ARRAY, _NUMBER, *3 * [_ARRAY]]),

@@ -33,8 +33,8 @@ hub                  7: the point of a body whose path is a polynomial
 derive               the order of these for one signal
 _pose_derivatives.py `derive_poses`: arrays to the library and back; keeps the tables
 _cached_tables.py    the same tables, in files
-window_events        4: the events of a window that are reported
-_event_search.py     `find_events`: reports events that windows of several lengths show
+_event_search.py     `find_event`: reports events some time after them
+change_points        the search of these, by polynomials with steps
 ==================== =============================================================================
 
 Names without an ending are files of core/src. To understand the estimator, read _models.py,
@@ -42,7 +42,7 @@ evidence.h and events.h, in this order. A slower version with numpy is in
 test/derivatives_reference.
 """
 
-from kinpole_ros.derivatives._event_search import APART, AROUND, SHARE, Event, find_events
+from kinpole_ros.derivatives._event_search import Event, Samples, find_event
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES
 from kinpole_ros.derivatives._pose_derivatives import (
     Call,
@@ -55,17 +55,15 @@ from kinpole_ros.derivatives._pose_derivatives import (
 )
 
 __all__ = [
-    'APART',
-    'AROUND',
     'FEWEST_SAMPLES',
-    'SHARE',
     'Call',
     'Derivatives',
     'Event',
     'Poses',
+    'Samples',
     'Windows',
     'derive_poses',
-    'find_events',
+    'find_event',
     'finish_call',
     'new_call',
 ]

@@ -35,17 +35,6 @@ typedef STRUCT(TABLE_FIELDS) Table;
 
 typedef STRUCT(DERIVATIVE_ARRAYS_FIELDS) DerivativeArrays;
 
-/* Events near the instants, up to E = MOST_EVENTS of each: what they are if a derivative of order
-   O < STEP_ORDERS is the lowest that steps. Log odds are against motion without the event. */
-#define EVENT_ARRAYS_FIELDS(VALUE, BLOCK, ARRAY)                                                  \
-    ARRAY(double, odds, "(E, O, T, B)", "log odds of this event and order; -infinity for none")   \
-    ARRAY(double, after, "(E, O, T, B)", "s: when, since the instant")                            \
-    ARRAY(double, time_sigma, "(E, O, T, B)", "s: standard deviation of this")                    \
-    ARRAY(double, step, "(E, O, 3, T, B)", "rad/s^O, m/s^O: steps of angle and both coordinates") \
-    ARRAY(double, step_sigma, "(E, O, 3, T, B)", "standard deviations of these")
-
-typedef STRUCT(EVENT_ARRAYS_FIELDS) EventArrays;
-
 /* The poses of a window, and the results: see `derive_poses` of _pose_derivatives.py. */
 typedef struct Workspace Workspace;
 /* Makes a table: writes `integers` and `numbers` of one that has all other fields. It may add the
@@ -59,7 +48,6 @@ typedef int (*TableMaker)(Table *table);
     VALUE(long long, table_count, "number of tables")                                             \
     VALUE(double, window, "s: length of a full window")                                           \
     VALUE(double, log_prior_width, "log of prior over noise, of mean and slope")                  \
-    VALUE(double, radius, "s: find events as near to the instants, no derivatives; 0 for none")   \
     ARRAY(const long long, time, "(N)", "ns: when each frame was, by the clock")                  \
     ARRAY(const long long, windows, "(3, T)", "frames of the instant, the oldest, the newest")    \
     ARRAY(const long long, left_out, "(T, B)", "newest frames that are not used")                 \
@@ -71,15 +59,13 @@ typedef int (*TableMaker)(Table *table);
     ARRAY(const double, noise, "(T, B)", "m: standard deviation at an information of 1")          \
     ARRAY(const Table, tables, "(tables)", "the tables that are made")                            \
     VALUE(DerivativeArrays, derivatives, "the results")                                           \
-    VALUE(EventArrays, events, "the results with a `radius`")                                     \
     ARRAY(Workspace, workspace, "(1)", "memory that C keeps for the next call: see memory.h")     \
     VALUE(TableMaker, make_table, "makes a table that is not among them")
 
 typedef STRUCT(CALL_FIELDS) Call;
 
 /* Computes the results of all bodies at all instants, a signal each. Changes the arrays of
-   `derivatives`, or with a `radius` those of `events`, `workspace`, and what `make_table` changes.
-   Returns DONE, or an error below 0. */
+   `derivatives`, `workspace`, and what `make_table` changes. Returns DONE, or an error below 0. */
 API int kinpole_derive(Call *call);
 /* Frees the workspace; a later call makes another. */
 API void kinpole_free_workspace(Call *call);

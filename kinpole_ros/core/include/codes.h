@@ -8,14 +8,12 @@
 #include "structs.h"
 
 /* The highest order of a derivative; models side by side in vectors; derivatives that may step,
-   from the position on; events of a window at most; derivatives by which uneven samples move, from
-   the first on; samples of the shortest window, which still has every order. */
+   from the position on; derivatives by which uneven samples move, from the first on; samples of the
+   shortest window, which still has every order. */
 #define SIZES(CODE)       \
     CODE(HIGHEST, 4)      \
     CODE(LANES, 8)        \
     CODE(STEP_ORDERS, 3)  \
-    CODE(EVENT_ORDERS, 4) \
-    CODE(MOST_EVENTS, 4)  \
     CODE(SLOPE_ORDERS, 4) \
     CODE(FEWEST_SAMPLES, 7)
 

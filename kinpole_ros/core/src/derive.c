@@ -9,8 +9,7 @@
  *   derive_signal    finds the grid, fills cells and blocks (window.c, samples.c)
  *   derive_uneven    fills missing samples, moves others to the even grid (samples.c, mean.c)
  *   derive_even      evaluates models (evidence.c), searches events (events.c), averages (mean.c),
- *                    mixes segments into the result (segments.c), finds hubs (hub.c); or lists the
- *                    events of the window (window_events.c)
+ *                    mixes segments into the result (segments.c), finds hubs (hub.c)
  *   write_results    converts samples to seconds, and deviations of the noise to rad and m
  */
 
@@ -25,7 +24,6 @@
 #include "hub.h"
 #include "memory.h"
 #include "numbers.h"
-#include "window_events.h"
 
 /* The noise prior, in samples: a window has less information on its noise than the measurement. */
 #define NOISE_PRIOR_SAMPLES 300.0
@@ -51,7 +49,6 @@ typedef struct {
     int exact;
     double from_middle; /* the instant, samples after the middle of the window */
     double radians;     /* the unit of the angle */
-    double radius;      /* samples from the instant to events that are listed; 0 for derivatives */
 } Window;
 
 /* Find or make the table of a window of `count` samples: MODELS, SLOPES, or stencils of so many
@@ -89,9 +86,8 @@ unpack_models(const Table *table, Models *m)
     m->shrinkage = m->residual_factor = m->basis + m->rows / LANES * m->half;
     if (m->exact)
         m->residual_factor = m->shrinkage + m->chunks * m->rows;
-    m->log_prior[0] = m->residual_factor + m->chunks * m->rows;
-    m->log_prior[1] = m->log_prior[0] + m->groups;
-    m->parameters = m->log_prior[1] + m->groups;
+    m->log_prior = m->residual_factor + m->chunks * m->rows;
+    m->parameters = m->log_prior + 2 * m->groups;
     m->step_squares = (const double *)(m->parameters + m->groups);
 }
 
@@ -111,7 +107,7 @@ prepare_window(Call *call, const Models *m, long long orders, const Samples *s, 
         if (a != p)
             parts = 2;
     }
-    long long most = low + (m->exact ? 0 : STEP_COLUMNS), pairs = most * (most + 1) / 2;
+    long long most = low + (m->exact ? 0 : EVENT_COLUMNS), pairs = most * (most + 1) / 2;
     long long half = m->half + LANES, terms = pairs + (3 + orders) * most + 3 * orders + 6;
     long long of_lanes = 3 * m->groups + pairs + 3 * most + half + (3 * orders + 1) * most +
                          6 * SLOPE_ORDERS * (half / LANES);
@@ -160,19 +156,6 @@ derive_hub(Call *call, const Window *window, const Models *m, const Stencils *st
     return DONE;
 }
 
-/* List the events of even samples near the instant of a window, into `out`, where all else is 0.
-   Returns DONE or NO_MEMORY. */
-static int
-list_events(Call *call, const Models *m, const Samples *s, const Work *w, const Window *window,
-            const Set *none, Estimate *out)
-{
-    double at = window->from_middle + (s->count - 1) / 2.0;
-    memset(out, 0, sizeof *out);
-    if (window->exact)
-        return DONE;
-    return find_window_events(call, m, s, w, window->block, none, at, window->radius, out);
-}
-
 /* Differentiate even samples at the instant of a window, into `out`. Returns the same as
    `kinpole_derive`. */
 static int
@@ -184,20 +167,14 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
     Division d = {.count = 0};
     int number = 1, code = DONE;
     Table models, of_instant;
-    if (find_table(call, window, s->count, MODELS, 0.0, &models))
+    if (find_table(call, window, s->count, MODELS, 0.0, &models) ||
+        find_table(call, window, s->count, window->orders, window->from_middle, &of_instant))
         return NO_TABLE;
     unpack_models(&models, &m);
-    /* What the roughest motion does not explain is an event. */
-    if (window->radius > 0.0 && !window->exact)
-        m = roughest_models(&m);
     if (prepare_window(call, &m, window->orders, s, &w, sets))
         return NO_MEMORY;
     project_samples(&m, s, &w);
     evaluate_models(&m, s, &w, sets);
-    if (window->radius > 0.0)
-        return list_events(call, &m, s, &w, window, sets, out);
-    if (find_table(call, window, s->count, window->orders, window->from_middle, &of_instant))
-        return NO_TABLE;
     long long modes = window->orders * m.rows;
     Stencils stencils = {window->orders, window->from_middle + (s->count - 1) / 2.0,
                          of_instant.numbers, (const Lanes *)(of_instant.numbers + modes)};
@@ -262,17 +239,11 @@ move_until_settled(Call *call, const Window *window, Samples *s, double *scratch
     return DONE;
 }
 
-/* Multiply derivatives, standard deviations, hub, and steps of the events of an estimate by the
-   numbers `factor` (2). */
+/* Multiply derivatives, standard deviations and hub of an estimate by the numbers `factor` (2). */
 static void
 scale_estimate(Estimate *found, const double *factor)
 {
     found->hub *= factor[1];
-    for (int k = 0; k < found->events * EVENT_ORDERS; k++)
-        for (int c = 0; c < 3; c++) {
-            found->event[k / EVENT_ORDERS][k % EVENT_ORDERS].step[c] *= factor[c > 0];
-            found->event[k / EVENT_ORDERS][k % EVENT_ORDERS].step_sigma[c] *= factor[c > 0];
-        }
     for (int k = 0; k < MAX_ORDERS; k++) {
         for (int c = 0; c < 3; c++)
             found->mean[c][k] *= factor[c > 0];
@@ -376,42 +347,6 @@ write_results(const Call *call, long long signal, long long now, const Estimate 
     out->parameters[signal] = estimate ? estimate->parameters : NAN;
 }
 
-/* Write the events of the signal with this number: those of an estimate, whose samples are
-   `interval`, s, apart, in units of `scale` (2, orders); none without an estimate. */
-static void
-write_events(const Call *call, long long signal, const Estimate *estimate,
-             const double (*scale)[MAX_ORDERS], double interval)
-{
-    const EventArrays *out = &call->events;
-    long long all = call->instants * call->bodies;
-    for (int k = 0; k < MOST_EVENTS * EVENT_ORDERS; k++) {
-        int event = k / EVENT_ORDERS, order = k % EVENT_ORDERS;
-        out->odds[k * all + signal] = -INFINITY;
-        if (!estimate || event >= estimate->events)
-            continue;
-        const EventEstimate *of_order = &estimate->event[event][order];
-        out->odds[k * all + signal] = of_order->odds;
-        out->after[k * all + signal] = of_order->place * interval;
-        out->time_sigma[k * all + signal] = of_order->place_sigma * interval;
-        for (int c = 0; c < 3; c++) {
-            double unit = scale[c > 0][order];
-            out->step[(3 * k + c) * all + signal] = of_order->step[c] * unit;
-            out->step_sigma[(3 * k + c) * all + signal] = of_order->step_sigma[c] * unit;
-        }
-    }
-}
-
-/* Write what is asked for of a signal: see `write_results` and `write_events`. */
-static void
-write_signal(const Call *call, long long signal, long long now, const Estimate *estimate,
-             const double (*scale)[MAX_ORDERS], long long size, double interval)
-{
-    if (call->radius > 0.0)
-        write_events(call, signal, estimate, scale, interval);
-    else
-        write_results(call, signal, now, estimate, scale, (size - 1) * interval);
-}
-
 /* Derive the signal of a body at an instant from the frames of its window, on their `grid`, and
    write the results; NaN without enough of them. Returns the same as `kinpole_derive`. */
 static int
@@ -429,7 +364,7 @@ derive_signal(Call *call, long long instant, long long body, const Grid *grid)
     long long whole = (long long)smaller(length, MAX_LENGTH);
     long long size = cells.count ? choose_size(call, &cells, whole, &block) : 0;
     if (!size)
-        write_signal(call, signal, now, NULL, NULL, 0, NAN);
+        write_results(call, signal, now, NULL, NULL, NAN);
     if (size <= 0)
         return size ? NO_MEMORY : DONE;
     /* Three times as long: the scratch memory of `derive_uneven` follows the samples. */
@@ -441,8 +376,7 @@ derive_signal(Call *call, long long instant, long long body, const Grid *grid)
         s.x[c] = data + c * size;
     s.weight[0] = data + 3 * size, s.weight[1] = data + 4 * size, s.off = data + 5 * size;
     average_blocks(&cells.samples, block, &s, coarser);
-    Window window = {block, call->orders, cells.exact, 0.0, cells.unit[0] * coarser[0],
-                     call->radius / (interval * block)};
+    Window window = {block, call->orders, cells.exact, 0.0, cells.unit[0] * coarser[0]};
     window.from_middle = (size - 1) / 2.0 - (cells.ahead - (block - 1) / 2.0) / block;
     int code = derive_uneven(call, &window, &s, scratch, &estimate);
     if (code)
@@ -451,7 +385,7 @@ derive_signal(Call *call, long long instant, long long body, const Grid *grid)
     for (int c = 0; c < 2; c++)
         for (int k = 0; k < MAX_ORDERS; k++)
             scale[c][k] = cells.unit[c] * coarser[c] * pow(interval, -k);
-    write_signal(call, signal, now, &estimate, scale, size, interval);
+    write_results(call, signal, now, &estimate, scale, (size - 1) * interval);
     return DONE;
 }
 
@@ -470,7 +404,7 @@ DERIVE_SIGNALS(Call *call)
             call->left_out[signal] < 0)
             return NO_FRAMES;
         if (frames < 2) {
-            write_signal(call, signal, windows[0] * call->bodies + body, NULL, NULL, 0, NAN);
+            write_results(call, signal, windows[0] * call->bodies + body, NULL, NULL, NAN);
             continue;
         }
         if (grid_instant != instant)

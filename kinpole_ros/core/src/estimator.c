@@ -17,5 +17,4 @@
 #include "segments.c"
 #include "hub.c"
 #include "events.c"
-#include "window_events.c"
 #include "derive.c"

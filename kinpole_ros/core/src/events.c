@@ -6,11 +6,14 @@
 #include "evidence.h"
 #include "memory.h"
 #include "numbers.h"
+#include "screens.h"
 
 /* Prior probability that a window has an event: events are rare. */
 #define EVENT_PRIOR 0.05
 /* Cost of a size in log evidence: the prior of sizes is wider than the size that is estimated. */
 #define SIZE_COST 2.4
+/* Log evidence that a candidate has to add in the screening: below it the prior wins. */
+#define MIN_GAIN 8.0
 /* Without such a candidate, windows are divided into segments if their best evidence is below that
    of a line by this many log widths of the flat prior: a process may explain what is an event. With
    1, smooth windows take a third longer; with 6, fast rebounds at 60 Hz are not divided. */
@@ -19,24 +22,17 @@
    no model of steps has. With 1/2, 10.5% of the cells cover less than 85%; with 1/4, 8.7%. */
 #define PLACE_EVIDENCE_POWER 0.25
 
-PRIVATE double
-log_event_prior(long long count)
-{
-    return log(EVENT_PRIOR / (1 - EVENT_PRIOR) / (STEP_ORDERS * count));
-}
-
-/* Compute what a screen leaves of the columns of a new event, the steps of a set from the `first`
-   on: their `products` (columns, columns) with each other, below the diagonal; their `squares`
-   (columns) without the screen; and their products `with_residual` (c + 1, columns) with the
-   residual of the signals. */
+/* Compute what a screen leaves of the columns of a new event, the steps of a set: their `products`
+   (steps, steps) with each other, below the diagonal; their `squares` (steps) without the screen;
+   and their products `with_residual` (c + 1, steps) with the residual of the signals. */
 static void
-find_event_products(const Models *m, const Screen *screen, const Set *set, long long first,
+find_event_products(const Models *m, const Screen *screen, Set *set,
                     double products[][EVENT_COLUMNS], double *squares,
                     double with_residual[][EVENT_COLUMNS])
 {
-    long long n = m->count, number = set->steps - first, group = screen->model / LANES;
-    const double *columns = set->step_columns + first * n;
-    const double *coefficients = set->coefficients + (set->low_samples + first) * m->rows;
+    long long n = m->count, number = set->steps, group = screen->model / LANES;
+    const double *columns = set->step_columns;
+    const double *coefficients = set->coefficients + set->low_samples * m->rows;
     const double *shrinkage =
         (const double *)(m->shrinkage + group % m->chunks * m->rows) + screen->model % LANES;
     project_steps(m, group / m->chunks, set);
@@ -48,8 +44,8 @@ find_event_products(const Models *m, const Screen *screen, const Set *set, long 
             with_residual[j][k] = dot(columns + k * n, screen->residual + j * n, n);
     }
     for (int parity = 0; parity < 2; parity++) {
-        const long long *row = m->first_row + parity * (m->processes + 1) + group / m->chunks;
-        for (long long r = row[0]; r < row[1]; r++)
+        const long long *first = m->first_row + parity * (m->processes + 1) + group / m->chunks;
+        for (long long r = first[0]; r < first[1]; r++)
             for (int k = 0; k < number; k++)
                 for (int l = 0; l <= k; l++)
                     products[k][l] -= shrinkage[r * LANES] * coefficients[k * m->rows + r] *
@@ -65,20 +61,18 @@ find_event_products(const Models *m, const Screen *screen, const Set *set, long 
     }
 }
 
-/* Set the prior standard deviations of the columns of an event, the steps of a set from the `first`
-   on: `root` of the set, with `weight` 1, for the angle or the position. They are the sizes that
-   its screen estimates, each after the columns before it are removed; 0 if nothing is left of a
-   column.
-   That of the shift in time is the size of the step times the standard deviation of its place. */
+/* Set the prior standard deviations of the columns of an event of this order, `root` of the set,
+   with `weight` 1, for the angle or the position, to the sizes that its screen estimates, each
+   after the columns before it are removed; 0 if nothing is left of a column. That of the shift in
+   time is the size of the step times the standard deviation of its place. */
 static void
-estimate_prior_sizes(const Models *m, const Screen *screen, const Set *set, long long first)
+estimate_prior_sizes(const Models *m, const Screen *screen, Set *set, int order)
 {
-    long long number = set->steps - first, c = screen->c;
-    long long at = c * set->columns + set->low_samples + first;
-    double *weight = set->weight + at, *root = set->root + at;
+    long long number = set->steps, c = screen->c, first = c * set->columns + set->low_samples;
+    double *weight = set->weight + first, *root = set->root + first;
     double products[EVENT_COLUMNS][EVENT_COLUMNS], squares[EVENT_COLUMNS];
     double with_residual[2][EVENT_COLUMNS];
-    find_event_products(m, screen, set, first, products, squares, with_residual);
+    find_event_products(m, screen, set, products, squares, with_residual);
     for (int k = 0; k < number; k++) {
         double square = products[k][k], size = 0.0;
         if (!(square > MIN_STEP_LEFT * MIN_STEP_LEFT * squares[k]))
@@ -87,7 +81,7 @@ estimate_prior_sizes(const Models *m, const Screen *screen, const Set *set, long
             size += with_residual[j][k] * with_residual[j][k] / (c + 1);
         /* No size is below its standard deviation, where it might be rounding. */
         root[k] = square > 0.0 ? sqrt(larger(size, square)) / square : 0.0;
-        if (set->step[first + k].order == set->step[first].order - 1)
+        if (set->step[k].order == order - 1)
             root[k] = root[0] * PLACE_SIGMA;
         weight[k] = 1.0;
         double factor = root[k] * root[k] / (1.0 + root[k] * root[k] * square);
@@ -100,41 +94,38 @@ estimate_prior_sizes(const Models *m, const Screen *screen, const Set *set, long
     }
 }
 
-PRIVATE char *
-add_event(const Models *m, const Set *base, const Screens *screens, const Candidate *event,
-          int following, long long orders, long long block, char *data, Set *set)
+/* Make a set with the columns of an event besides those of `none`: its step, a step of the
+   derivative below, for its shift in time, and of the one above. Samples are means of `block`
+   cells. The set is laid out at `data` for so many `orders`; returns the end of its memory. */
+static char *
+add_event(const Models *m, const Set *none, const Screens *screens, const Candidate *event,
+          long long orders, long long block, char *data, Set *set)
 {
-    long long n = m->count, low = base->low_samples, first = base->steps, steps = first + 1;
+    long long n = m->count, low = none->low_samples, steps = 1;
     /* The shift in time needs the size of the step, so the step is the first. */
     int order[EVENT_COLUMNS] = {event->order};
     if (event->order)
-        order[steps++ - first] = event->order - 1;
-    for (int k = 1; k <= following; k++)
-        order[steps++ - first] = event->order + k;
+        order[steps++] = event->order - 1;
+    order[steps++] = event->order + 1;
     data = lay_out_set(m, orders, low + steps, steps, 2, data, set);
     set->low_samples = low, set->steps = steps;
-    set->log_prior = base->log_prior + log_event_prior(n) - SIZE_COST;
-    memcpy(set->low_sample, base->low_sample, low * sizeof *set->low_sample);
-    memcpy(set->coefficients, base->coefficients, low * m->rows * sizeof(double));
-    memcpy(set->step, base->step, first * sizeof *set->step);
-    memcpy(set->step_columns, base->step_columns, first * n * sizeof(double));
+    set->log_prior = log(EVENT_PRIOR / (1 - EVENT_PRIOR) / (STEP_ORDERS * n)) - SIZE_COST;
+    memcpy(set->low_sample, none->low_sample, low * sizeof *set->low_sample);
+    memcpy(set->coefficients, none->coefficients, low * m->rows * sizeof(double));
     for (int part = 0; part < 2; part++) {
-        long long old = part < base->parts ? part * base->columns : 0;
-        size_t size = (low + first) * sizeof(double);
-        memcpy(set->weight + part * set->columns, base->weight + old, size);
-        memcpy(set->root + part * set->columns, base->root + old, size);
+        long long old = part < none->parts ? part * low : 0;
+        memcpy(set->weight + part * set->columns, none->weight + old, low * sizeof(double));
+        memcpy(set->root + part * set->columns, none->root + old, low * sizeof(double));
     }
-    double *signals[STEP_COLUMNS];
-    for (long long k = 0; k < steps; k++) {
+    double *signals[EVENT_COLUMNS];
+    for (int k = 0; k < steps; k++) {
         signals[k] = set->step_columns + k * n;
-        if (k >= first) {
-            set->step[k] = (Step){event->sample - 0.5, order[k - first], event->length};
-            fill_step_column(set->step + k, n, block, signals[k]);
-        }
+        set->step[k] = (Step){.place = event->sample - 0.5, .order = order[k]};
+        fill_step_column(set->step + k, n, block, signals[k]);
     }
     fold(m, signals, steps, set->folded);
     for (int c = 0; c < 2; c++)
-        estimate_prior_sizes(m, screens->signal + c, set, first);
+        estimate_prior_sizes(m, screens->signal + c, set, event->order);
     return data;
 }
 
@@ -244,17 +235,18 @@ search_events(Call *call, const Models *m, const Stencils *stencils, const Sampl
     long long low = sets->low_samples, most = low + EVENT_COLUMNS;
     long long n = m->count, orders = stencils->orders;
     size_t of_set = size_of_set(m, orders, most, EVENT_COLUMNS, 2);
+    long long of_screen = (2 + 3 * STEP_ORDERS + 2 * STEP_PRODUCTS + low) * n + low;
+    size_t of_screens = 2 * of_screen + (STEP_ORDERS + 2 * orders) * n;
     size_t of_scratch = (1 + STEP_ORDERS * MAX_ORDERS) * n;
     char *data = kinpole_buffer(
-        call, OF_SETS,
-        of_scratch * sizeof(double) + size_of_screens(n, orders, low) + (MAX_SETS - 1) * of_set);
+        call, OF_SETS, (of_scratch + of_screens) * sizeof(double) + (MAX_SETS - 1) * of_set);
     if (!data)
         return NO_MEMORY;
     Screens screens;
     double *scratch;
     TAKE(scratch, (1 + STEP_ORDERS * MAX_ORDERS) * n);
     data = lay_out_screens(n, orders, low, data, &screens);
-    Candidate event = screen_window(m, s, w, sets, sets, scratch, &screens);
+    Candidate event = screen_window(m, s, w, sets, scratch, &screens);
     int is_likely = event.gain >= MIN_GAIN;
     if (!is_likely && sets->best_evidence[0] >= -DIVIDE_BELOW * call->log_prior_width &&
         sets->best_evidence[1] >= -DIVIDE_BELOW * call->log_prior_width * 2)
@@ -268,7 +260,7 @@ search_events(Call *call, const Models *m, const Stencils *stencils, const Sampl
             has_event(sets, *number, &event))
             continue;
         Set *set = sets + (*number)++;
-        data = add_event(m, sets, &screens, &event, 1, orders, block, data, set);
+        data = add_event(m, sets, &screens, &event, orders, block, data, set);
         add_place_covariance(m, stencils, sets, &screens, w->column_products, scratch, set);
         evaluate_models(m, s, w, set);
     }

@@ -16,28 +16,14 @@
  * `search_events` returns the sets, and `differentiate` averages all models with all of them. The
  * evidence of a set less that of the first set, without events, says how sure its events are.
  *
- * window_events.c lists the events of a window that are reported, with the same screens and sets.
+ * change_points.c finds the events that are reported. It has polynomials instead of these models,
+ * and excludes what only looks like an event. Both have the same columns of steps and nothing more.
  */
 
 #ifndef KINPOLE_EVENTS_H
 #define KINPOLE_EVENTS_H
 
-#include "screens.h"
 #include "segments.h"
-
-/* Log evidence that a candidate has to add in the screening: below it the prior wins. */
-#define MIN_GAIN 8.0
-
-/* Return the log prior odds of an event at one place of `count` samples, with one order. */
-PRIVATE double log_event_prior(long long count);
-
-/* Make a set with the columns of an event besides those of `base`: its step, a step of the
-   derivative below, for its shift in time, and of so many of those above, `following`. `screens`
-   have the columns of `base`. Samples are means of `block` cells. The set is laid out at `data` for
-   so many `orders`; returns the end of its memory. */
-PRIVATE char *add_event(const Models *m, const Set *base, const Screens *screens,
-                        const Candidate *event, int following, long long orders, long long block,
-                        char *data, Set *set);
 
 /* Search a window for events, and evaluate the models with each. The first of `sets` (MAX_SETS) has
    no event, and is evaluated already. Samples are means of `block` cells. Appends a set for each

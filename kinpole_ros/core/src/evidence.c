@@ -142,19 +142,6 @@ correct_for_columns(const Models *m, const Stencils *stencils, long long group, 
 }
 
 PRIVATE void
-find_sizes(const Set *set, long long group, int c, Lanes *size)
-{
-    long long number = set->columns, part = set->parts > 1 && c > 0;
-    const Lanes *factor = set->factors + (group * set->parts + part) * number * (number + 1) / 2;
-    const Lanes *residual = set->residuals + (group * 3 + c) * number;
-    for (long long x = number - 1; x >= 0; x--) {
-        size[x] = product(residual[x], factor[x * (x + 3) / 2]);
-        for (long long k = x + 1; k < number; k++)
-            size[x] = multiply_subtract(size[x], factor[k * (k + 1) / 2 + x], size[k]);
-    }
-}
-
-PRIVATE void
 project_samples(const Models *m, const Samples *s, Work *w)
 {
     for (int c = 0; c < 3; c++) {
@@ -191,7 +178,7 @@ evaluate_group(const Models *m, const Work *w, long long group, int c, const Lan
     double *variance = (double *)(set->variance + c * m->groups + group);
     for (int i = 0; i < LANES; i++) {
         variance[i] = (((double *)(residual + c))[i] + w->prior_samples) / number;
-        evidence[i] = ((const double *)(m->log_prior[c] + group))[i] -
+        evidence[i] = ((const double *)(m->log_prior + c * m->groups + group))[i] -
             number / 2 * log(variance[i]) - ((double *)(logs + c))[i] * (c + 1) + set->log_prior;
         best = larger(best, evidence[i]);
     }

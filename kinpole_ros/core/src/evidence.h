@@ -47,10 +47,6 @@ PRIVATE void project_samples(const Models *m, const Samples *s, Work *w);
    evidence of -infinity: theirs is lower still. */
 PRIVATE void evaluate_models(const Models *m, const Samples *s, const Work *w, Set *set);
 
-/* Compute the sizes of the columns of a set for the models of a group and signal `c`, over the
-   `root` of each, into `size` (columns): L'^-1 D^-1 residuals, by back substitution. */
-PRIVATE void find_sizes(const Set *set, long long group, int c, Lanes *size);
-
 /* Compute the `probability` of all models with all of `number` sets, of angle (c = 0) or position
    (c = 1), from their evidence. Those of all sets add up to 1. Returns the log evidence of all. */
 PRIVATE double find_probabilities(const Models *m, int c, Set *sets, int number);

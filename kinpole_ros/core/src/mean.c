@@ -106,7 +106,7 @@ differentiate(const Models *m, const Stencils *stencils, const Work *w, Set *set
         out->mean[k / orders][k % orders] = sum_of(sums.mean[k]);
     for (int n = 0; n < number; n++)
         add_disagreement(m, orders, sets + n, out, sums.covariance);
-    out->parameters = sum_of(sums.parameters), out->hub = 0.0, out->events = 0;
+    out->parameters = sum_of(sums.parameters), out->hub = 0.0;
     for (int c = 0; c < 2; c++) {
         for (long long k = 0; k < orders; k++)
             for (long long j = 0; j <= k; j++)
@@ -129,15 +129,21 @@ differentiate(const Models *m, const Stencils *stencils, const Work *w, Set *set
 static inline void
 add_prediction_errors(const Models *m, const Work *w, const Set *set, double *error)
 {
-    long long number = set->columns;
+    long long number = set->columns, pairs = number * (number + 1) / 2;
     for (long long g = 0; g < m->groups; g++)
         for (int c = 0; c < (set->is_used[g] ? 3 : 0); c++) {
             long long part = set->parts > 1 && c > 0;
+            const Lanes *factor = set->factors + (g * set->parts + part) * pairs;
+            const Lanes *residual = set->residuals + (g * 3 + c) * number;
             Lanes *size = w->over_pivots;
-            find_sizes(set, g, c, size);
-            for (long long x = 0; x < number; x++)
+            /* The sizes of the columns are root times L'^-1 D^-1 residual, by back substitution. */
+            for (long long x = number - 1; x >= 0; x--) {
+                size[x] = product(residual[x], factor[x * (x + 3) / 2]);
+                for (long long k = x + 1; k < number; k++)
+                    size[x] = multiply_subtract(size[x], factor[k * (k + 1) / 2 + x], size[k]);
                 error[x * 3 + c] += set->root[part * number + x] *
                     sum_of(product(size[x], set->probability[(c > 0) * m->groups + g]));
+            }
         }
 }
 

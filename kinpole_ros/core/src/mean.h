@@ -7,13 +7,6 @@
 
 #include "models.h"
 
-/* An event, if a derivative of some order is the lowest that steps. */
-typedef struct {
-    double odds;               /* log odds of it; -infinity if it was not tried */
-    double place, place_sigma; /* samples after the instant, and the standard deviation */
-    double step[3], step_sigma[3];
-} EventEstimate;
-
 /* The result at an instant, (orders) of each. */
 typedef struct {
     double mean[3][MAX_ORDERS];                   /* derivatives of the signals */
@@ -21,8 +14,6 @@ typedef struct {
     double parameters;  /* effective number of parameters of the motion of the angle */
     double evidence[2]; /* log evidence of all models */
     Number hub; /* from the position of the samples to that of `mean`, while the angle is 0 */
-    int events; /* that are listed, if they are asked for */
-    EventEstimate event[MOST_EVENTS][EVENT_ORDERS];
 } Estimate;
 
 /* Differentiate samples at the instant of the stencils, with `number` sets of `evaluate_models`:

@@ -5,20 +5,6 @@
 #include "memory.h"
 #include "numbers.h"
 
-PRIVATE Models
-roughest_models(const Models *m)
-{
-    Models rough = *m;
-    while (*rough.spectrum < m->spectra - 1) {
-        rough.groups -= m->chunks, rough.first_row++;
-        rough.spectrum += m->chunks * LANES, rough.parameters += m->chunks;
-        rough.step_squares += m->chunks * LANES * STEP_PRODUCTS * m->count;
-        for (int c = 0; c < 2; c++)
-            rough.log_prior[c] += m->chunks;
-    }
-    return rough;
-}
-
 PRIVATE_INLINE void
 add_table_products(const Lanes *table, long long depth, const double *values, long long stride,
                    long long columns, Lanes *out, long long step)
@@ -117,10 +103,7 @@ fill_step_column(const Step *step, long long count, long long block, double *col
         column[t] = 0.0;
         for (long long k = 0; k < block; k++) {
             double offset = (k - (block - 1) / 2.0) / block;
-            double since = t + offset - step->place;
-            column[t] += step_value(step->order, since) / block;
-            if (step->length)
-                column[t] -= step_value(step->order, since - step->length) / block;
+            column[t] += step_value(step->order, t + offset - step->place) / block;
         }
     }
 }
@@ -139,7 +122,7 @@ project_low_samples(const Models *m, Set *set)
 }
 
 PRIVATE void
-project_steps(const Models *m, long long process, const Set *set)
+project_steps(const Models *m, long long process, Set *set)
 {
     for (int parity = 0; parity < 2; parity++) {
         const long long *first = m->first_row + parity * (m->processes + 1) + process;

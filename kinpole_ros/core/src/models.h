@@ -15,10 +15,9 @@
 /* Derivatives from order 0 on, at most. */
 #define MAX_ORDERS (HIGHEST + 1)
 /* Sets at most: without event, with the likeliest, and with the one that segments show. Columns of
-   an event, and of all events of a set, at most. */
+   an event at most. */
 #define MAX_SETS 3
-#define EVENT_COLUMNS 4
-#define STEP_COLUMNS (MOST_EVENTS * EVENT_COLUMNS)
+#define EVENT_COLUMNS 3
 /* Products of steps at one place: of each order with itself, and with the order before. */
 #define STEP_PRODUCTS (2 * STEP_ORDERS - 1)
 
@@ -41,7 +40,7 @@ typedef struct {
     const Lanes *shrinkage;     /* (chunks, rows): of each mode, by amplitude */
     const Lanes *residual_factor; /* (chunks, rows): 1 - shrinkage if exact, where a difference
                                      would be rounding; otherwise the shrinkage */
-    const Lanes *log_prior[2];  /* (groups), plus (c + 1) sum of log(1 - shrinkage) / 2 */
+    const Lanes *log_prior;     /* (2, groups), plus (c + 1) sum of log(1 - shrinkage) / 2 */
     const Lanes *parameters;    /* (groups): sum of the shrinkage, the effective parameters */
     const double *step_squares; /* (models, STEP_PRODUCTS, count), if not exact: b' P b, of a step b
                                    half a sample before each sample, and the inverse P of a model's
@@ -56,10 +55,6 @@ typedef struct {
     const double *modes; /* (orders, rows): derivatives of the modes */
     const Lanes *covariance; /* (groups, orders, orders): of the derivatives, for unit noise */
 } Stencils;
-
-/* Return the models of the last spectrum, the roughest, and those common to all: `groups` are
-   fewer, and arrays begin later. */
-PRIVATE Models roughest_models(const Models *m);
 
 /* Add to out[c] the sum over k < depth of table[k] values[c][k], for each of the `columns` c. Rows
    of `values` are `stride` doubles apart, and elements of `out` are `step` Lanes apart. Three
@@ -92,9 +87,8 @@ PRIVATE void project(const Models *m, const double *folded, long long columns, l
 
 /* An instant at which a derivative steps. */
 typedef struct {
-    double place;     /* samples after the first sample */
-    int order;        /* of the derivative */
-    long long length; /* samples after which it steps back; 0 if it stays */
+    double place; /* samples after the first sample */
+    int order;    /* of the derivative, 0 to 3 */
 } Step;
 
 /* Quantities of the samples of a window that do not depend on events, and scratch memory. */
@@ -112,16 +106,16 @@ typedef struct {
     Lanes *slopes;          /* scratch (2, SLOPE_ORDERS, 3, half / LANES), of `move_to_grid` */
 } Work;
 
-/* Models with columns: first `low_samples`, samples with a weight below 1, then `steps` of
-   events. The size of a column has a prior of zero mean and variance root^2 / weight. That of a
-   step is the estimated size squared, with a weight of 1. That of a sample of weight w is
-   (1 - w) / w, so its noise has the variance 1 / w. Weights and roots are by angle and position,
-   (parts, columns), with one part if these are equal. */
+/* Models with columns: first `low_samples`, samples with a weight below 1, then `steps` of an
+   event. The size of a column has a prior of zero mean and variance root^2 / weight. That of a step
+   is the estimated size squared, with a weight of 1. That of a sample of weight w is (1 - w) / w,
+   so its noise has the variance 1 / w. Weights and roots are by angle and position, (parts,
+   columns), with one part if these are equal. */
 typedef struct {
     long long columns, low_samples, steps, parts;
     long long *low_sample;    /* (low_samples): their numbers in the window */
-    Step step[STEP_COLUMNS];     /* (steps) */
-    double log_prior;         /* of the events; 0 without any */
+    Step step[EVENT_COLUMNS]; /* (steps) */
+    double log_prior;         /* of the event; 0 without one */
     double best_evidence[2];  /* the largest log evidence of a model */
     double place_covariance[2][MAX_ORDERS][MAX_ORDERS]; /* from the unknown place of the event */
     double *step_columns;  /* (steps, count) */
@@ -143,7 +137,7 @@ typedef struct {
 static inline double
 step_value(int order, double since)
 {
-    static const double factorial[] = {1.0, 1.0, 2.0, 6.0, 24.0, 120.0};
+    static const double factorial[] = {1.0, 1.0, 2.0, 6.0};
     double power = since > 0.0 ? 1.0 / factorial[order] : 0.0;
     for (int k = 0; k < order; k++)
         power *= since;
@@ -168,7 +162,7 @@ PRIVATE void fill_step_column(const Step *step, long long count, long long block
 PRIVATE void project_low_samples(const Models *m, Set *set);
 
 /* Compute the `coefficients` of the steps of a set in the modes of one process, from `folded`. */
-PRIVATE void project_steps(const Models *m, long long process, const Set *set);
+PRIVATE void project_steps(const Models *m, long long process, Set *set);
 
 /* Compute `column_products` of a set: of columns with each other, the pairs j <= i, and of samples
    with columns (3, columns). */

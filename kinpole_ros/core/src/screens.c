@@ -83,42 +83,27 @@ sum_products_with_steps(const double *signal, long long count, double *sums)
     }
 }
 
-/* Add a column of a set to a screen, as `add_column` does, and take from the squares of steps what
-   it explains of them. `at` is the column in the `weight` and `root` of the set. */
-static void
-screen_column(const Models *m, const Samples *s, const Work *w, const Set *set, long long at,
-              const double *column, const double *coefficients, Screen *screen)
-{
-    long long n = m->count, x = screen->columns;
-    double *products = screen->squared_products; /* free until the columns are added */
-    add_column(m, s, column, coefficients, set->weight[at], set->root[at], w->column_products,
-               screen);
-    sum_products_with_steps(screen->reduced_columns + x * n, n, products);
-    for (long long k = 0; k < STEP_ORDERS * n; k++)
-        screen->step_squares[k] -= screen->factor[x] * products[k] * products[k];
-    for (long long k = n; k < STEP_ORDERS * n; k++)
-        screen->step_squares[(STEP_ORDERS - 1) * n + k] -=
-            screen->factor[x] * products[k] * products[k - n];
-}
-
 /* Add the columns of a set to a screen, and write its products and squares of steps at all places.
    `scratch` is memory (count). */
 static void
 screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, double *scratch,
              Screen *screen)
 {
-    long long n = m->count, low = set->low_samples;
-    long long first = set->parts > 1 && screen->c > 0 ? set->columns : 0;
+    long long n = m->count, part = set->parts > 1 && screen->c > 0;
     const double *of_model = m->step_squares + screen->model * STEP_PRODUCTS * n;
-    for (long long x = 0; x < low; x++) {
+    for (long long x = 0; x < set->low_samples; x++) {
+        long long at = part * set->columns + x;
         memset(scratch, 0, n * sizeof(double)), scratch[set->low_sample[x]] = 1.0;
-        screen_column(m, s, w, set, first + x, scratch, set->coefficients + x * m->rows, screen);
+        add_column(m, s, scratch, set->coefficients + x * m->rows, set->weight[at], set->root[at],
+                   w->column_products, screen);
+        double *products = screen->squared_products; /* free until the columns are added */
+        sum_products_with_steps(screen->reduced_columns + x * n, n, products);
+        for (long long k = 0; k < STEP_ORDERS * n; k++)
+            screen->step_squares[k] -= screen->factor[x] * products[k] * products[k];
+        for (long long k = n; k < STEP_ORDERS * n; k++)
+            screen->step_squares[(STEP_ORDERS - 1) * n + k] -=
+                screen->factor[x] * products[k] * products[k - n];
     }
-    if (set->steps)
-        project_steps(m, screen->model / LANES / m->chunks, set);
-    for (long long k = 0; k < set->steps; k++)
-        screen_column(m, s, w, set, first + low + k, set->step_columns + k * n,
-                      set->coefficients + (low + k) * m->rows, screen);
     memset(screen->squared_products, 0, STEP_PRODUCTS * n * sizeof(double));
     screen->residual_squares = 0.0;
     for (int j = 0; j <= screen->c; j++) {
@@ -219,16 +204,9 @@ find_candidate(const Models *m, const Work *w, Screens *screens)
         double gain = evidence_gain(screens->signal, w, at, n) +
                       evidence_gain(screens->signal + 1, w, at, n);
         if (gain > best.gain)
-            best = (Candidate){.gain = gain, .sample = at - order * n, .order = order};
+            best = (Candidate){gain, at - order * n, order};
     }
     return best;
-}
-
-PRIVATE size_t
-size_of_screens(long long count, long long orders, long long columns)
-{
-    long long of_signal = (2 + 3 * STEP_ORDERS + 2 * STEP_PRODUCTS + columns) * count + columns;
-    return (2 * of_signal + (STEP_ORDERS + 2 * orders) * count) * sizeof(double);
 }
 
 PRIVATE char *
@@ -247,11 +225,11 @@ lay_out_screens(long long count, long long orders, long long columns, char *data
 }
 
 PRIVATE Candidate
-screen_window(const Models *m, const Samples *s, const Work *w, const Set *set, const Set *by,
-              double *scratch, Screens *screens)
+screen_window(const Models *m, const Samples *s, const Work *w, const Set *set, double *scratch,
+              Screens *screens)
 {
     for (int c = 0; c < 2; c++) {
-        begin_screen(m, s, w, most_probable_model(m, by, c), screens->signal + c);
+        begin_screen(m, s, w, most_probable_model(m, set, c), screens->signal + c);
         screen_steps(m, s, w, set, scratch, screens->signal + c);
     }
     screens->has_sample_weights = 0;

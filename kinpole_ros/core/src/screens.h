@@ -49,7 +49,6 @@ typedef struct {
     double gain;
     long long sample;
     int order;
-    long long length; /* samples after which it steps back; 0 if it stays */
 } Candidate;
 
 /* Compute the `residual` P x (count) that a model, by its number, leaves of a `signal` x (count),
@@ -67,20 +66,16 @@ PRIVATE void sum_products_with_steps(const double *signal, long long count, doub
    square over the variance of the estimate. */
 PRIVATE double explained_squares(const Screen *screen, long long k, double *ratio);
 
-/* Return the bytes of screens for `count` samples, so many orders and so many columns of each. */
-PRIVATE size_t size_of_screens(long long count, long long orders, long long columns);
-
 /* Lay out the arrays of screens at `data`, for `count` samples, so many orders and so many columns
    of each; returns the end of their memory. */
 PRIVATE char * lay_out_screens(long long count, long long orders, long long columns, char *data,
                                Screens *screens);
 
-/* Screen steps of all orders at all places of a window, beside the columns of `set`, with the most
-   probable models of the set `by`, which may be another, and return the best. The gain of a place
-   has the approximation z (6 - z) / (6 - 4 z) of -log(1 - z), because there are many places.
-   Writes `coefficients` of the steps of the set. `screens` is laid
-   out; `scratch` (count) is memory. */
+/* Screen steps of all orders at all places of a window, with the most probable models of the set
+   without events, and return the best. The gain of a place has the approximation
+   z (6 - z) / (6 - 4 z) of -log(1 - z), because there are many places. `screens` is laid out;
+   `scratch` (count) is memory. */
 PRIVATE Candidate screen_window(const Models *m, const Samples *s, const Work *w, const Set *set,
-                                const Set *by, double *scratch, Screens *screens);
+                                double *scratch, Screens *screens);
 
 #endif

@@ -4,6 +4,7 @@
 
 #include <stddef.h>
 
+#include "../include/change_points.h"
 #include "../include/frames.h"
 #include "../include/messages.h"
 
@@ -39,7 +40,6 @@ kinpole_structs(void)
     Description *next = all;
     ADD_STRUCT(Table, TABLE_FIELDS)
     ADD_STRUCT(DerivativeArrays, DERIVATIVE_ARRAYS_FIELDS)
-    ADD_STRUCT(EventArrays, EVENT_ARRAYS_FIELDS)
     ADD_STRUCT(Call, CALL_FIELDS)
     ADD_STRUCT(FrameLimits, FRAME_LIMITS_FIELDS)
     ADD_STRUCT(HistoryColumns, HISTORY_COLUMNS_FIELDS)
@@ -55,6 +55,7 @@ kinpole_structs(void)
     ADD_STRUCT(Row, ROW_FIELDS)
     ADD_STRUCT(Plane, PLANE_FIELDS)
     ADD_STRUCT(Joints, JOINTS_FIELDS)
+    ADD_STRUCT(ChangePoint, CHANGE_POINT_FIELDS)
     return all;
 }
 

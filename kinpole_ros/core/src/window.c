@@ -13,8 +13,6 @@
 #define MAX_CELLS 4096
 /* More samples than this in a window are averaged in blocks: cost goes by their number squared. */
 #define MAX_SAMPLES 128
-/* The same where events are listed, which have windows of several lengths. */
-#define MAX_EVENT_SAMPLES 64
 /* Samples of a block with less than this share of the information of the best are left out. */
 #define POOR_INFORMATION 0.25
 /* Samples differ by no more deviations of their noise, or the noise is taken for larger. */
@@ -196,8 +194,7 @@ choose_size(Call *call, const Cells *cells, long long whole, long long *block)
 {
     const Samples *s = &cells->samples;
     long long count = cells->count, ahead = cells->ahead, present = 0, oldest = 0, size = 0;
-    long long most = call->radius > 0.0 ? MAX_EVENT_SAMPLES : MAX_SAMPLES;
-    long long tried = (whole + most - 1) / most;
+    long long tried = (whole + MAX_SAMPLES - 1) / MAX_SAMPLES;
     for (long long k = 0; k < count; k++)
         if (s->weight[0][k] > 0 && s->weight[1][k] > 0)
             present++, oldest = k + 1;

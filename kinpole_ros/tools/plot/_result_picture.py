@@ -138,7 +138,7 @@ def _add_legend(figure: Any, relative: bool, exact: bool, events: bool, lost: bo
             Line2D([], [], label='its locus', **_style.RELATIVE),
         ]
     if events:
-        label = 'event: velocity or acceleration steps'
+        label = 'event: velocity, acceleration or jerk steps'
         handles.append(Line2D([], [], label=label, **_style.EVENT))
     if lost:
         handles.append(Patch(label='lost: frames without any result', **_style.LOST))
