@@ -292,40 +292,35 @@ def _step_products(count: int, members: list[_Member], amplitudes: Real) -> Real
     Return products b' P c (processes, amplitudes, products, n) of steps b, c, with P of screens.h.
 
     A step of the motion, or of its first or second derivative, lies half a sample before each
-    sample. The products are the squares of each order, and then those of orders that follow each
-    other. Squares that are rounding are infinite, and so are those of rest, the last process.
+    sample. Its products are with itself, and with that of the order before. Squares that are
+    rounding are infinite, and so are all products of rest, the last process.
     """
     time = np.arange(count)
     since = np.maximum(time - time[:, None] + 0.5, 0.0)
-    orders = SIZES['STEP_ORDERS']
-    powers = (since**k / factorial(k) for k in range(1, orders))
+    powers = (since**k / factorial(k) for k in range(1, SIZES['STEP_ORDERS']))
     steps = np.concatenate((since > 0, *powers)).T
-    left = np.concatenate((steps, steps[:, count:]), axis=1)
-    right = np.concatenate((steps, steps[:, :-count]), axis=1)
+
+    def products_of(rows: Real) -> Real:
+        """Return products (M, products n) of steps (M, orders n): see above."""
+        return np.concatenate((rows**2, rows[:, count:] * rows[:, :-count]), axis=1)
+
+    whole = products_of(steps).sum(axis=0)
     _, root, lines = _half_window(count)
-
-    def halves(columns: Real) -> list[Real]:
-        opposite = columns[::-1][: len(root)]
-        return [root[:, None] / 2 * (columns[: len(root)] + sign * opposite) for sign in (1, -1)]
-
-    product = (left * right).sum(axis=0)
-    no_line = product - sum(
-        (line @ a) * (line @ b)
-        for line, a, b in zip(lines, halves(left), halves(right), strict=True)
+    opposite = steps[::-1][: len(root)]
+    halves = [root[:, None] / 2 * (steps[: len(root)] + sign * opposite) for sign in (1, -1)]
+    no_line = whole - sum(
+        products_of(line[None] @ half)[0] for line, half in zip(lines, halves, strict=True)
     )
     lanes = len(amplitudes) + -len(amplitudes) % _LANES
-    products = np.full((len(members) + 1, lanes, len(product)), np.inf)
+    products = np.full((len(members) + 1, lanes, len(whole)), np.inf)
     for p, member in enumerate(members):
         products[p, : len(amplitudes)] = no_line
-        each = zip(member.functions, member.sizes, halves(left), halves(right), strict=True)
-        for one, sizes, a, b in each:
+        for one, sizes, half in zip(member.functions, member.sizes, halves, strict=True):
             variance = (amplitudes[:, None] * sizes) ** 2
-            vectors = one.vectors[:, : len(sizes)].T
-            products[p, : len(amplitudes)] -= (
-                variance / (1 + variance) @ ((vectors @ a) * (vectors @ b))
-            )
-    squares = products[..., : orders * count]
-    squares[squares < _STEP_ROUNDING * product[: orders * count]] = np.inf
+            coefficients = one.vectors[:, : len(sizes)].T @ half
+            products[p, : len(amplitudes)] -= variance / (1 + variance) @ products_of(coefficients)
+    squares = products[..., : steps.shape[1]]
+    squares[squares < _STEP_ROUNDING * whole[: steps.shape[1]]] = np.inf
     return products
 
 

@@ -37,8 +37,8 @@ typedef struct {
 /* The screens of angle and position. */
 typedef struct {
     Screen signal[2];
-    double *gain; /* (STEP_ORDERS, count): log evidence that a step adds, without SIZE_COST, with
-                     its shift in time: at no place is a large step without one */
+    double *gain; /* (STEP_ORDERS, count): log evidence that a step adds with its shift in time,
+                     without SIZE_COST. Without the shift, a large step fits at no place. */
     double *sample_weights; /* (2, orders, count): minus those of the samples in the
                                derivatives at the instant, if `has_sample_weights` */
     int has_sample_weights;
