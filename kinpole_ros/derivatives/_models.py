@@ -277,7 +277,7 @@ def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
         _fill_lanes(parameters),
     ]
     if not exact:
-        numbers.append(_step_products(count, members, amplitudes))
+        numbers.append(_step_squares(count, members, amplitudes))
     # Polynomials and rest have the number after those of the spectra: common to all.
     last = len(SPECTRA)
     spectrum = np.array([*(one.process.spectrum % (last + 1) for one in members), last])
@@ -287,41 +287,32 @@ def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
     return integers, np.concatenate([one.ravel() for one in numbers])
 
 
-def _step_products(count: int, members: list[_Member], amplitudes: Real) -> Real:
+def _step_squares(count: int, members: list[_Member], amplitudes: Real) -> Real:
     """
-    Return products b' P c (processes, amplitudes, products, n) of steps b, c, with P of screens.h.
+    Return the squares b' P b (processes, amplitudes, orders, n) of steps b, with P as in screens.h.
 
     A step of the motion, or of its first or second derivative, lies half a sample before each
-    sample. Its products are with itself, and with that of the order before. Squares that are
-    rounding are infinite, and so are all products of rest, the last process.
+    sample. Squares that are rounding are infinite, and so are those of rest, the last process.
     """
     time = np.arange(count)
     since = np.maximum(time - time[:, None] + 0.5, 0.0)
     powers = (since**k / factorial(k) for k in range(1, SIZES['STEP_ORDERS']))
     steps = np.concatenate((since > 0, *powers)).T
-
-    def products_of(rows: Real) -> Real:
-        """Return products (M, products n) of steps (M, orders n): see above."""
-        return np.concatenate((rows**2, rows[:, count:] * rows[:, :-count]), axis=1)
-
-    whole = products_of(steps).sum(axis=0)
+    square = (steps**2).sum(axis=0)
     _, root, lines = _half_window(count)
     opposite = steps[::-1][: len(root)]
     halves = [root[:, None] / 2 * (steps[: len(root)] + sign * opposite) for sign in (1, -1)]
-    no_line = whole - sum(
-        products_of(line[None] @ half)[0] for line, half in zip(lines, halves, strict=True)
-    )
+    no_line = square - sum((line @ half) ** 2 for line, half in zip(lines, halves, strict=True))
     lanes = len(amplitudes) + -len(amplitudes) % _LANES
-    products = np.full((len(members) + 1, lanes, len(whole)), np.inf)
+    squares = np.full((len(members) + 1, lanes, len(square)), np.inf)
     for p, member in enumerate(members):
-        products[p, : len(amplitudes)] = no_line
+        squares[p, : len(amplitudes)] = no_line
         for one, sizes, half in zip(member.functions, member.sizes, halves, strict=True):
             variance = (amplitudes[:, None] * sizes) ** 2
             coefficients = one.vectors[:, : len(sizes)].T @ half
-            products[p, : len(amplitudes)] -= variance / (1 + variance) @ products_of(coefficients)
-    squares = products[..., : steps.shape[1]]
-    squares[squares < _STEP_ROUNDING * whole[: steps.shape[1]]] = np.inf
-    return products
+            squares[p, : len(amplitudes)] -= variance / (1 + variance) @ coefficients**2
+    squares[squares < _STEP_ROUNDING * square] = np.inf
+    return squares
 
 
 def _derivatives(

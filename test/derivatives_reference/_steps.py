@@ -371,28 +371,6 @@ def _square(window: Window, order: int, screen: _Screen, own: Real) -> tuple[Rea
     return square, along * (square / (1 + square) / left)[:, None]
 
 
-def _explained(window: Window, order: int, screen: _Screen, own: Real) -> tuple[Real, Real]:
-    """
-    Of steps before each sample (n,): by how much they and their shifts in time, steps of the order
-    before, reduce the squares of what is left, and the logarithm of the determinant that they add.
-    """
-    square, _ = _square(window, order, screen, own)
-    explained, logs = own.shape[1] * square**2 / (1 + square), np.log1p(square)
-    if not order:
-        return explained, logs
-    steps, shifts = _steps(window.size, order), _steps(window.size, order - 1)
-    whole = ((steps @ screen.left) * steps).sum(axis=1)
-    variance = np.divide(square, whole, out=np.zeros_like(whole), where=square > 0)
-    for k in np.flatnonzero((square > 0) & (_square(window, order - 1, screen, own)[0] > 0)):
-        left = _removed(screen.left, steps[k], np.sqrt(variance[k]), 1.0)
-        removed = left @ shifts[k]
-        along, whole_shift = removed @ own, max(removed @ shifts[k], 0.0)
-        prior = _PLACE**2 * variance[k]
-        explained[k] += prior * (along**2).sum() / (1 + prior * whole_shift)
-        logs[k] += np.log1p(prior * whole_shift)
-    return explained, logs
-
-
 def _candidates(
     window: Window, samples: Real, seen: Real, screens: list[_Screen]
 ) -> dict[int, _Candidate]:
@@ -404,12 +382,14 @@ def _candidates(
             own = samples[:, [0]] if c == 0 else samples[:, 1:]
             squares = max(float((own * (screens[c].left @ own)).sum()), 0.0) + KNOWN
             number = KNOWN + seen[c] * (c + 1)
-            explained, logs = _explained(window, order, screens[c], own)
+            square, _ = _square(window, order, screens[c], own)
+            explained = (c + 1) * square**2 / (1 + square)
             part = np.minimum(explained / squares, 1.0)
-            cost = (c + 1) / 2 * logs
-            rank += np.maximum(number / 2 * part * (6 - part) / (6 - 4 * part) - cost, 0.0)
+            rank += number / 2 * part * (6 - part) / (6 - 4 * part)
             after = np.maximum(squares - explained, KNOWN)
-            gain += np.maximum(number / 2 * np.log(squares / after) - cost, 0.0)
+            gain += np.maximum(
+                number / 2 * np.log(squares / after) - (c + 1) / 2 * np.log1p(square), 0.0
+            )
         edge = _EDGE + (_MORE_EDGE if order > 1 else 0)
         if 2 * edge > window.size:
             continue

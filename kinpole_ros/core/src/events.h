@@ -4,8 +4,8 @@
  * 1. Screening. One model leaves the residual P x of the samples x, with the inverse P of its
  *    covariance. A step b, half a sample before each sample, has the product b' P x, and its size
  *    is estimated as b' P x / b' P b. The products of all steps are cumulative sums of P x. They
- *    give the evidence that a step of each order at each place would add, with its shift in time
- *    (`screen_window`). This is done with the most probable model.
+ *    give the evidence that a step of each order at each place would add (`screen_window`). This
+ *    is done with the most probable model.
  * 2. Evaluation. The best candidate becomes columns of the regression: the step, its shift in time,
  *    and a step of the next derivative, because the model without an event is rough and shows the
  *    order badly. All models are evaluated with them (`add_event`, `evaluate_models`). If segments

@@ -18,8 +18,6 @@
    an event at most. */
 #define MAX_SETS 3
 #define EVENT_COLUMNS 3
-/* Products of steps at one place: of each order with itself, and with the order before. */
-#define STEP_PRODUCTS (2 * STEP_ORDERS - 1)
 
 /* The models of a window of `count` samples, as `models_of` of _models.py makes them. A group is
    LANES models of one process, by their amplitudes. A process has one of the `spectra`, with a
@@ -42,10 +40,9 @@ typedef struct {
                                      would be rounding; otherwise the shrinkage */
     const Lanes *log_prior;     /* (2, groups), plus (c + 1) sum of log(1 - shrinkage) / 2 */
     const Lanes *parameters;    /* (groups): sum of the shrinkage, the effective parameters */
-    const double *step_squares; /* (models, STEP_PRODUCTS, count), if not exact: b' P b, of a step b
+    const double *step_squares; /* (models, STEP_ORDERS, count), if not exact: b' P b, of a step b
                                    half a sample before each sample, and the inverse P of a model's
-                                   covariance, infinite if it is rounding; then b' P c, with the
-                                   step c of the order before */
+                                   covariance */
 } Models;
 
 /* The derivatives at an instant, as `stencils_of` of _models.py makes them. */

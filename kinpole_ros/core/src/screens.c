@@ -90,7 +90,7 @@ screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, d
              Screen *screen)
 {
     long long n = m->count, part = set->parts > 1 && screen->c > 0;
-    const double *of_model = m->step_squares + screen->model * STEP_PRODUCTS * n;
+    const double *of_model = m->step_squares + screen->model * STEP_ORDERS * n;
     for (long long x = 0; x < set->low_samples; x++) {
         long long at = part * set->columns + x;
         memset(scratch, 0, n * sizeof(double)), scratch[set->low_sample[x]] = 1.0;
@@ -100,11 +100,8 @@ screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, d
         sum_products_with_steps(screen->reduced_columns + x * n, n, products);
         for (long long k = 0; k < STEP_ORDERS * n; k++)
             screen->step_squares[k] -= screen->factor[x] * products[k] * products[k];
-        for (long long k = n; k < STEP_ORDERS * n; k++)
-            screen->step_squares[(STEP_ORDERS - 1) * n + k] -=
-                screen->factor[x] * products[k] * products[k - n];
     }
-    memset(screen->squared_products, 0, STEP_PRODUCTS * n * sizeof(double));
+    memset(screen->squared_products, 0, STEP_ORDERS * n * sizeof(double));
     screen->residual_squares = 0.0;
     for (int j = 0; j <= screen->c; j++) {
         screen->residual_squares += dot(screen->residual + j * n, s->x[screen->c + j], n);
@@ -112,8 +109,6 @@ screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, d
         sum_products_with_steps(screen->residual + j * n, n, products);
         for (long long k = 0; k < STEP_ORDERS * n; k++)
             screen->squared_products[k] += products[k] * products[k];
-        for (long long k = n; k < STEP_ORDERS * n; k++)
-            screen->squared_products[(STEP_ORDERS - 1) * n + k] += products[k] * products[k - n];
     }
     screen->residual_squares = larger(screen->residual_squares, 0.0);
     for (long long k = 0; k < STEP_ORDERS * n; k++)
@@ -130,8 +125,8 @@ begin_screen(const Models *m, const Samples *s, const Work *w, long long model, 
     for (int j = 0; j <= screen->c; j++)
         subtract_model(m, model, w->coefficients + (screen->c + j) * m->rows, s->x[screen->c + j],
                        w->column_products, screen->residual + j * n);
-    memcpy(screen->step_squares, m->step_squares + model * STEP_PRODUCTS * n,
-           STEP_PRODUCTS * n * sizeof(double));
+    memcpy(screen->step_squares, m->step_squares + model * STEP_ORDERS * n,
+           STEP_ORDERS * n * sizeof(double));
 }
 
 PRIVATE_INLINE double
@@ -141,38 +136,16 @@ explained_squares(const Screen *screen, long long k, double *ratio)
     return (screen->c + 1) * *ratio * *ratio / (1 + *ratio);
 }
 
-/* Return by how much the step `k`, of `count` places, with its shift in time, the step of the order
-   before, reduces the residual sum of squares. Writes by what the `determinant` of the covariance
-   is multiplied for each coordinate. The prior variance of the step is the square of its estimate,
-   and that of the shift this times PLACE_SIGMA squared, as in `estimate_prior_sizes`. */
-static inline double
-explained_with_shift(const Screen *screen, long long k, long long count, double *determinant)
-{
-    const double *products = screen->squared_products, *squares = screen->step_squares;
-    double ratio, explained = explained_squares(screen, k, &ratio);
-    *determinant = 1 + ratio;
-    if (k < count || !(squares[k] < INFINITY) || !(squares[k - count] < INFINITY))
-        return explained;
-    /* What the step leaves of the shift. */
-    long long with_shift = (STEP_ORDERS - 1) * count + k;
-    double by = ratio / (1 + ratio) * squares[with_shift] / squares[k];
-    double square = larger(squares[k - count] - by * squares[with_shift], 0.0);
-    double product = products[k - count] - 2 * by * products[with_shift] + by * by * products[k];
-    double variance = PLACE_SIGMA * PLACE_SIGMA * ratio / squares[k];
-    *determinant *= 1 + variance * square;
-    return explained + variance * product / (1 + variance * square);
-}
-
 /* Return the log evidence that the step `k` adds to the signal of a screen: order times count, and
    its place. */
 static double
-evidence_gain(const Screen *screen, const Work *w, long long k, long long n)
+evidence_gain(const Screen *screen, const Work *w, long long k)
 {
-    double determinant, explained = explained_with_shift(screen, k, n, &determinant);
+    double ratio, explained = explained_squares(screen, k, &ratio);
     double before = screen->residual_squares + w->prior_samples;
     double number = w->prior_samples + w->total_weight[screen->c] * (screen->c + 1);
     double after = larger(before - explained, w->prior_samples);
-    return larger(number / 2 * log(before / after) - (screen->c + 1) * log(determinant) / 2, 0.0);
+    return larger(number / 2 * log(before / after) - (screen->c + 1) * log(1 + ratio) / 2, 0.0);
 }
 
 /* Find the gains of steps at all places, in `gain` of the screens, and return the best that is not
@@ -185,13 +158,12 @@ find_candidate(const Models *m, const Work *w, Screens *screens)
     memset(screens->gain, 0, STEP_ORDERS * n * sizeof(double));
     for (int c = 0; c < 2; c++) {
         const Screen *screen = screens->signal + c;
-        double all = 1 / (screen->residual_squares + w->prior_samples);
+        double per = 1 / (c + 1.0), all = 1 / (screen->residual_squares + w->prior_samples);
         double number = (w->prior_samples + w->total_weight[c] * (c + 1)) / 2;
         for (long long k = 0; k < STEP_ORDERS * n; k++) {
-            double determinant;
-            double z = smaller(explained_with_shift(screen, k, n, &determinant) * all, 1.0);
-            double gain = number * z * (6 - z) / (6 - 4 * z) - (c + 1) * log(determinant) / 2;
-            screens->gain[k] += larger(gain, 0.0);
+            double ratio = screen->squared_products[k] / screen->step_squares[k] * per;
+            double z = smaller((c + 1) * all * ratio * ratio / (1 + ratio), 1.0);
+            screens->gain[k] += number * z * (6 - z) / (6 - 4 * z);
         }
     }
     for (int order = 0; order < STEP_ORDERS; order++) {
@@ -201,8 +173,8 @@ find_candidate(const Models *m, const Work *w, Screens *screens)
         for (long long k = at; k <= (order + 1) * n - edge; k++)
             if (screens->gain[k] > screens->gain[at])
                 at = k;
-        double gain = evidence_gain(screens->signal, w, at, n) +
-                      evidence_gain(screens->signal + 1, w, at, n);
+        double gain = evidence_gain(screens->signal, w, at) +
+                      evidence_gain(screens->signal + 1, w, at);
         if (gain > best.gain)
             best = (Candidate){gain, at - order * n, order};
     }
@@ -217,8 +189,8 @@ lay_out_screens(long long count, long long orders, long long columns, char *data
         Screen *screen = screens->signal + c;
         screen->c = c;
         TAKE(screen->residual, 2 * count), TAKE(screen->step_products, 2 * STEP_ORDERS * count);
-        TAKE(screen->squared_products, STEP_PRODUCTS * count);
-        TAKE(screen->step_squares, STEP_PRODUCTS * count);
+        TAKE(screen->squared_products, STEP_ORDERS * count);
+        TAKE(screen->step_squares, STEP_ORDERS * count);
         TAKE(screen->reduced_columns, columns * count), TAKE(screen->factor, columns);
     }
     return data;

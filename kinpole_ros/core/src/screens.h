@@ -1,5 +1,5 @@
 /*
- * Screening of steps at all places of a window, each with its shift in time, by one model.
+ * Screening of steps at all places of a window, by one model.
  */
 
 #ifndef KINPOLE_SCREENS_H
@@ -15,10 +15,6 @@
 /* A step of which the columns leave less than this share is already in the set. */
 #define MIN_STEP_LEFT 1e-6
 
-/* Standard deviation of an event's place, samples: an event lies between two samples. By how well
-   the samples show the place, up to 3, errors and coverage are the same. */
-#define PLACE_SIGMA 0.5
-
 /* What one model with the columns of a set leaves of the angle (c = 0), or of the position (c = 1).
    P is that of the model less the sum of factor r r' of the reduced columns r. */
 typedef struct {
@@ -27,9 +23,8 @@ typedef struct {
     double residual_squares;  /* x' P x */
     double *residual;         /* (c + 1, count): P x */
     double *step_products;    /* (c + 1, STEP_ORDERS, count): b' P x */
-    double *squared_products; /* (STEP_PRODUCTS, count): their squares, and their products with the
-                                 order before, summed over coordinates */
-    double *step_squares;     /* (STEP_PRODUCTS, count): see `Models`, less what columns explain */
+    double *squared_products; /* (STEP_ORDERS, count): their squares, summed over coordinates */
+    double *step_squares;     /* (STEP_ORDERS, count): b' P b, infinite if it is rounding */
     double *reduced_columns;  /* (columns, count): P b with the P before this column */
     double *factor;           /* (columns) */
 } Screen;
@@ -37,8 +32,7 @@ typedef struct {
 /* The screens of angle and position. */
 typedef struct {
     Screen signal[2];
-    double *gain; /* (STEP_ORDERS, count): log evidence that a step adds with its shift in time,
-                     without SIZE_COST. Without the shift, a large step fits at no place. */
+    double *gain; /* (STEP_ORDERS, count): log evidence that a step adds, without SIZE_COST */
     double *sample_weights; /* (2, orders, count): minus those of the samples in the
                                derivatives at the instant, if `has_sample_weights` */
     int has_sample_weights;
@@ -72,9 +66,9 @@ PRIVATE char * lay_out_screens(long long count, long long orders, long long colu
                                Screens *screens);
 
 /* Screen steps of all orders at all places of a window, with the most probable models of the set
-   without events, and return the best. The gain of a place has the approximation
-   z (6 - z) / (6 - 4 z) of -log(1 - z), because there are many places. `screens` is laid out;
-   `scratch` (count) is memory. */
+   without events, and return the best. The gain of a place is without the cost of the size, and has
+   the approximation z (6 - z) / (6 - 4 z) of -log(1 - z), because there are many places. `screens`
+   is laid out; `scratch` (count) is memory. */
 PRIVATE Candidate screen_window(const Models *m, const Samples *s, const Work *w, const Set *set,
                                 double *scratch, Screens *screens);
 
