@@ -9,8 +9,9 @@ from typing import Any
 import derivatives_reference
 import numpy as np
 import pytest
+from derivatives_reference import _evidence, _sizes, _steps
 from derivatives_reference import _models as stacked
-from derivatives_reference import _sizes, _steps
+from derivatives_reference._samples import Window, seen_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -943,6 +944,16 @@ def test_a_body_that_turns_there_and_back_between_two_frames_has_no_hub() -> Non
     assert not derive(stamps(COUNT), 0.2 * side + errors[0], position, 1e-4).reference.any()
 
 
+def derived_without_events(
+    window: Window, samples: np.ndarray, weight: np.ndarray
+) -> _evidence.Found:
+    """The derivatives of a signal (n, 3) by the reference, as processes alone have them."""
+    seen = seen_of(weight[..., None], samples[..., None])
+    modes, stencils = stacked.modes_of(*window.models), stacked.stencils_of(*window)
+    found = _evidence.derive(modes, stencils, samples[..., None], *seen)
+    return _evidence.Found(*(one[..., 0] for one in found))
+
+
 def test_more_samples_than_a_window_holds_tell_as_much_in_blocks(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -961,7 +972,7 @@ def test_more_samples_than_a_window_holds_tell_as_much_in_blocks(
     blocks, stated = found()
     monkeypatch.setattr(_sizes, 'MOST', 1000)
     # The motion is smooth, and the reference takes long to look for steps.
-    monkeypatch.setattr(_steps, '_derive_signal', lambda *_: None)
+    monkeypatch.setattr(_steps, '_derive_signal', derived_without_events)
     monkeypatch.setattr(sys.modules[__name__], 'derive_poses', derivatives_reference.derive_poses)
     single, expected = found()
     assert np.sqrt(((blocks - single) ** 2 / expected**2).mean(axis=1)).max() < 0.4

@@ -38,8 +38,6 @@ _DEGREES = (1, 2)
 _MIN_AMPLITUDE = 10.0**0.5
 # Number of amplitudes, each 10 times the one before, up to 3e6; and up to 3e12 for exact samples.
 _AMPLITUDES, _EXACT_AMPLITUDES = 7, 13
-LOG_PRIOR_WIDTH = float(np.log(3 * _MIN_AMPLITUDE * 10.0 ** (_AMPLITUDES - 1)))
-"""Log standard deviation of the flat prior of mean and slope: three times the largest amplitude."""
 # The largest of the amplitudes, by number, with which a process may look like a parabola.
 _PARABOLA_AMPLITUDE = 2
 # Modes with a smaller standard deviation at the largest amplitude, over the noise, are left out.

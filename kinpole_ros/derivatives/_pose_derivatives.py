@@ -20,7 +20,7 @@ from kinpole_ros.core.bindings import (
     library,
 )
 from kinpole_ros.derivatives._cached_tables import cached_table
-from kinpole_ros.derivatives._models import LOG_PRIOR_WIDTH, models_of, slopes_of, stencils_of
+from kinpole_ros.derivatives._models import models_of, slopes_of, stencils_of
 from kinpole_ros.planar._plane import Complex, Real
 
 # Memory of all tables, of which the oldest are dropped; a kind of window has 100 kB to 3 MB.
@@ -140,7 +140,7 @@ def _check_arguments(
 
 def new_call(window: float, order: int) -> Call:
     """Return arguments of the library without arrays; tables are made as it needs them."""
-    call = Call(orders=order + 1, window=window, log_prior_width=LOG_PRIOR_WIDTH)
+    call = Call(orders=order + 1, window=window)
     forget_tables(call)
     # The call must not refer to itself, since it frees memory when it is deleted.
     reference = weakref.ref(call)

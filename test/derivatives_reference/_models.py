@@ -9,7 +9,6 @@ from kinpole_ros.derivatives import _models
 from kinpole_ros.derivatives._models import (
     _SIMPLE_PRIOR,
     FEWEST_SAMPLES,
-    LOG_PRIOR_WIDTH,
     Process,
     _Functions,
     _half_window,
@@ -18,7 +17,7 @@ from kinpole_ros.derivatives._models import (
 )
 from kinpole_ros.planar._plane import Real
 
-__all__ = ['FEWEST_SAMPLES', 'LOG_PRIOR_WIDTH']
+__all__ = ['FEWEST_SAMPLES']
 
 MOST_EXACT = 1e13
 # Processes are stacked with those that have up to so many modes, windows.

@@ -19,12 +19,10 @@ _DEGREE, _MORE = 2, 2
 # Evidence that a coefficient and an event cost.
 _COEFFICIENT, _EVENT = 5.0, 12.0
 _SHORTEST = 2
-# How many segments count, and how far they are behind the best.
+# How many segments count, and how far they are behind the best, and all behind the models.
 _KEPT, _BEHIND = 8, 20.0
 # The power of the evidence in the covariance.
 _POWER = 0.25
-# Evidence behind the models with which segments do not count.
-_NEGLIGIBLE = 60.0
 _SIGNALS = (slice(0, 1), slice(1, 3))
 
 
@@ -42,53 +40,14 @@ class Division(NamedTuple):
     excess: Real
 
 
-def divide(window: Window, samples: Real, weight: Real) -> Division:
-    """Divide `samples` (n, 3) with a `weight` (n,) into segments."""
-    count = len(samples)
-    at = window.at + (count - 1) / 2
-    square = weight[:, None] * samples**2
-    largest = np.array((square[:, 0].mean(), square[:, 1:].mean()))
-    with np.errstate(divide='ignore'):
-        excess = np.maximum(np.log(largest) / 2 - _COEFFICIENT, 0.0) * (1, 2)
-    values, evidence = _values(samples, weight, excess), np.empty(2)
-    first, end = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing='ij')
-    # A sample that is missing is in the segment before.
-    begins = np.concatenate(([True], weight[1:] > 0, [True]))
-    around = (first - 0.5 <= at) & (end - 0.5 > at) & begins[first] & begins[end]
-    for c in range(2):
-        before, after = _divide(values[c], c + 1)
-        evidence[c] = before[count] + np.count_nonzero(weight) * (c + 1) / 2
-        values[c] = np.where(around, before[:, None] + values[c] + after - before[count], -np.inf)
-    return Division(values, evidence, excess)
-
-
-def nearest_event(window: Window, division: Division, none: Real) -> int:
-    """
-    The sample after the event nearest to the instant, or -1.
-
-    In the best division, that of the angle or of the position, if its evidence is more than
-    that of models without events, `none` (2,).
-    """
-    count, gain = window.size, division.evidence - none
-    values = division.values[int(gain[1] > gain[0])]
-    if not (gain.max() > 0 and values.max() > -_BEHIND):
-        return -1
-    first, end = np.unravel_index(values.argmax(), values.shape)
-    at = window.at + (count - 1) / 2
-    before = end == count or at - first < end - at
-    place = int(first if first > 0 and before else end)
-    return place if place < count else -1
-
-
-def add_segments(
-    window: Window, samples: Real, weight: Real, division: Division, found: Found
-) -> None:
+def add_segments(window: Window, samples: Real, weight: Real, found: Found) -> None:
     """Mix segments of `samples` (n, 3) with a `weight` (n,) into what is `found`."""
+    division = _divide_window(window, samples, weight)
     orders = window.orders
     present = np.concatenate(([0], np.cumsum(weight > 0)))
     for c, part in enumerate(_SIGNALS):
         whole, ahead = division.values[c], division.evidence[c] - found.evidence[c]
-        if ahead <= -_NEGLIGIBLE:
+        if ahead <= -_BEHIND:
             continue
         found.evidence[c] = max(found.evidence[c], division.evidence[c])
         order = np.argsort(-whole, axis=None, kind='stable')[:_KEPT]
@@ -116,7 +75,7 @@ def add_segments(
         off = np.array(means) - mean
         covariance = np.tensordot(share, spreads, 1)
         covariance += np.einsum('n,nkc,njc->kj', share, off, off) / (c + 1)
-        probability, by = 1 / (1 + np.exp(-ahead)), 1 / (1 + np.exp(-_POWER * ahead))
+        probability, by = 1 / (1 + np.exp(-ahead)), 1 / (1 + np.exp(-ahead / 2))
         both = (1 - probability) * found.mean[:, part] + probability * mean
         total = np.zeros((orders, orders))
         pairs = ((1 - by, found.mean[:, part], found.covariance[..., c]), (by, mean, covariance))
@@ -124,6 +83,28 @@ def add_segments(
             total += some * (spread + (other - both) @ (other - both).T / (c + 1))
         found.mean[:, part], found.covariance[..., c] = both, total
         found.freedom[c] += probability * (likely @ freedom - found.freedom[c])
+
+
+def _divide_window(window: Window, samples: Real, weight: Real) -> Division:
+    """Divide `samples` (n, 3) with a `weight` (n,) into segments."""
+    count = len(samples)
+    at = window.at + (count - 1) / 2
+    square = weight[:, None] * samples**2
+    largest = np.array((square[:, 0].mean(), square[:, 1:].mean()))
+    with np.errstate(divide='ignore'):
+        excess = np.maximum(np.log(largest) / 2 - _COEFFICIENT, 0.0) * (1, 2)
+    values, evidence = _values(samples, weight, excess), np.empty(2)
+    # There is an event: without one the models have more to say.
+    values[:, 0, count] = -np.inf
+    first, end = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing='ij')
+    # A sample that is missing is in the segment before.
+    begins = np.concatenate(([True], weight[1:] > 0, [True]))
+    around = (first - 0.5 <= at) & (end - 0.5 > at) & begins[first] & begins[end]
+    for c in range(2):
+        before, after = _divide(values[c], c + 1)
+        evidence[c] = before[count] + np.count_nonzero(weight) * (c + 1) / 2
+        values[c] = np.where(around, before[:, None] + values[c] + after - before[count], -np.inf)
+    return Division(values, evidence, excess)
 
 
 def _values(samples: Real, weight: Real, excess: Real) -> Real:

@@ -15,16 +15,13 @@ import numpy as np
 
 from derivatives_reference._evidence import KNOWN, Found, derive, weights_of
 from derivatives_reference._hub import find_hub, turning_of
-from derivatives_reference._models import LOG_PRIOR_WIDTH, _layout, modes_of, stencils_of
+from derivatives_reference._models import _layout, modes_of, stencils_of
 from derivatives_reference._samples import Window, seen_of
-from derivatives_reference._segments import add_segments, divide, nearest_event
+from derivatives_reference._segments import add_segments
 from kinpole_ros.planar._plane import Real
 
 # Steps of the motion itself, of its first and of its second derivative are looked for.
 _ORDERS = (0, 1, 2)
-# Flat priors of a parameter by which the likeliest model has less evidence than a line, or more,
-# where a window is divided without a likely event.
-_WORTH = 3
 # How probable an event is, and the logarithm of the part of all sizes that is as large.
 _PRIOR, _SIZE_COST = 0.05, 2.4
 # Evidence that a candidate gains.
@@ -104,13 +101,11 @@ def derive_even(window: Window, samples: Real, weights: Real | None, radians: Re
     whole = derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking)
     if window.exact:
         return whole
-    least = -_WORTH * LOG_PRIOR_WIDTH * np.array((1, 2))[:, None]
-    for k, is_simple in enumerate((whole.best >= least).all(axis=0)):
-        weight = np.ones((window.size, 2)) if weights is None else weights[..., k]
-        found = _derive_signal(window, samples[..., k], weight, bool(is_simple))
-        for all_, part in zip(whole, found or (), strict=found is not None):
-            all_[..., k] = part
     for k in range(samples.shape[2]):
+        weight = np.ones((window.size, 2)) if weights is None else weights[..., k]
+        found = _derive_signal(window, samples[..., k], weight)
+        for all_, part in zip(whole, found, strict=True):
+            all_[..., k] = part
         own = None if weights is None else weights[..., [k]]
         _take_hub(
             window, samples[..., [k]], own, radians[k], Found(*(one[..., k] for one in whole))
@@ -163,12 +158,8 @@ def _power(since: Real, order: int) -> Real:
     return np.where(since > 0, np.maximum(since, 0) ** order / factorial(max(order, 0)), 0.0)
 
 
-def _derive_signal(window: Window, samples: Real, weight: Real, is_simple: bool) -> Found | None:
-    """
-    The derivatives of one signal, `samples` (n, 3), as of `derive_even` but without the S.
-
-    None of a simple one without a likely event.
-    """
+def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
+    """The derivatives of one signal, `samples` (n, 3), as of `derive_even` but without the S."""
     modes, bank = modes_of(*window.models), _bank_of(window)
     seen = weight.sum(axis=0)
     cells = np.flatnonzero((weight < 1).any(axis=1))
@@ -179,12 +170,10 @@ def _derive_signal(window: Window, samples: Real, weight: Real, is_simple: bool)
         len(cells),
     )  # fmt: skip
     steps = _ranked(window, samples, seen, weight[cells].T, empty, empty.evidence.argmax(axis=0))
-    is_likely = steps[_best(steps)].gain >= _GAIN
-    if not is_likely and is_simple:
-        return None
-    division = divide(window, samples, weight.min(axis=1))
-    place = nearest_event(window, division, empty.evidence.max(axis=0))
-    sets = _sets(window, samples, seen, weight[cells].T, empty, steps, is_likely, place)
+    sets, order = [empty], _best(steps)
+    if steps[order].gain >= _GAIN:
+        about = window, samples, seen, weight[cells].T
+        sets.append(_extended(*about, empty, order, steps[order]))
     mean, freedom, evidence = np.zeros((window.orders, 3)), np.zeros(2), np.zeros(2)
     covariance = np.zeros((window.orders, window.orders, 2))
     for c in range(2):
@@ -215,7 +204,7 @@ def _derive_signal(window: Window, samples: Real, weight: Real, is_simple: bool)
         events = np.array([one.events for one in sets])
         freedom[c] = np.sum(likely[..., 0] * (modes.freedom + events[:, None]))
     found = Found(mean, covariance, freedom, evidence, evidence.copy(), np.zeros((), complex))
-    add_segments(window, samples, weight.min(axis=1), division, found)
+    add_segments(window, samples, weight.min(axis=1), found)
     return found
 
 
@@ -307,31 +296,6 @@ def _ranked(
 
 def _best(found: dict[int, _Candidate]) -> int:
     return max(found, key=lambda order: found[order].gain)
-
-
-def _sets(
-    window: Window,
-    samples: Real,
-    seen: Real,
-    lacking: Real,
-    empty: _Set,
-    found: dict[int, _Candidate],
-    is_likely: bool,
-    place: int,
-) -> list[_Set]:
-    """The empty set, and those of the likeliest event and of that at the `place` of a boundary."""
-    about = window, samples, seen, lacking, empty
-    sets, events = [empty], []
-    for kind in ('likeliest', 'at a boundary')[0 if is_likely else 1 :]:
-        if kind == 'likeliest':
-            order = _best(found)
-            at = found[order].at
-        else:
-            order, at = max(found, key=lambda order: found[order].rank[place]), place
-        if _EDGE <= at <= window.size - _EDGE and (at, order) not in events:
-            events.append((at, order))
-            sets.append(_extended(*about, order, found[order]._replace(at=at)))
-    return sets
 
 
 def _screen(window: Window, base: _Set, lacking: Real, c: int, model: int) -> _Screen:

@@ -47,7 +47,6 @@ typedef int (*TableMaker)(Table *table);
     VALUE(long long, orders, "K")                                                                 \
     VALUE(long long, table_count, "number of tables")                                             \
     VALUE(double, window, "s: length of a full window")                                           \
-    VALUE(double, log_prior_width, "log of prior over noise, of mean and slope")                  \
     ARRAY(const long long, time, "(N)", "ns: when each frame was, by the clock")                  \
     ARRAY(const long long, windows, "(3, T)", "frames of the instant, the oldest, the newest")    \
     ARRAY(const long long, left_out, "(T, B)", "newest frames that are not used")                 \

@@ -20,6 +20,7 @@
 #include "window.h"
 #include "estimator.h"
 #include "events.h"
+#include "segments.h"
 #include "evidence.h"
 #include "hub.h"
 #include "memory.h"
@@ -164,8 +165,7 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
     Models m;
     Work w;
     Set sets[MAX_SETS];
-    Division d = {.count = 0};
-    int number = 1, code = DONE;
+    int number = 1;
     Table models, of_instant;
     if (find_table(call, window, s->count, MODELS, 0.0, &models) ||
         find_table(call, window, s->count, window->orders, window->from_middle, &of_instant))
@@ -178,15 +178,15 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
     long long modes = window->orders * m.rows;
     Stencils stencils = {window->orders, window->from_middle + (s->count - 1) / 2.0,
                          of_instant.numbers, (const Lanes *)(of_instant.numbers + modes)};
-    if (!window->exact)
-        code = search_events(call, &m, &stencils, s, &w, window->block, sets, &number, &d);
-    if (!code)
-        differentiate(&m, &stencils, &w, sets, number, out);
-    if (!code && d.count)
-        add_segments(&stencils, s, &d, out);
-    if (!code && !window->exact)
-        code = derive_hub(call, window, &m, &stencils, s, &w, sets, out);
-    return code;
+    if (!window->exact &&
+        search_events(call, &m, &stencils, s, &w, window->block, sets, &number))
+        return NO_MEMORY;
+    differentiate(&m, &stencils, &w, sets, number, out);
+    if (window->exact)
+        return DONE;
+    if (add_segments(call, &stencils, s, out))
+        return NO_MEMORY;
+    return derive_hub(call, window, &m, &stencils, s, &w, sets, out);
 }
 
 /* Move samples to the even grid along the estimated motion, and estimate it again, until angle and

@@ -6,7 +6,6 @@
 #include "evidence.h"
 #include "memory.h"
 #include "numbers.h"
-#include "screens.h"
 
 /* Prior probability that a window has an event: events are rare. */
 #define EVENT_PRIOR 0.05
@@ -14,10 +13,6 @@
 #define SIZE_COST 2.4
 /* Log evidence that a candidate has to add in the screening: below it the prior wins. */
 #define MIN_GAIN 8.0
-/* Without such a candidate, windows are divided into segments if their best evidence is below that
-   of a line by this many log widths of the flat prior: a process may explain what is an event. With
-   1, smooth windows take a third longer; with 6, fast rebounds at 60 Hz are not divided. */
-#define DIVIDE_BELOW 3
 /* Standard deviation of an event's place, samples: an event lies between two samples. By how well
    the samples show the place, up to 3, errors and coverage are the same. */
 #define PLACE_SIGMA 0.5
@@ -99,8 +94,8 @@ estimate_prior_sizes(const Models *m, const Screen *screen, Set *set, int order)
 
 /* Make a set with the columns of an event besides those of `none`: its step, a step of the
    derivative below, for its shift in time, and of the one above. Samples are means of `block`
-   cells. The set is laid out at `data` for so many `orders`; returns the end of its memory. */
-static char *
+   cells. The set is laid out at `data` for so many `orders`. */
+static void
 add_event(const Models *m, const Set *none, const Screens *screens, const Candidate *event,
           long long orders, long long block, char *data, Set *set)
 {
@@ -110,7 +105,7 @@ add_event(const Models *m, const Set *none, const Screens *screens, const Candid
     if (event->order)
         order[steps++] = event->order - 1;
     order[steps++] = event->order + 1;
-    data = lay_out_set(m, orders, low + steps, steps, 2, data, set);
+    lay_out_set(m, orders, low + steps, steps, 2, data, set);
     set->low_samples = low, set->steps = steps;
     set->log_prior = log(EVENT_PRIOR / (1 - EVENT_PRIOR) / (STEP_ORDERS * n)) - SIZE_COST;
     memcpy(set->low_sample, none->low_sample, low * sizeof *set->low_sample);
@@ -129,11 +124,10 @@ add_event(const Models *m, const Set *none, const Screens *screens, const Candid
     fold(m, signals, steps, set->folded);
     for (int c = 0; c < 2; c++)
         estimate_prior_sizes(m, screens->signal + c, set, event->order);
-    return data;
 }
 
-/* Compute the `sample_weights` of screens, by their models with the samples of low weight of a set,
-   and set `has_sample_weights`. `lanes` (half) is memory. */
+/* Compute the `sample_weights` of screens, by their models with the samples of low weight of a set.
+   `lanes` (half) is memory. */
 static void
 find_sample_weights(const Models *m, const Stencils *stencils, const Set *set, Lanes *lanes,
                     Screens *screens)
@@ -141,7 +135,6 @@ find_sample_weights(const Models *m, const Stencils *stencils, const Set *set, L
     long long n = m->count, orders = stencils->orders;
     double *weights = screens->sample_weights;
     memset(weights, 0, 2 * orders * n * sizeof(double));
-    screens->has_sample_weights = 1;
     for (long long k = 0; k < 2 * orders; k++, weights += n) {
         const Screen *screen = screens->signal + k / orders;
         /* From a signal of zeros, so these are minus the weights. */
@@ -174,8 +167,7 @@ add_place_covariance(const Models *m, const Stencils *stencils, const Set *none,
         weight[k] = exp(PLACE_EVIDENCE_POWER * (gain[k] - gain[best]));
         total += weight[k];
     }
-    if (!screens->has_sample_weights)
-        find_sample_weights(m, stencils, none, lanes, screens);
+    find_sample_weights(m, stencils, none, lanes, screens);
     for (int c = 0; c < 2; c++) {
         const Screen *screen = screens->signal + c;
         for (long long o = 0; o < orders; o++)
@@ -206,43 +198,17 @@ add_place_covariance(const Models *m, const Stencils *stencils, const Set *none,
     }
 }
 
-/* Return the event before a sample, of the order with the best gain of all `n` samples. */
-static Candidate
-best_order(const Screens *screens, long long sample, long long n)
-{
-    Candidate best = {.sample = sample};
-    for (int k = 1; k < (sample < 0 ? 0 : STEP_ORDERS); k++)
-        if (screens->gain[k * n + sample] > screens->gain[best.order * n + sample])
-            best.order = k;
-    return best;
-}
-
-/* Return whether one of the sets has this event. */
-static int
-has_event(const Set *sets, int number, const Candidate *event)
-{
-    int found = 0;
-    for (int k = 1; k < number; k++)
-        found |= sets[k].step->place == event->sample - 0.5 && sets[k].step->order == event->order;
-    return found;
-}
-
-/* The events that are evaluated: the likeliest, and the one that segments show nearest to the
-   instant. */
-enum { LIKELIEST, AT_BOUNDARY };
-
 PRIVATE int
 search_events(Call *call, const Models *m, const Stencils *stencils, const Samples *s,
-              const Work *w, long long block, Set *sets, int *number, Division *d)
+              const Work *w, long long block, Set *sets, int *number)
 {
-    long long low = sets->low_samples, most = low + EVENT_COLUMNS;
-    long long n = m->count, orders = stencils->orders;
-    size_t of_set = size_of_set(m, orders, most, EVENT_COLUMNS, 2);
+    long long low = sets->low_samples, n = m->count, orders = stencils->orders;
+    size_t of_set = size_of_set(m, orders, low + EVENT_COLUMNS, EVENT_COLUMNS, 2);
     size_t of_screens = 2 * ((2 + 4 * STEP_ORDERS + low) * n + low) + STEP_ORDERS * n +
         2 * orders * n;
     size_t of_scratch = (1 + STEP_ORDERS * MAX_ORDERS) * n;
-    char *data = kinpole_buffer(
-        call, OF_SETS, (of_scratch + of_screens) * sizeof(double) + (MAX_SETS - 1) * of_set);
+    char *data =
+        kinpole_buffer(call, OF_SETS, (of_scratch + of_screens) * sizeof(double) + of_set);
     if (!data)
         return NO_MEMORY;
     Screens screens;
@@ -250,22 +216,11 @@ search_events(Call *call, const Models *m, const Stencils *stencils, const Sampl
     TAKE(scratch, (1 + STEP_ORDERS * MAX_ORDERS) * n);
     data = lay_out_screens(n, orders, low, data, &screens);
     Candidate event = screen_window(m, s, w, sets, scratch, &screens);
-    int is_likely = event.gain >= MIN_GAIN;
-    if (!is_likely && sets->best_evidence[0] >= -DIVIDE_BELOW * call->log_prior_width &&
-        sets->best_evidence[1] >= -DIVIDE_BELOW * call->log_prior_width * 2)
+    if (!(event.gain >= MIN_GAIN))
         return DONE;
-    if (divide_window(call, s, d))
-        return NO_MEMORY;
-    for (int kind = is_likely ? LIKELIEST : AT_BOUNDARY; kind <= AT_BOUNDARY; kind++) {
-        if (kind == AT_BOUNDARY)
-            event = best_order(&screens, nearest_event(d, sets, stencils->at), n);
-        if (event.sample < EDGE_SAMPLES || event.sample > n - EDGE_SAMPLES ||
-            has_event(sets, *number, &event))
-            continue;
-        Set *set = sets + (*number)++;
-        data = add_event(m, sets, &screens, &event, orders, block, data, set);
-        add_place_covariance(m, stencils, sets, &screens, w->column_products, scratch, set);
-        evaluate_models(m, s, w, set);
-    }
+    Set *set = sets + (*number)++;
+    add_event(m, sets, &screens, &event, orders, block, data, set);
+    add_place_covariance(m, stencils, sets, &screens, w->column_products, scratch, set);
+    evaluate_models(m, s, w, set);
     return DONE;
 }

@@ -8,13 +8,13 @@
  *    is done with the most probable model.
  * 2. Evaluation. The best candidate becomes columns of the regression: the step, its shift in time,
  *    and a step of the next derivative, because the model without an event is rough and shows the
- *    order badly. All models are evaluated with them (`add_event`, `evaluate_models`). If segments
- *    (segments.c) show another event near the instant, it is a set of its own. More events in a
- *    window are left to segments.
+ *    order badly. All models are evaluated with them (`add_event`, `evaluate_models`). More events
+ *    in a window are left to segments (segments.c).
  * 3. Other places of an event, by their evidence, add to the covariance (`add_place_covariance`).
  *
- * `search_events` returns the sets, and `differentiate` averages all models with all of them. The
- * evidence of a set less that of the first set, without events, says how sure its events are.
+ * `search_events` adds a set with the event to that without, and `differentiate` averages all
+ * models with both of them. The evidence of the one less that of the other says how sure the event
+ * is.
  *
  * change_points.c finds the events that are reported. It has polynomials instead of these models,
  * and excludes what only looks like an event. Both have the same columns of steps and nothing more.
@@ -23,13 +23,12 @@
 #ifndef KINPOLE_EVENTS_H
 #define KINPOLE_EVENTS_H
 
-#include "segments.h"
+#include "screens.h"
 
-/* Search a window for events, and evaluate the models with each. The first of `sets` (MAX_SETS) has
-   no event, and is evaluated already. Samples are means of `block` cells. Appends a set for each
-   event to `sets`, and adds to their `number`. Without a likely event nothing changes, and `d`
-   neither; with one `d` is the division of the window. Returns DONE or NO_MEMORY. */
+/* Search a window for an event, and evaluate the models with it. The first of `sets` (MAX_SETS) has
+   none, and is evaluated already. Samples are means of `block` cells. With a likely event the next
+   set has it, and the `number` of sets is 1 more. Returns DONE or NO_MEMORY. */
 PRIVATE int search_events(Call *call, const Models *m, const Stencils *stencils, const Samples *s,
-                          const Work *w, long long block, Set *sets, int *number, Division *d);
+                          const Work *w, long long block, Set *sets, int *number);
 
 #endif

@@ -14,9 +14,8 @@
 
 /* Derivatives from order 0 on, at most. */
 #define MAX_ORDERS (HIGHEST + 1)
-/* Sets at most: without event, with the likeliest, and with the one that segments show. Columns of
-   an event at most. */
-#define MAX_SETS 3
+/* Sets at most: without event, and with the likeliest. Columns of an event at most. */
+#define MAX_SETS 2
 #define EVENT_COLUMNS 3
 
 /* The models of a window of `count` samples, as `models_of` of _models.py makes them. A group is

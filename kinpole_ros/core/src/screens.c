@@ -204,6 +204,5 @@ screen_window(const Models *m, const Samples *s, const Work *w, const Set *set, 
         begin_screen(m, s, w, most_probable_model(m, set, c), screens->signal + c);
         screen_steps(m, s, w, set, scratch, screens->signal + c);
     }
-    screens->has_sample_weights = 0;
     return find_candidate(m, w, screens);
 }

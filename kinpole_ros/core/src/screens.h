@@ -34,8 +34,7 @@ typedef struct {
     Screen signal[2];
     double *gain; /* (STEP_ORDERS, count): log evidence that a step adds, without SIZE_COST */
     double *sample_weights; /* (2, orders, count): minus those of the samples in the
-                               derivatives at the instant, if `has_sample_weights` */
-    int has_sample_weights;
+                               derivatives at the instant: `find_sample_weights` */
 } Screens;
 
 /* An event half a sample before `sample`, and the log evidence that it adds. */

@@ -14,13 +14,24 @@
 /* Samples that are not missing of the shortest segment. */
 #define MIN_LENGTH 2
 /* Segments around the instant that count, and the log evidence by which others may be behind the
-   best. */
+   best, and all of them behind the models. */
 #define MAX_KEPT 8
 #define MAX_BEHIND 20.0
-/* Power of the evidence by which segments count in the covariance, as other places of an event. */
+/* Power of the evidence by which segments count in the covariance beside each other, as other
+   places of an event do. Beside the models it is 1/2, as among these. */
 #define COVARIANCE_POWER 0.25
-/* Log evidence behind the models with which segments have no weight, whatever their covariance. */
-#define MAX_BEHIND_MODELS 60.0
+
+/* All segments of a window. Part 0 is the angle, part 1 the position. */
+typedef struct {
+    long long count;    /* samples */
+    double *root;       /* (count): of the smaller weight of each sample */
+    double *present;    /* (count + 1): how many samples before each one are not missing */
+    double *value[2];   /* (count, count): log evidence, by length less one and first sample */
+    double *before[2];  /* (count + 1): the best log evidence of the samples before each one */
+    double *after[2];   /* (count + 1): that of the samples from each one on */
+    double excess[2];   /* log size of the samples, over COEFFICIENT_COST, if this is more */
+    double *scratch;    /* at least (COLUMNS + 3, count) */
+} Division;
 
 /* The polynomials of all segments of one length; all arrays (count) are by their first sample. */
 typedef struct {
@@ -117,16 +128,18 @@ find_values(const Division *d, int part, long long last, const Fits *f)
     double *restrict value = d->value[part] + last * d->count;
     const double *restrict z[DEGREE + 1][2], *restrict squares[2];
     const double *restrict present = d->present, *restrict end = d->present + last + 1;
+    double excess = d->excess[part];
+    long long segments = d->count - last;
     for (int j = 0; j < 2; j++) {
         squares[j] = f->squares[part + part * j];
         for (int k = 0; k <= DEGREE; k++)
             z[k][j] = f->along[k][part + part * j];
     }
-    for (long long i = 0; i < d->count - last; i++) {
+    for (long long i = 0; i < segments; i++) {
         double of_degree[DEGREE + 1], evidence[DEGREE + 1], best = -INFINITY;
         for (int k = 0; k <= DEGREE; k++)
             of_degree[k] = z[k][0][i] * z[k][0][i] + part * (z[k][1][i] * z[k][1][i]);
-        evidence_of_degrees(part, end[i] - present[i], d->excess[part],
+        evidence_of_degrees(part, end[i] - present[i], excess,
                             squares[0][i] + part * squares[1][i], of_degree, evidence);
         for (int k = 0; k <= DEGREE; k++)
             best = larger(best, evidence[k]);
@@ -182,6 +195,9 @@ evaluate_segments(Call *call, const Samples *s, Division *d)
         for (int part = 0; part < 2; part++)
             find_values(d, part, last, &f);
     }
+    /* There is an event: without one the models have more to say. */
+    for (int part = 0; part < 2; part++)
+        d->value[part][(n - 1) * n] = -INFINITY;
     return DONE;
 }
 
@@ -381,40 +397,21 @@ mix(const Average *segments, int part, long long orders, double probability, dou
 }
 
 PRIVATE int
-divide_window(Call *call, const Samples *s, Division *d)
+add_segments(Call *call, const Stencils *stencils, const Samples *s, Estimate *estimate)
 {
-    if (evaluate_segments(call, s, d))
+    Division d;
+    if (evaluate_segments(call, s, &d))
         return NO_MEMORY;
-    for (int part = 0; part < 2; part++)
-        d->evidence[part] = divide_before(d, part), divide_after(d, part);
-    return DONE;
-}
-
-PRIVATE long long
-nearest_event(const Division *d, const Set *none, double at)
-{
-    Segment kept[MAX_KEPT];
-    double gain[2];
-    for (int part = 0; part < 2; part++)
-        gain[part] = d->evidence[part] - none->best_evidence[part];
-    int part = gain[1] > gain[0];
-    if (!(gain[part] > 0.0) || !keep_segments(d, part, at, kept))
-        return -1;
-    int is_before = kept->end == d->count || at - kept->first < kept->end - at;
-    long long place = kept->first > 0 && is_before ? kept->first : kept->end;
-    return place < d->count ? place : -1;
-}
-
-PRIVATE void
-add_segments(const Stencils *stencils, const Samples *s, const Division *d, Estimate *estimate)
-{
     for (int part = 0; part < 2; part++) {
         Average segments;
-        double ahead = d->evidence[part] - estimate->evidence[part];
-        if (ahead > -MAX_BEHIND_MODELS &&
-            average_segments(stencils, s, d, part, estimate, &segments))
+        double evidence = divide_before(&d, part), ahead = evidence - estimate->evidence[part];
+        if (!(ahead > -MAX_BEHIND))
+            continue;
+        divide_after(&d, part);
+        if (average_segments(stencils, s, &d, part, estimate, &segments))
             mix(&segments, part, stencils->orders, 1 / (1 + exp(-ahead)),
-                1 / (1 + exp(-COVARIANCE_POWER * ahead)), estimate);
-        estimate->evidence[part] = larger(estimate->evidence[part], d->evidence[part]);
+                1 / (1 + exp(-ahead / 2)), estimate);
+        estimate->evidence[part] = larger(estimate->evidence[part], evidence);
     }
+    return DONE;
 }
