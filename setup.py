@@ -19,8 +19,6 @@ SHARE = f'share/{NAME}'
 ROS = ['ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp']
 
 
-# Nobody asks for floating-point exceptions, so loops with comparisons become vectors.
-OPTIONS = ['-O3', '-fno-strict-aliasing', '-fno-trapping-math']
 # Products of complex numbers do not check for infinities: a third of the time in poles.c.
 LIMITED_RANGE = '-fcx-limited-range'
 
@@ -56,7 +54,7 @@ class BuildExt(build_ext):
             )
         target = Path(self.get_ext_fullpath(ext.name))
         target.parent.mkdir(parents=True, exist_ok=True)
-        options = [*OPTIONS, '-fvisibility=hidden', '-shared', '-fPIC']
+        options = ['-O3', '-fno-strict-aliasing', '-fvisibility=hidden', '-shared', '-fPIC']
         if takes(compiler, LIMITED_RANGE, ext.sources[0]):
             options.append(LIMITED_RANGE)
         # Those of CFLAGS go last, so they win: `make sanitize` builds with others.

@@ -3,7 +3,7 @@ Relative motion in a four-bar: the relative instant center of two links is their
 
 Prints:
 coupler relative to crank: -9.0 to -4.2 rad/s, standard deviation of the center 0.4 mm
-rocker relative to coupler: -3.1 to 3.1 rad/s, standard deviation of the center 1 mm
+rocker relative to coupler: -3.1 to 3.1 rad/s, standard deviation of the center 2 mm
 """
 
 from pathlib import Path

@@ -275,6 +275,7 @@ _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     'follow': (ctypes.c_int, [_pointer(Frames), _pointer(Call), _ARRAY]),
     'find_event': (ctypes.c_int, [*2 * [_ARRAY], *2 * [_NUMBER], *2 * [ctypes.c_double], _POINT]),
     'assign': (_NUMBER, [_pointer(Slots), _ARRAY, _NUMBER, *3 * [_ARRAY]]),
+    'origins': (None, [_pointer(Motion), _ARRAY]),
     'quantities': (None, [ctypes.c_int, _pointer(Motion), *4 * [_ARRAY]]),
     'relative_centers': (None, [_pointer(Motion), _NUMBER, _ARRAY, _NUMBER, *3 * [_ARRAY]]),
     'count_matches': (_NUMBER, [_pointer(MessageLayout), _DATA, _NUMBER, _NUMBER]),

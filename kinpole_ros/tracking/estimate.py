@@ -27,6 +27,7 @@ from kinpole_ros.tracking.quantities import (
     MOVES,
     VELOCITY,
     ball_of_motion,
+    compute_origins,
     compute_quantity,
     motion_of,
     relative_centers,
@@ -434,7 +435,7 @@ class Estimate:
 
 def _origin(order: int, estimate: Estimate) -> np.ndarray:
     """Return the origins of the bodies' frames, or a derivative."""
-    origin = estimate.position[0] - estimate.reference * np.exp(1j * estimate.angle[0])
+    origin = compute_origins(estimate.compiled_motion)
     if order > 0:
         motion = estimate.position, estimate.angle
         origin = planar.body_point_derivative(order, origin, *motion)

@@ -122,6 +122,13 @@ def compute_quantity(quantity: int, motion: Motion) -> tuple[Complex, Real, np.n
     return arrays
 
 
+def compute_origins(motion: Motion) -> Complex:
+    """Compute the origins (...) of the bodies' frames, m, as messages have them to the last bit."""
+    origins = np.empty(motion.shape, complex)
+    library.kinpole_origins(byref(motion), pass_new_array(origins))
+    return origins
+
+
 def relative_centers(motion: Motion, pairs: np.ndarray) -> tuple[Complex, Real, np.ndarray]:
     """
     Compute the instant centers of bodies with respect to others.

@@ -34,6 +34,8 @@ typedef STRUCT(MOTION_FIELDS) Motion;
    The covariance of a real quantity is its variance, in the first element. */
 API void kinpole_quantities(int quantity, const Motion *m, Number *values, double *covariances,
                             unsigned char *flags, unsigned char *reasons);
+/* Computes the origins of the frames of the bodies of all poses, m, in `origins` (T, B). */
+API void kinpole_origins(const Motion *m, Number *origins);
 /* Computes the instant center of body j with respect to body i, of so many `bodies`, for the
    `number` P of `pairs` (2, P): all j, then all i. Writes `values` (T, P), m, `covariances` (T, P,
    2, 2), and `flags` (T, P). */

@@ -417,6 +417,19 @@ store(const Quantity *q, long long at, Number *values, double *covariances, unsi
     covariance[3] = q->covariance[2];
 }
 
+Number
+kinpole_arm(const Motion *m, long long t)
+{
+    return m->reference[t] * (cos(m->angle[t]) + I * sin(m->angle[t]));
+}
+
+void
+kinpole_origins(const Motion *m, Number *origins)
+{
+    for (long long t = 0; t < m->poses; t++)
+        origins[t] = m->position[t] - kinpole_arm(m, t);
+}
+
 void
 kinpole_quantities(int quantity, const Motion *m, Number *values, double *covariances,
                    unsigned char *flags, unsigned char *reasons)

@@ -19,6 +19,8 @@ typedef struct {
 int kinpole_is_known(const Motion *m, long long t);
 /* Why pose `t` has no result, one of REASONS; KNOWN if it has one, or if `m` has no reasons. */
 int kinpole_missing(const Motion *m, long long t);
+/* From the origin of the body's frame in pose `t` to the point whose position is derived, m. */
+Number kinpole_arm(const Motion *m, long long t);
 /* The derivative of an order, 1 or more, of the angle of pose `t`, rad/s^k, determined where it is
    finite. */
 Quantity kinpole_rate(const Motion *m, long long t, int order);

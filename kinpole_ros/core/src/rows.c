@@ -129,7 +129,7 @@ read_pose(const Motion *m, long long t, Pose *pose)
         return 0;
     pose->rate = m->angle[step + t];
     pose->half_turn = cos(0.5 * angle) + I * sin(0.5 * angle);
-    pose->arm = m->reference[t] * (cos(angle) + I * sin(angle));
+    pose->arm = kinpole_arm(m, t);
     pose->origin = m->position[t] - pose->arm;
     pose->velocity = m->position[step + t] - I * pose->rate * pose->arm;
     for (int k = 0; k < 2; k++) {
