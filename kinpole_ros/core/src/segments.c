@@ -104,21 +104,48 @@ extend_signal(const double *restrict sample, const double *restrict root, long l
 }
 
 /* Find the log `evidence` of a segment by its degree, from the `squares` that the highest degree
-   leaves and those of each coefficient, `of_degree`, both summed over the signals of a part. It has
-   no more coefficients than its `length`, the samples that are not missing. Where it has as many,
-   nothing but their cost bounds them, so each costs `excess` more. */
+   leaves and those of each coefficient, `of_degree`, both summed over the signals of a part. */
 static inline void
-evidence_of_degrees(int part, double length, double excess, double squares,
-                    const double *of_degree, double *evidence)
+evidence_of_degrees(int part, double squares, const double *of_degree, double *evidence)
 {
     double cost = COEFFICIENT_COST * (part + 1);
     evidence[DEGREE] = -squares / 2 - (DEGREE + 1) * cost - EVENT_COST;
     for (int k = DEGREE; k > 0; k--)
         evidence[k - 1] = evidence[k] + cost - of_degree[k] / 2;
+}
+
+/* Bound the degree of a segment: it has no more coefficients than its `length`, the samples that
+   are not missing. Where it has as many, nothing but their cost bounds them, so each costs `excess`
+   more. */
+static inline void
+bound_degree(double length, double excess, double *evidence)
+{
     for (int k = 0; k <= DEGREE; k++) {
         evidence[k] -= k + 1 == length ? (k + 1) * excess : 0.0;
         evidence[k] = length < MIN_LENGTH || k >= length ? -INFINITY : evidence[k];
     }
+}
+
+/* Find the log `evidence` of segment `i` of one length by its degree, from the coefficients `z` of
+   the signals of a part and the `squares` that are left. */
+static inline void
+evidence_of_segment(const double *restrict z[][2], const double *restrict *squares, int part,
+                    long long i, double *evidence)
+{
+    double of_degree[DEGREE + 1];
+    for (int k = 0; k <= DEGREE; k++)
+        of_degree[k] = z[k][0][i] * z[k][0][i] + part * (z[k][1][i] * z[k][1][i]);
+    evidence_of_degrees(part, squares[0][i] + part * squares[1][i], of_degree, evidence);
+}
+
+/* Return the evidence of the best degree. */
+static inline double
+best_degree(const double *evidence)
+{
+    double best = evidence[0];
+    for (int k = 1; k <= DEGREE; k++)
+        best = larger(best, evidence[k]);
+    return best;
 }
 
 /* Find the log evidence of all segments of length `last` + 1 of a part, 0 for the angle, 1 for the
@@ -134,16 +161,21 @@ find_values(const Division *d, int part, long long last, const Fits *f)
         for (int k = 0; k <= DEGREE; k++)
             z[k][j] = f->along[k][part + part * j];
     }
-    for (long long i = 0; i < d->count - last; i++) {
-        double of_degree[DEGREE + 1], evidence[DEGREE + 1], best = -INFINITY;
-        for (int k = 0; k <= DEGREE; k++)
-            of_degree[k] = z[k][0][i] * z[k][0][i] + part * (z[k][1][i] * z[k][1][i]);
-        evidence_of_degrees(part, end[i] - present[i], d->excess[part],
-                            squares[0][i] + part * squares[1][i], of_degree, evidence);
-        for (int k = 0; k <= DEGREE; k++)
-            best = larger(best, evidence[k]);
-        value[i] = best;
+    long long segments = d->count - last;
+    int has_few = last <= DEGREE || d->present[d->count] < d->count;
+    for (long long i = 0; i < segments; i++) {
+        double evidence[DEGREE + 1];
+        evidence_of_segment(z, squares, part, i, evidence);
+        value[i] = best_degree(evidence);
     }
+    /* Apart, so that the loop above has no branches: those of few samples. */
+    for (long long i = 0; i < (has_few ? segments : 0); i++)
+        if (end[i] - present[i] <= DEGREE + 1) {
+            double evidence[DEGREE + 1];
+            evidence_of_segment(z, squares, part, i, evidence);
+            bound_degree(end[i] - present[i], d->excess[part], evidence);
+            value[i] = best_degree(evidence);
+        }
 }
 
 /* Whether all segments of one length leave more squares of a part than `most`. Longer ones leave
@@ -328,7 +360,8 @@ differentiate_segment(const Stencils *stencils, const Samples *s, const Division
         }
     }
     *out = (Piece){.degree = 0};
-    evidence_of_degrees(part, p.length, d->excess[part], left, of_degree, evidence);
+    evidence_of_degrees(part, left, of_degree, evidence);
+    bound_degree(p.length, d->excess[part], evidence);
     for (int k = 1; k <= DEGREE; k++)
         out->degree = evidence[k] > evidence[out->degree] ? k : out->degree;
     for (int o = 0; o < stencils->orders; o++) {
