@@ -30,15 +30,14 @@ class Found(NamedTuple):
     Of S bodies: derivatives `mean` (K, 3, S) of angle and both coordinates.
 
     `covariance` (K, K, 2, S) is that of the angle and of one coordinate, `freedom` (2, S) how many
-    parameters their motions have, `evidence` (2, S) that of all models, and `best` of the
-    likeliest. `hub` (S,) is where the point is whose position it is, at an angle of 0.
+    parameters their motions have, and `evidence` (2, S) that of all models. `hub` (S,) is where the
+    point is whose position it is, at an angle of 0.
     """
 
     mean: Real
     covariance: Real
     freedom: Real
     evidence: Real
-    best: Real
     hub: Complex
 
 
@@ -188,7 +187,7 @@ def derive(
     covariance[:, :, 1] += (between[:, :, 1] + between[:, :, 2]) / 2
     freedom = (modes.freedom @ likely).reshape(2, bodies)
     all_ = best - np.log(likely.max(axis=0)).reshape(2, bodies)
-    return Found(result, covariance, freedom, all_, best, np.zeros(bodies, complex))
+    return Found(result, covariance, freedom, all_, np.zeros(bodies, complex))
 
 
 def move(

@@ -203,7 +203,7 @@ def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
             covariance[:, :, c] += by.sum() * one.spread[c]
         events = np.array([one.events for one in sets])
         freedom[c] = np.sum(likely[..., 0] * (modes.freedom + events[:, None]))
-    found = Found(mean, covariance, freedom, evidence, evidence.copy(), np.zeros((), complex))
+    found = Found(mean, covariance, freedom, evidence, np.zeros((), complex))
     add_segments(window, samples, weight.min(axis=1), found)
     return found
 
