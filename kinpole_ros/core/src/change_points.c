@@ -30,24 +30,20 @@
 #define MAX_WINDOWS 16
 /* A window has so many times as many samples before the middle as after it. */
 #define BEFORE 2
-/* Degrees of polynomials with steps. Those without are at least FEWER higher, and one for so
-   many samples: what these do not explain shall not be explained by a step. */
+/* Degrees at most of polynomials with steps, which are FEWER lower than those without, and of
+   these, one for two samples: what these do not explain shall not be explained by a step. */
 #define STEP_DEGREE 8
 #define FEWER 4
-#define SAMPLES_PER_DEGREE 7
-#define MAX_DEGREE 27
+#define MAX_DEGREE 24
 /* Samples that the noise is known from beforehand. */
 #define PRIOR_SAMPLES 30.0
-/* What a size costs besides the logarithm of how far it exceeds its noise: of a step, of a
-   degree. */
-#define STEP_COST 2.4
-#define DEGREE_COST 1.0
+/* What a coefficient costs besides the logarithm of how far it exceeds its noise. */
+#define COST 1.0
 /* Log odds that an event must have against all else: found and false events over hours. */
-#define ENOUGH 16.0
+#define ENOUGH 18.0
 /* An event of order 2 or 3 is less distinct from smooth motion: signals of at most this degree must
-   show it, with so much evidence. */
+   show it, too. */
 #define SIMPLE_DEGREE 4
-#define ENOUGH_SIMPLE 11.0
 /* Places of a window that are tried at first, about. */
 #define MAX_PLACES 32
 /* Squares below this share of a step's own are rounding. */
@@ -105,7 +101,7 @@ typedef struct {
 } Added;
 
 /* Make the polynomials of degrees up to `highest`, orthonormal on the samples, in `basis`, by their
-   recurrence. Its rounding grows from a degree of about twice the root of the number of samples on;
+   recurrence. Its rounding grows from a degree of about the root of twice the samples on;
    these are made orthogonal once more. */
 static void
 find_basis(Fit *f)
@@ -117,7 +113,7 @@ find_basis(Fit *f)
         const double *before = own - n;
         for (long long t = 0; t < n; t++)
             own[t] = d ? before[t] * (f->time[t] - middle) / half : 1.0;
-        for (int round = 0; round < (d * d > n ? 2 : 1); round++)
+        for (int round = 0; round < (d * d > 2 * n ? 2 : 1); round++)
             for (int e = round || d < 2 ? 0 : d - 2; e < d; e++) {
                 const double *other = f->basis + e * n;
                 double by = dot(own, other, n);
@@ -156,7 +152,7 @@ fit_signals(Fit *f, int white)
         f->number[part] = (PRIOR_SAMPLES + (part + 1) * f->count) / 2;
         for (int d = 0; d <= f->highest; d++) {
             for (int c = part; c <= 2 * part; c++)
-                cost += log1p(f->along[d][c] * f->along[d][c]) / 2 + DEGREE_COST;
+                cost += log1p(f->along[d][c] * f->along[d][c]) / 2 + COST;
             value[d] = -cost;
         }
         for (int c = part; c <= 2 * part; c++) {
@@ -188,13 +184,11 @@ fit_window(const double *time, const double *values, long long count, long long 
         last--;
     while (first + before < last && time[first + before] < 0)
         before++;
-    long long n = last - first, highest = (n + SAMPLES_PER_DEGREE - 1) / SAMPLES_PER_DEGREE;
+    long long n = last - first;
     if (before < SHORTEST || n - before < SHORTEST - 2)
         return 0;
-    highest = highest < STEP_DEGREE + FEWER ? STEP_DEGREE + FEWER : highest;
-    highest = highest < n / 2 ? highest : n / 2;
     *f = (Fit){.count = n, .time = time + first, .basis = memory};
-    f->highest = highest < MAX_DEGREE ? highest : MAX_DEGREE;
+    f->highest = n / 2 < MAX_DEGREE ? n / 2 : MAX_DEGREE;
     f->simplest = f->highest - FEWER < STEP_DEGREE ? f->highest - FEWER : STEP_DEGREE;
     for (int c = 0; c < 3; c++)
         f->values[c] = values + c * count + first;
@@ -320,7 +314,7 @@ gain_of(const Fit *f, const Added *added, double *gain, int *degree)
             }
             double all = PRIOR_SAMPLES + f->squares[part][d], *own = value[part] + d;
             double z = smaller(explained, f->squares[part][d]) / all;
-            *own = f->value[part][d] - added->count * STEP_COST;
+            *own = f->value[part][d] - added->count * COST;
             /* A bound of -log(1 - z). */
             if (*own + f->number[part] * z * (2 - z) / (2 - 2 * z) > most[part] - NEGLIGIBLE)
                 *own -= f->number[part] * log(1 - z) +
@@ -530,11 +524,9 @@ search_window(const Fit *f, int shorter, double offset, double radius, Places *p
     double odds = found->gain - larger(best_place(f, EVENTS, SETS, p, &place), 0.0);
     if (fabs(found->place - offset) > radius || odds < ENOUGH)
         return 0;
-    /* Without a shorter window nothing says whether more degrees would explain it. */
-    int most = found->step_order > 1 ? SIMPLE_DEGREE : shorter ? STEP_DEGREE : f->simplest - 1;
     for (int part = 0; part < 2; part++)
-        simple += event.degree[part] <= most ? event.gain[part] : 0.0;
-    if ((found->step_order > 1 || !shorter) && simple < ENOUGH_SIMPLE)
+        simple += event.degree[part] <= SIMPLE_DEGREE ? event.gain[part] : 0.0;
+    if (found->step_order > 1 && simple < ENOUGH)
         return 0;
     return !shorter || is_confirmed(f, f + 1, &event, found->place, scratch);
 }
