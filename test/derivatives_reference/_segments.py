@@ -17,12 +17,12 @@ from kinpole_ros.planar._plane import Real
 # Degree of a segment, and the degrees more that its covariance has.
 _DEGREE, _MORE = 2, 2
 # Evidence that a coefficient and an event cost.
-_COEFFICIENT, _EVENT = 5.0, 12.0
+_COEFFICIENT, EVENT_COST = 5.0, 12.0
 _SHORTEST = 2
 # How many segments count, and how far they are behind the best, and all behind the models.
 _KEPT, _BEHIND = 8, 20.0
 # The power of the evidence in the covariance.
-_POWER = 0.25
+PLACE_POWER = 0.25
 _SIGNALS = (slice(0, 1), slice(1, 3))
 
 
@@ -55,7 +55,7 @@ def add_segments(window: Window, samples: Real, weight: Real, found: Found) -> N
         if not kept:
             continue
         value = whole.flat[kept]
-        likely, share = np.exp(value - value[0]), np.exp(_POWER * (value - value[0]))
+        likely, share = np.exp(value - value[0]), np.exp(PLACE_POWER * (value - value[0]))
         likely, share = likely / likely.sum(), share / share.sum()
         means, spreads, freedom = [], [], []
         for one in kept:
@@ -140,7 +140,7 @@ def _best(
     after = np.cumsum(of_degree[:, ::-1], axis=1)[:, ::-1]
     left = squares[:, None] + np.pad(after, ((0, 0), (0, 1)))[:, 1:]
     degrees = np.arange(_DEGREE + 1)
-    value = -left / 2 - _COEFFICIENT * signals * (degrees + 1) - _EVENT
+    value = -left / 2 - _COEFFICIENT * signals * (degrees + 1) - EVENT_COST
     length = length[:, None]
     value -= np.where(degrees + 1 == length, length * excess, 0.0)
     value[(degrees + 1 > length) | (length < _SHORTEST)] = -np.inf
@@ -151,7 +151,7 @@ def _divide(value: Real, signals: int) -> tuple[Real, Real]:
     """Best evidence (n + 1,) of the samples before and after each place between them."""
     count = len(value) - 1
     before, after = np.full((2, count + 1), -np.inf)
-    before[0], after[count] = _EVENT + 2 * _COEFFICIENT * signals, 0.0
+    before[0], after[count] = EVENT_COST + 2 * _COEFFICIENT * signals, 0.0
     for end in range(1, count + 1):
         before[end] = (before + value[:, end]).max()
     for first in range(count - 1, -1, -1):

@@ -17,13 +17,11 @@ from derivatives_reference._evidence import KNOWN, Found, derive, weights_of
 from derivatives_reference._hub import find_hub, turning_of
 from derivatives_reference._models import _layout, modes_of, stencils_of
 from derivatives_reference._samples import Window, seen_of
-from derivatives_reference._segments import add_segments
+from derivatives_reference._segments import EVENT_COST, PLACE_POWER, add_segments
 from kinpole_ros.planar._plane import Real
 
 # Steps of the motion itself, of its first and of its second derivative are looked for.
 _ORDERS = (0, 1, 2)
-# How probable an event is, and the logarithm of the part of all sizes that is as large.
-_PRIOR, _SIZE_COST = 0.05, 2.4
 # Evidence that a candidate gains.
 _GAIN = 8.0
 # Evidence after the loss of which shorter lengths of a spectrum are left out.
@@ -34,8 +32,6 @@ _EDGE = 3
 _MORE_EDGE = 2
 # Standard deviation of the place of an event, samples.
 _PLACE = 0.5
-# The power of the evidence of other places.
-_POWER = 0.25
 _LEFT_OF_STEP = 1e-6
 _ROUNDING = 1e-9
 
@@ -367,7 +363,7 @@ def _spread(window: Window, samples: Real, order: int, candidate: _Candidate) ->
     spread = np.zeros((2, window.orders, window.orders))
     places = np.arange(_EDGE, window.size - _EDGE + 1)
     rank = candidate.rank[places]
-    chance = np.exp(_POWER * (rank - rank.max()))
+    chance = np.exp(PLACE_POWER * (rank - rank.max()))
     since = window.at + (window.size - 1) / 2 - (places - 0.5)
     here = np.array([_derivatives(order, each, window.orders) for each in since])
     for c, screen in enumerate(candidate.screens):
@@ -413,10 +409,10 @@ def _extended(
             elif each == order - 1:
                 roots[c, k] = roots[c, 0] * _PLACE
             left = _removed(left, column, roots[c, k], 1.0)
-    prior = base.prior + np.log(_PRIOR / (1 - _PRIOR) / (len(_ORDERS) * window.size)) - _SIZE_COST
     return _evaluate(
         window, samples, seen, lacking, np.concatenate((base.columns, columns)),
-        np.concatenate((base.here, here)), np.concatenate((base.roots, roots), axis=1), prior,
+        np.concatenate((base.here, here)), np.concatenate((base.roots, roots), axis=1),
+        base.prior - EVENT_COST,
         base.events + 1, base.spread + _spread(window, samples, order, candidate),
         lacking.shape[1],
     )  # fmt: skip

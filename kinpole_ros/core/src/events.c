@@ -7,18 +7,11 @@
 #include "memory.h"
 #include "numbers.h"
 
-/* Prior probability that a window has an event: events are rare. */
-#define EVENT_PRIOR 0.05
-/* Cost of a size in log evidence: the prior of sizes is wider than the size that is estimated. */
-#define SIZE_COST 2.4
 /* Log evidence that a candidate has to add in the screening: below it the prior wins. */
 #define MIN_GAIN 8.0
 /* Standard deviation of an event's place, samples: an event lies between two samples. By how well
    the samples show the place, up to 3, errors and coverage are the same. */
 #define PLACE_SIGMA 0.5
-/* Power of the evidence by which other places count in the covariance. A step may be a ramp, which
-   no model of steps has. With 1/2, 10.5% of the cells cover less than 85%; with 1/4, 8.7%. */
-#define PLACE_EVIDENCE_POWER 0.25
 
 /* Compute what a screen leaves of the columns of a new event, the steps of a set: their `products`
    (steps, steps) with each other, below the diagonal; their `squares` (steps) without the screen;
@@ -107,7 +100,7 @@ add_event(const Models *m, const Set *none, const Screens *screens, const Candid
     order[steps++] = event->order + 1;
     lay_out_set(m, orders, low + steps, steps, 2, data, set);
     set->low_samples = low, set->steps = steps;
-    set->log_prior = log(EVENT_PRIOR / (1 - EVENT_PRIOR) / (STEP_ORDERS * n)) - SIZE_COST;
+    set->log_prior = -EVENT_COST;
     memcpy(set->low_sample, none->low_sample, low * sizeof *set->low_sample);
     memcpy(set->coefficients, none->coefficients, low * m->rows * sizeof(double));
     for (int part = 0; part < 2; part++) {
@@ -164,7 +157,7 @@ add_place_covariance(const Models *m, const Stencils *stencils, const Set *none,
     for (long long k = 0; k < places; k++)
         best = gain[k] > gain[best] ? k : best;
     for (long long k = 0; k < places; k++) {
-        weight[k] = exp(PLACE_EVIDENCE_POWER * (gain[k] - gain[best]));
+        weight[k] = exp(PLACE_POWER * (gain[k] - gain[best]));
         total += weight[k];
     }
     find_sample_weights(m, stencils, none, lanes, screens);

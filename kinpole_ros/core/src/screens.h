@@ -32,7 +32,7 @@ typedef struct {
 /* The screens of angle and position. */
 typedef struct {
     Screen signal[2];
-    double *gain; /* (STEP_ORDERS, count): log evidence that a step adds, without SIZE_COST */
+    double *gain; /* (STEP_ORDERS, count): log evidence that a step adds, without its cost */
     double *sample_weights; /* (2, orders, count): minus those of the samples in the
                                derivatives at the instant: `find_sample_weights` */
 } Screens;

@@ -9,17 +9,12 @@
 /* Highest degree in a segment: that of free flight. */
 #define DEGREE 2
 #define COLUMNS MAX_ORDERS
-/* Log evidence that an event costs, of the number of its places. */
-#define EVENT_COST 12.0
 /* Samples that are not missing of the shortest segment. */
 #define MIN_LENGTH 2
 /* Segments around the instant that count, and the log evidence by which others may be behind the
    best, and all of them behind the models. */
 #define MAX_KEPT 8
 #define MAX_BEHIND 20.0
-/* Power of the evidence by which segments count in the covariance beside each other, as other
-   places of an event do. Beside the models it is 1/2, as among these. */
-#define COVARIANCE_POWER 0.25
 
 /* All segments of a window. Part 0 is the angle, part 1 the position. */
 typedef struct {
@@ -395,7 +390,7 @@ average_segments(const Stencils *stencils, const Samples *s, const Division *d, 
     *out = (Average){.parameters = 0.0};
     for (int k = 0; k < number; k++)
         total += exp(kept[k].value - kept->value),
-            power_total += exp(COVARIANCE_POWER * (kept[k].value - kept->value));
+            power_total += exp(PLACE_POWER * (kept[k].value - kept->value));
     for (int k = 0; k < number; k++) {
         double probability = exp(kept[k].value - kept->value) / total;
         differentiate_segment(stencils, s, d, part, kept + k, d->scratch, piece + k);
@@ -405,7 +400,7 @@ average_segments(const Stencils *stencils, const Samples *s, const Division *d, 
                 out->mean[c][o] += probability * piece[k].mean[c][o];
     }
     for (int k = 0; k < number; k++) {
-        double weight = exp(COVARIANCE_POWER * (kept[k].value - kept->value)) / power_total;
+        double weight = exp(PLACE_POWER * (kept[k].value - kept->value)) / power_total;
         double length = d->present[kept[k].end] - d->present[kept[k].first];
         for (int o = 0; o < stencils->orders; o++) {
             for (int c = part; c <= (piece[k].highest[o] < length ? -1 : 2 * part); c++) {
