@@ -308,6 +308,57 @@ derive_headings(Call *call, Poses *poses)
     return code;
 }
 
+/* Passes the poses of a window to `call`: that of the rows from `oldest` on, with the result at row
+   `now`. */
+static void
+pass_window(const Frames *f, long long oldest, long long now, Poses *poses, Call *call)
+{
+    const HistoryColumns *history = &f->history;
+    poses->windows[0] = now - oldest;
+    poses->windows[1] = 0;
+    poses->windows[2] = history->end - 1 - oldest;
+    call->frames = history->end - oldest;
+    call->bodies = f->known.bodies;
+    call->time = history->time + oldest;
+    call->turns = history->turns + oldest * call->bodies;
+    call->windows = poses->windows;
+    call->left_out = f->tracks.left_out;
+    call->angle = poses->angle;
+    call->position = poses->position;
+    call->angle_information = poses->angle_information;
+    call->position_information = poses->position_information;
+    call->noise = f->known.fit_noise;
+}
+
+/* Writes what the next result says of a body besides its derivatives, which are in `call`: that of
+   the frame in row `now`, with the `reference` that `derivatives` describe. Returns whether it is
+   a deformed body with a result. */
+static int
+write_body(const Frames *f, const Call *call, long long now, long long b, Number reference,
+           Results *r)
+{
+    const HistoryColumns *history = &f->history;
+    const BodyArrays *known = &f->known;
+    long long bodies = known->bodies, at = now * bodies + b, to = r->filled * bodies + b;
+    const double *information = history->information + 2 * now * bodies + b;
+    int missing = kinpole_reason(f, now, b), seen = missing < NOT_SEEN;
+    Number velocity = call->derivatives.position[bodies + b];
+    int found = isfinite(call->derivatives.angle[bodies + b]) && isfinite(creal(velocity)) &&
+        isfinite(cimag(velocity));
+    r->reason[to] = missing ? missing : found ? KNOWN : NOT_FULL;
+    r->size[to] = known->size[b];
+    r->height[to] = history->height[at];
+    r->derivatives.reference[to] = reference;
+    r->frame_angle[to] = history->angle[at] + TURN * history->turns[at];
+    r->frame_position[to] = history->position[at];
+    r->noise[to] = known->fit_noise[b];
+    r->middle[to] = isnan(known->angle_noise[b]) ? middle_of_used(f, now, b) : known->middle[b];
+    for (int c = 0; c < 2; c++)
+        r->information[(2 * r->filled + c) * bodies + b] =
+            seen ? information[c * bodies] * known->information_factor[c * bodies + b] : 0.0;
+    return r->reason[to] == KNOWN && known->freedom[b] > 0.0;
+}
+
 /* Computes the result of the frame in row `now` from the window of those from `oldest` on, and adds
    it to the results. `poses` has memory for the window. Sets the poses and the window of `call`.
    Returns the same as `kinpole_derive`; the results are as before if that is not DONE. */
@@ -315,9 +366,8 @@ static int
 compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long oldest,
                long long now)
 {
-    const HistoryColumns *history = &f->history;
     const BodyArrays *known = &f->known;
-    long long bodies = known->bodies, newest = history->end - 1, t = r->filled, deforms = 0;
+    long long bodies = known->bodies, t = r->filled, deforms = 0;
     for (long long b = 0; b < bodies; b++) {
         long long to = t * bodies + b;
         int pinned = kinpole_holds_on_pin(f, oldest, b);
@@ -326,59 +376,26 @@ compute_result(const Frames *f, Call *call, Results *r, Poses *poses, long long 
         poses->hub[b] = pinned ? 0.0 : known->reference[b];
     }
     int tilts = fill_window(f, oldest, poses);
-    poses->windows[0] = now - oldest;
-    poses->windows[1] = 0;
-    poses->windows[2] = newest - oldest;
-    call->frames = history->end - oldest;
-    call->bodies = bodies;
-    call->time = history->time + oldest;
-    call->turns = history->turns + oldest * bodies;
-    call->windows = poses->windows;
-    call->left_out = f->tracks.left_out;
-    call->angle = poses->angle;
-    call->position = poses->position;
-    call->angle_information = poses->angle_information;
-    call->position_information = poses->position_information;
-    call->noise = known->fit_noise;
+    pass_window(f, oldest, now, poses, call);
     if (kinpole_lay_out_derivatives(call, OF_DERIVATIVES, bodies, &call->derivatives))
         return NO_MEMORY;
     int code = kinpole_derive(call);
     if (code)
         return code;
-    const DerivativeArrays *derived = &call->derivatives;
     for (long long b = 0; b < bodies; b++)
-        if (!isnan(creal(derived->reference[b])))
-            poses->hub[b] += derived->reference[b];
+        if (!isnan(creal(call->derivatives.reference[b])))
+            poses->hub[b] += call->derivatives.reference[b];
     if (tilts && (code = derive_headings(call, poses)))
         return code;
-    for (long long b = 0; b < bodies; b++) {
-        long long at = now * bodies + b, to = t * bodies + b;
-        const double *information = history->information + 2 * now * bodies + b;
-        int missing = kinpole_reason(f, now, b), seen = missing < NOT_SEEN;
-        Number velocity = derived->position[bodies + b];
-        int found = isfinite(derived->angle[bodies + b]) && isfinite(creal(velocity)) &&
-            isfinite(cimag(velocity));
-        r->reason[to] = missing ? missing : found ? KNOWN : NOT_FULL;
-        r->size[to] = known->size[b];
-        r->height[to] = history->height[at];
-        r->derivatives.reference[to] = poses->hub[b];
-        r->frame_angle[to] = history->angle[at] + TURN * history->turns[at];
-        r->frame_position[to] = history->position[at];
-        r->noise[to] = known->fit_noise[b];
-        r->middle[to] =
-            isnan(known->angle_noise[b]) ? middle_of_used(f, now, b) : known->middle[b];
-        for (int c = 0; c < 2; c++)
-            r->information[(2 * t + c) * bodies + b] =
-                seen ? information[c * bodies] * known->information_factor[c * bodies + b] : 0.0;
-        deforms |= r->reason[to] == KNOWN && known->freedom[b] > 0.0;
-    }
+    for (long long b = 0; b < bodies; b++)
+        deforms |= write_body(f, call, now, b, poses->hub[b], r);
     copy_derivatives(call, r);
     memcpy(r->shape + t * bodies * known->width, known->places,
            bodies * known->width * sizeof *r->shape);
-    r->stamp[t] = history->stamp[now];
+    r->stamp[t] = f->history.stamp[now];
     r->due[t] = f->incoming.frame - 1;
     for (int k = 0; k < 3; k++)
-        r->rows[3 * t + k] = poses->windows[k] + oldest - history->first;
+        r->rows[3 * t + k] = poses->windows[k] + oldest - f->history.first;
     r->filled++;
     r->deformed += deforms;
     return DONE;
