@@ -7,7 +7,8 @@
 #include "memory.h"
 #include "numbers.h"
 
-/* Log evidence that a candidate has to add in the screening: below it the prior wins. */
+/* Log evidence that a candidate has to add in the screening: less than it costs, since other models
+   may gain more by it than the one that screens. */
 #define MIN_GAIN 8.0
 /* Standard deviation of an event's place, samples: an event lies between two samples. By how well
    the samples show the place, up to 3, errors and coverage are the same. */
