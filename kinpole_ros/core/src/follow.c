@@ -313,14 +313,13 @@ derive_headings(Call *call, Poses *poses)
 static void
 pass_window(const Frames *f, long long oldest, long long now, Poses *poses, Call *call)
 {
-    const HistoryColumns *history = &f->history;
     poses->windows[0] = now - oldest;
     poses->windows[1] = 0;
-    poses->windows[2] = history->end - 1 - oldest;
-    call->frames = history->end - oldest;
+    poses->windows[2] = f->history.end - 1 - oldest;
+    call->frames = f->history.end - oldest;
     call->bodies = f->known.bodies;
-    call->time = history->time + oldest;
-    call->turns = history->turns + oldest * call->bodies;
+    call->time = f->history.time + oldest;
+    call->turns = f->history.turns + oldest * call->bodies;
     call->windows = poses->windows;
     call->left_out = f->tracks.left_out;
     call->angle = poses->angle;
