@@ -24,6 +24,8 @@ from kinpole_ros.planar._plane import Real
 _ORDERS = (0, 1, 2)
 # Evidence that a candidate gains.
 _GAIN = 8.0
+# Evidence of a signal below the negative of which a window without such a candidate is divided.
+_DIVIDE_BELOW = 48.0
 # Evidence after the loss of which shorter lengths of a spectrum are left out.
 _DROP = 8.0
 # Samples on either side of an event.
@@ -200,7 +202,8 @@ def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
         events = np.array([one.events for one in sets])
         freedom[c] = np.sum(likely[..., 0] * (modes.freedom + events[:, None]))
     found = Found(mean, covariance, freedom, evidence, np.zeros((), complex))
-    add_segments(window, samples, weight.min(axis=1), found)
+    if len(sets) > 1 or (empty.evidence.max(axis=0) < -_DIVIDE_BELOW * np.array((1, 2))).any():
+        add_segments(window, samples, weight.min(axis=1), found)
     return found
 
 

@@ -36,6 +36,10 @@
 #define SETTLED_SIGMAS 0.05
 /* Noise prior, in samples, while samples move: their noise is larger than the measured one. */
 #define MOVING_PRIOR_SAMPLES 1.0
+/* Without a likely event a window is divided into segments if the best log evidence of its models,
+   of a signal, is below the negative of this: a process may explain what is an event. Divided at
+   any evidence, motion that sets in gradually after rest has twice the error. */
+#define DIVIDE_BELOW 48.0
 
 /* Cells of a window at most: more than any has, and an integer. */
 #define MAX_LENGTH 1e15
@@ -184,7 +188,9 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
     differentiate(&m, &stencils, &w, sets, number, out);
     if (window->exact)
         return DONE;
-    if (add_segments(call, &stencils, s, out))
+    int is_divided = number > 1 || sets->best_evidence[0] < -DIVIDE_BELOW ||
+        sets->best_evidence[1] < -2 * DIVIDE_BELOW;
+    if (is_divided && add_segments(call, &stencils, s, out))
         return NO_MEMORY;
     return derive_hub(call, window, &m, &stencils, s, &w, sets, out);
 }
