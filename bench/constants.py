@@ -51,7 +51,7 @@ _BOUNDS = {
 # Why constants of a file stay that have no effect on the panel.
 _REASONS = {
     'change_points.c': 'reports over many events and hours',
-    'derive.c': 'bounds of time; the noise prior and few samples count over many cases',
+    'derive.c': 'bounds of time; noise prior, few samples, and gradual starts over many cases',
     'events.c': 'bounds of time; coverage over many events',
     'evidence.c': 'save time: what is left out weighs less than rounding, or than 1e-5',
     'fit.c': 'markers all but in one place',
