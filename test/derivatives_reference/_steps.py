@@ -2,9 +2,9 @@
 Windows in which derivatives step, as an impact or a drive makes them.
 
 An event is a few columns: the step, what it is if its place is somewhat earlier or later, and a
-step of the next derivative. With these all models are a regression more; those with events and
-those without are averaged by their evidence. Models are matrices of all samples here, and signals
-come one by one.
+step of the next derivative, up to that of acceleration. With these all models are a regression
+more; those with events and those without are averaged by their evidence. Models are matrices of
+all samples here, and signals come one by one.
 """
 
 from functools import lru_cache
@@ -22,16 +22,12 @@ from kinpole_ros.planar._plane import Real
 
 # Steps of the motion itself, of its first and of its second derivative are looked for.
 _ORDERS = (0, 1, 2)
-# Evidence that a candidate gains.
-_GAIN = 8.0
 # Evidence of a signal below the negative of which a window without such a candidate is divided.
 _DIVIDE_BELOW = 48.0
 # Evidence after the loss of which shorter lengths of a spectrum are left out.
 _DROP = 8.0
-# Samples on either side of an event.
+# Samples on either side of an event, and one more for each order.
 _EDGE = 3
-# So many more where steps of acceleration are searched.
-_MORE_EDGE = 2
 # Standard deviation of the place of an event, samples.
 _PLACE = 0.5
 _LEFT_OF_STEP = 1e-6
@@ -79,11 +75,11 @@ class _Screen(NamedTuple):
 
 
 class _Candidate(NamedTuple):
-    """An event before the sample `at`, and what one gains at all places (n,), ranked."""
+    """An event before the sample `at`, what one gains at all places (n,), and there."""
 
     gain: float
     at: int
-    rank: Real
+    gains: Real
     screens: list[_Screen]
 
 
@@ -169,7 +165,7 @@ def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
     )  # fmt: skip
     steps = _ranked(window, samples, seen, weight[cells].T, empty, empty.evidence.argmax(axis=0))
     sets, order = [empty], _best(steps)
-    if steps[order].gain >= _GAIN:
+    if steps[order].gain >= EVENT_COST:
         about = window, samples, seen, weight[cells].T
         sets.append(_extended(*about, empty, order, steps[order]))
     mean, freedom, evidence = np.zeros((window.orders, 3)), np.zeros(2), np.zeros(2)
@@ -311,17 +307,8 @@ def _screen(window: Window, base: _Set, lacking: Real, c: int, model: int) -> _S
     return _Screen(model, left, stencil)
 
 
-def _removed(left: Real, column: Real, root: float, weight: float) -> Real:
-    """What is left with another column."""
-    own = left @ column
-    return np.asarray(left - root**2 / (weight + root**2 * (column @ own)) * np.outer(own, own))
-
-
 def _square(window: Window, order: int, screen: _Screen, own: Real) -> tuple[Real, Real]:
-    """
-    Of steps before each sample (n,): the squares of their sizes over the variances of these, and
-    their sizes (n, c), as a screen estimates them.
-    """
+    """Of steps before each sample (n,): one over the variances of their sizes, and these (n, c)."""
     bank, steps = _bank_of(window), _steps(window.size, order)
     whole = ((steps @ bank.left[screen.model]) * steps).sum(axis=1)
     whole[whole < _ROUNDING * (steps**2).sum(axis=1)] = np.inf
@@ -329,9 +316,7 @@ def _square(window: Window, order: int, screen: _Screen, own: Real) -> tuple[Rea
         whole[:] = np.inf
     left = ((steps @ screen.left) * steps).sum(axis=1)
     left = np.where(left > _LEFT_OF_STEP * whole, left, np.inf)
-    along = steps @ screen.left @ own
-    square = (along**2).sum(axis=1) / left / own.shape[1]
-    return square, along * (square / (1 + square) / left)[:, None]
+    return left, steps @ screen.left @ own / left[:, None]
 
 
 def _candidates(
@@ -340,33 +325,28 @@ def _candidates(
     """The best step of each order."""
     found = {}
     for order in _ORDERS:
-        rank, gain = np.zeros(window.size), np.zeros(window.size)
+        gains = np.zeros(window.size)
         for c in range(2):
             own = samples[:, [0]] if c == 0 else samples[:, 1:]
             squares = max(float((own * (screens[c].left @ own)).sum()), 0.0) + KNOWN
             number = KNOWN + seen[c] * (c + 1)
-            square, _ = _square(window, order, screens[c], own)
-            explained = (c + 1) * square**2 / (1 + square)
-            part = np.minimum(explained / squares, 1.0)
-            rank += number / 2 * part * (6 - part) / (6 - 4 * part)
-            after = np.maximum(squares - explained, KNOWN)
-            gain += np.maximum(
-                number / 2 * np.log(squares / after) - (c + 1) / 2 * np.log1p(square), 0.0
-            )
-        edge = _EDGE + (_MORE_EDGE if order > 1 else 0)
+            square, size = _square(window, order, screens[c], own)
+            known = np.where(np.isinf(square), 0.0, square)
+            gains += known * (size**2).sum(axis=1) * number / squares / 2
+        edge = _EDGE + order
         if 2 * edge > window.size:
             continue
-        at = edge + int(rank[edge : window.size - edge + 1].argmax())
-        found[order] = _Candidate(float(gain[at]), at, rank, screens)
+        at = edge + int(gains[edge : window.size - edge + 1].argmax())
+        found[order] = _Candidate(float(gains[at]), at, gains, screens)
     return found
 
 
 def _spread(window: Window, samples: Real, order: int, candidate: _Candidate) -> Real:
     """The covariance (2, K, K) of derivatives that is due to the place of an event."""
     spread = np.zeros((2, window.orders, window.orders))
-    places = np.arange(_EDGE, window.size - _EDGE + 1)
-    rank = candidate.rank[places]
-    chance = np.exp(PLACE_POWER * (rank - rank.max()))
+    places = np.arange(_EDGE + order, window.size - _EDGE - order + 1)
+    gains = candidate.gains[places]
+    chance = np.exp(PLACE_POWER * (gains - gains.max()))
     since = window.at + (window.size - 1) / 2 - (places - 0.5)
     here = np.array([_derivatives(order, each, window.orders) for each in since])
     for c, screen in enumerate(candidate.screens):
@@ -374,7 +354,7 @@ def _spread(window: Window, samples: Real, order: int, candidate: _Candidate) ->
         _, size = _square(window, order, screen, own)
         change = here - _steps(window.size, order)[places] @ screen.stencil.T  # (P, K)
         off = size[places, :, None] * change[:, None]
-        off -= off[rank.argmax()]
+        off -= off[gains.argmax()]
         spread[c] = np.einsum('p,pck,pcj->kj', chance / chance.sum(), off, off) / (c + 1)
     return spread
 
@@ -394,24 +374,21 @@ def _extended(
     order: int,
     candidate: _Candidate,
 ) -> _Set:
-    """The set with another event, with sizes as the screens estimate them."""
+    """The set with another event, with sizes as the screens estimate them, of each alone."""
     place = candidate.at - 0.5
-    orders = [order, *([order - 1] if order else []), order + 1]
+    orders = [order, *(each for each in (order - 1, order + 1) if each in _ORDERS)]
     columns = [_step(window, each, place) for each in orders]
     instant = window.at + (window.size - 1) / 2 - place
     here = np.array([_derivatives(each, instant, window.orders) for each in orders])
     roots = np.zeros((2, len(orders)))
     for c, screen in enumerate(candidate.screens):
         own = samples[:, [0]] if c == 0 else samples[:, 1:]
-        left = screen.left
-        for k, (each, column) in enumerate(zip(orders, columns, strict=True)):
-            some = column @ left @ column
-            if each >= order and some > 0:
-                square = ((column @ left @ own) ** 2).sum() / (c + 1)
-                roots[c, k] = np.sqrt(max(square, some)) / some
-            elif each == order - 1:
+        for k, each in enumerate(orders):
+            square, size = (one[candidate.at] for one in _square(window, each, screen, own))
+            of_noise = 0.0 if np.isinf(square) else 1 / square
+            roots[c, k] = np.sqrt(max((size**2).mean(), of_noise))
+            if each < order:
                 roots[c, k] = roots[c, 0] * _PLACE
-            left = _removed(left, column, roots[c, k], 1.0)
     return _evaluate(
         window, samples, seen, lacking, np.concatenate((base.columns, columns)),
         np.concatenate((base.here, here)), np.concatenate((base.roots, roots), axis=1),

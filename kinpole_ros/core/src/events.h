@@ -4,12 +4,13 @@
  * 1. Screening. One model leaves the residual P x of the samples x, with the inverse P of its
  *    covariance. A step b, half a sample before each sample, has the product b' P x, and its size
  *    is estimated as b' P x / b' P b. The products of all steps are cumulative sums of P x. They
- *    give the evidence that a step of each order at each place would add (`screen_window`). This
- *    is done with the most probable model.
- * 2. Evaluation. The best candidate becomes columns of the regression: the step, its shift in time,
- *    and a step of the next derivative, because the model without an event is rough and shows the
- *    order badly. All models are evaluated with them (`add_event`, `evaluate_models`). More events
- *    in a window are left to segments (segments.c).
+ *    give the squares that a step of each order at each place explains (`screen_window`). This is
+ *    done with the most probable model.
+ * 2. Evaluation. The best candidate, if it explains what an event costs, becomes columns of the
+ *    regression: the step, its shift in time, and a step of the next derivative, up to that of
+ *    acceleration, because the model without an event is rough and shows the order badly. All
+ *    models are evaluated with them (`add_event`, `evaluate_models`). More events in a window are
+ *    left to segments (segments.c).
  * 3. Other places of an event, by their evidence, add to the covariance (`add_place_covariance`).
  *
  * `search_events` adds a set with the event to that without, and `differentiate` averages all

@@ -90,7 +90,7 @@ PRIVATE void project(const Models *m, const double *folded, long long columns, l
 /* An instant at which a derivative steps. */
 typedef struct {
     double place; /* samples after the first sample */
-    int order;    /* of the derivative, 0 to 3 */
+    int order;    /* of the derivative, 0 to 2 */
 } Step;
 
 /* Quantities of the samples of a window that do not depend on events, and scratch memory. */
@@ -139,7 +139,7 @@ typedef struct {
 static inline double
 step_value(int order, double since)
 {
-    static const double factorial[] = {1.0, 1.0, 2.0, 6.0};
+    static const double factorial[] = {1.0, 1.0, 2.0};
     double power = since > 0.0 ? 1.0 / factorial[order] : 0.0;
     for (int k = 0; k < order; k++)
         power *= since;

@@ -5,6 +5,18 @@
 #include "memory.h"
 #include "numbers.h"
 
+/* Samples between a step of the position and the ends of the window, and one more for each order:
+   steps of higher orders explain whatever few samples show. */
+#define EDGE_SAMPLES 3
+/* A step of which the columns leave less than this share is already in the set. */
+#define MIN_STEP_LEFT 1e-6
+
+PRIVATE long long
+edge_of(int order)
+{
+    return EDGE_SAMPLES + order;
+}
+
 /* Return the number, group times LANES plus lane, of the most probable model of a set, of the angle
    (c = 0) or the position (c = 1). */
 static long long
@@ -129,27 +141,8 @@ begin_screen(const Models *m, const Samples *s, const Work *w, long long model, 
            STEP_ORDERS * n * sizeof(double));
 }
 
-PRIVATE_INLINE double
-explained_squares(const Screen *screen, long long k, double *ratio)
-{
-    *ratio = screen->squared_products[k] / screen->step_squares[k] / (screen->c + 1);
-    return (screen->c + 1) * *ratio * *ratio / (1 + *ratio);
-}
-
-/* Return the log evidence that the step `k` adds to the signal of a screen: order times count, and
-   its place. */
-static double
-evidence_gain(const Screen *screen, const Work *w, long long k)
-{
-    double ratio, explained = explained_squares(screen, k, &ratio);
-    double before = screen->residual_squares + w->prior_samples;
-    double number = w->prior_samples + w->total_weight[screen->c] * (screen->c + 1);
-    double after = larger(before - explained, w->prior_samples);
-    return larger(number / 2 * log(before / after) - (screen->c + 1) * log(1 + ratio) / 2, 0.0);
-}
-
 /* Find the gains of steps at all places, in `gain` of the screens, and return the best that is not
-   at an edge, with its log evidence; -infinity if the window is too short for any. */
+   at an edge, of -infinity if the window is too short for any. */
 static Candidate
 find_candidate(const Models *m, const Work *w, Screens *screens)
 {
@@ -158,26 +151,16 @@ find_candidate(const Models *m, const Work *w, Screens *screens)
     memset(screens->gain, 0, STEP_ORDERS * n * sizeof(double));
     for (int c = 0; c < 2; c++) {
         const Screen *screen = screens->signal + c;
-        double per = 1 / (c + 1.0), all = 1 / (screen->residual_squares + w->prior_samples);
-        double number = (w->prior_samples + w->total_weight[c] * (c + 1)) / 2;
-        for (long long k = 0; k < STEP_ORDERS * n; k++) {
-            double ratio = screen->squared_products[k] / screen->step_squares[k] * per;
-            double z = smaller((c + 1) * all * ratio * ratio / (1 + ratio), 1.0);
-            screens->gain[k] += number * z * (6 - z) / (6 - 4 * z);
-        }
+        double variance = (screen->residual_squares + w->prior_samples) /
+            (w->total_weight[c] * (c + 1) + w->prior_samples);
+        for (long long k = 0; k < STEP_ORDERS * n; k++)
+            screens->gain[k] +=
+                screen->squared_products[k] / screen->step_squares[k] / (2 * variance);
     }
-    for (int order = 0; order < STEP_ORDERS; order++) {
-        long long edge = EDGE_SAMPLES + (order > 1 ? MORE_EDGE_SAMPLES : 0), at = order * n + edge;
-        if (2 * edge > n)
-            continue;
-        for (long long k = at; k <= (order + 1) * n - edge; k++)
-            if (screens->gain[k] > screens->gain[at])
-                at = k;
-        double gain = evidence_gain(screens->signal, w, at) +
-                      evidence_gain(screens->signal + 1, w, at);
-        if (gain > best.gain)
-            best = (Candidate){gain, at - order * n, order};
-    }
+    for (int order = 0; order < STEP_ORDERS; order++)
+        for (long long k = edge_of(order); k <= n - edge_of(order); k++)
+            if (screens->gain[order * n + k] > best.gain)
+                best = (Candidate){screens->gain[order * n + k], k, order};
     return best;
 }
 

@@ -7,14 +7,6 @@
 
 #include "models.h"
 
-/* Samples between an event and the ends of the window, so that both sides are seen. */
-#define EDGE_SAMPLES 3
-/* So many more beside a step of acceleration: it explains whatever three samples show, also a step
-   of velocity. Without them the jerk at events has four times the error. */
-#define MORE_EDGE_SAMPLES 2
-/* A step of which the columns leave less than this share is already in the set. */
-#define MIN_STEP_LEFT 1e-6
-
 /* What one model with the columns of a set leaves of the angle (c = 0), or of the position (c = 1).
    P is that of the model less the sum of factor r r' of the reduced columns r. */
 typedef struct {
@@ -24,7 +16,7 @@ typedef struct {
     double *residual;         /* (c + 1, count): P x */
     double *step_products;    /* (c + 1, STEP_ORDERS, count): b' P x */
     double *squared_products; /* (STEP_ORDERS, count): their squares, summed over coordinates */
-    double *step_squares;     /* (STEP_ORDERS, count): b' P b, infinite if it is rounding */
+    double *step_squares;     /* (STEP_ORDERS, count): b' P b, infinite if nothing is left of b */
     double *reduced_columns;  /* (columns, count): P b with the P before this column */
     double *factor;           /* (columns) */
 } Screen;
@@ -32,12 +24,13 @@ typedef struct {
 /* The screens of angle and position. */
 typedef struct {
     Screen signal[2];
-    double *gain; /* (STEP_ORDERS, count): log evidence that a step adds, without its cost */
+    double *gain; /* (STEP_ORDERS, count): the squares that a step explains, over twice the
+                     variance of the noise, about the log evidence that it adds, without its cost */
     double *sample_weights; /* (2, orders, count): minus those of the samples in the
                                derivatives at the instant: `find_sample_weights` */
 } Screens;
 
-/* An event half a sample before `sample`, and the log evidence that it adds. */
+/* An event half a sample before `sample`, and its gain. */
 typedef struct {
     double gain;
     long long sample;
@@ -54,10 +47,9 @@ PRIVATE void subtract_model(const Models *m, long long model, const double *coef
    one pass. */
 PRIVATE void sum_products_with_steps(const double *signal, long long count, double *sums);
 
-/* Return by how much the step `k`, order times count plus its place, reduces the residual sum of
-   squares, if the prior variance of its size is the square of the estimate. Writes `ratio`, that
-   square over the variance of the estimate. */
-PRIVATE double explained_squares(const Screen *screen, long long k, double *ratio);
+/* Return how many samples there are at least between an event of this order and the ends of a
+   window, so that both sides show it. */
+PRIVATE long long edge_of(int order);
 
 /* Lay out the arrays of screens at `data`, for `count` samples, so many orders and so many columns
    of each; returns the end of their memory. */
@@ -65,9 +57,8 @@ PRIVATE char * lay_out_screens(long long count, long long orders, long long colu
                                Screens *screens);
 
 /* Screen steps of all orders at all places of a window, with the most probable models of the set
-   without events, and return the best. The gain of a place is without the cost of the size, and has
-   the approximation z (6 - z) / (6 - 4 z) of -log(1 - z), because there are many places. `screens`
-   is laid out; `scratch` (count) is memory. */
+   without events, and return the best, with a gain of -infinity if the window is too short for any.
+   `screens` is laid out; `scratch` (count) is memory. */
 PRIVATE Candidate screen_window(const Models *m, const Samples *s, const Work *w, const Set *set,
                                 double *scratch, Screens *screens);
 

@@ -18,8 +18,7 @@
 
 /* All segments of a window. Part 0 is the angle, part 1 the position. */
 typedef struct {
-    long long count;      /* samples */
-    long long longest[2]; /* samples of the longest segment that may count, of each part */
+    long long count;    /* samples */
     double *root;       /* (count): of the smaller weight of each sample */
     double *present;    /* (count + 1): how many samples before each one are not missing */
     double *value[2];   /* (count, count): log evidence, by length less one and first sample */
@@ -173,23 +172,10 @@ find_values(const Division *d, int part, long long last, const Fits *f)
         }
 }
 
-/* Whether all segments of one length leave more squares of a part than `most`. Longer ones leave
-   more. */
+/* Lay out the arrays of a division, and find the evidence of the segments of a window. Returns DONE
+   or NO_MEMORY. */
 static int
-all_leave_more(const Fits *f, int part, long long segments, double most)
-{
-    const double *one = f->squares[part], *other = f->squares[2 * part];
-    for (long long i = 0; i < segments; i++)
-        if (!(one[i] + part * other[i] > most))
-            return 0;
-    return 1;
-}
-
-/* Lay out the arrays of a division, and find the evidence of the segments of a window, but of long
-   ones that leave so much that the evidence of a division is far below the one given (2). Returns
-   DONE or NO_MEMORY. */
-static int
-evaluate_segments(Call *call, const Samples *s, const double *evidence, Division *d)
+evaluate_segments(Call *call, const Samples *s, Division *d)
 {
     long long n = s->count;
     int is_even = 1;
@@ -226,24 +212,16 @@ evaluate_segments(Call *call, const Samples *s, const double *evidence, Division
                 square += d->root[t] * d->root[t] * s->x[c][t] * s->x[c][t];
         d->excess[part] = (part + 1) * larger(log(square / number) / 2 - COEFFICIENT_COST, 0.0);
     }
-    /* There is an event: without one the models have more to say. */
-    d->longest[0] = d->longest[1] = n - 1;
-    for (long long last = 0; last < d->longest[0] || last < d->longest[1]; last++) {
+    for (long long last = 0; last < n; last++) {
         long long distinct = is_even ? 1 : n - last;
         extend_factors(d, distinct, last, &f);
-        for (int part = 0; part < 2; part++) {
-            if (last >= d->longest[part])
-                continue;
-            for (int c = part; c <= 2 * part; c++)
-                extend_signal(s->x[c] + last, d->root + last, n - last, distinct, &f, c);
-            find_values(d, part, last, &f);
-            /* If all else of a division left nothing, its evidence would be less by MAX_BEHIND than
-               that of any which counts. */
-            double most = d->present[n] * (part + 1) - 2 * (evidence[part] - 2 * MAX_BEHIND);
-            if (all_leave_more(&f, part, n - last, most))
-                d->longest[part] = last;
-        }
+        for (int c = 0; c < 3; c++)
+            extend_signal(s->x[c] + last, d->root + last, n - last, distinct, &f, c);
+        find_values(d, 0, last, &f), find_values(d, 1, last, &f);
     }
+    /* There is an event: without one the models have more to say. */
+    for (int part = 0; part < 2; part++)
+        d->value[part][(n - 1) * n] = -INFINITY;
     return DONE;
 }
 
@@ -259,7 +237,7 @@ divide_before(const Division *d, int part)
     for (long long end = 1; end <= n; end++)
         before[end] = -INFINITY;
     for (long long first = 0; first < n; first++)
-        for (long long last = 0; last < n - first && last < d->longest[part]; last++)
+        for (long long last = 0; last < n - first; last++)
             before[first + last + 1] = larger(
                 before[first + last + 1], before[first] + d->value[part][last * n + first]);
     return before[n] + d->present[n] * (part + 1) / 2;
@@ -275,7 +253,7 @@ divide_after(const Division *d, int part)
     for (long long first = 0; first < n; first++)
         after[first] = -INFINITY;
     for (long long end = n; end > 0; end--)
-        for (long long last = 0; last < end && last < d->longest[part]; last++)
+        for (long long last = 0; last < end; last++)
             after[end - 1 - last] = larger(
                 after[end - 1 - last],
                 after[end] + d->value[part][last * n + end - 1 - last]);
@@ -304,8 +282,7 @@ keep_segments(const Division *d, int part, double at, Segment *kept)
     double least = d->before[part][n] - MAX_BEHIND;
     int number = 0;
     for (long long first = 0; first - 0.5 <= at && first < n; first++)
-        for (long long end = (long long)floor(at + 0.5) + 1;
-             end <= n && end <= first + d->longest[part]; end++) {
+        for (long long end = (long long)floor(at + 0.5) + 1; end <= n; end++) {
             double value = d->before[part][first] + d->after[part][end] +
                 d->value[part][(end - 1 - first) * n + first];
             if (!(value > least) || !begins_segment(d, first) || !begins_segment(d, end))
@@ -449,7 +426,7 @@ PRIVATE int
 add_segments(Call *call, const Stencils *stencils, const Samples *s, Estimate *estimate)
 {
     Division d;
-    if (evaluate_segments(call, s, estimate->evidence, &d))
+    if (evaluate_segments(call, s, &d))
         return NO_MEMORY;
     for (int part = 0; part < 2; part++) {
         Average segments;
