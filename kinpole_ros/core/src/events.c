@@ -81,7 +81,7 @@ find_sample_weights(const Models *m, const Stencils *stencils, const Set *set, L
         /* From a signal of zeros, so these are minus the weights. */
         subtract_model(m, screen->model, stencils->modes + k % orders * m->rows, weights, lanes,
                        weights);
-        for (long long x = 0; x < screen->columns; x++) {
+        for (long long x = 0; x < set->low_samples; x++) {
             double change = weights[set->low_sample[x]] * screen->factor[x];
             for (long long t = 0; t < n; t++)
                 weights[t] -= change * screen->reduced_columns[x * n + t];
@@ -155,7 +155,7 @@ search_events(Call *call, const Models *m, const Stencils *stencils, const Sampl
     double *scratch;
     TAKE(scratch, (1 + STEP_ORDERS * MAX_ORDERS) * n);
     data = lay_out_screens(n, orders, low, data, &screens);
-    Candidate event = screen_window(m, s, w, sets, scratch, &screens);
+    Candidate event = screen_window(m, s, w, sets, &screens);
     if (!(event.gain >= EVENT_COST))
         return DONE;
     Set *set = sets + (*number)++;

@@ -55,32 +55,31 @@ subtract_model(const Models *m, long long model, const double *coefficients, con
     }
 }
 
-/* Add a column b (count) with these coefficients in the modes to a screen, if the screen leaves any
-   of it: P is reduced by the matrix inversion lemma, and so is the residual. `weight` and `root`
-   are those of the column in its set, and `sums` is memory (half). */
+/* Add the sample of low weight with number x to a screen, after those before it: P is reduced by
+   the matrix inversion lemma, and so is the residual. */
 static void
-add_column(const Models *m, const Samples *s, const double *column, const double *coefficients,
-           double weight, double root, Lanes *sums, Screen *screen)
+add_low_sample(const Models *m, const Samples *s, const Work *w, const Set *set, long long x,
+               Screen *screen)
 {
-    long long n = m->count;
-    double *reduced = screen->reduced_columns + screen->columns * n;
-    subtract_model(m, screen->model, coefficients, column, sums, reduced);
-    for (long long k = 0; k < screen->columns; k++) {
+    long long n = m->count, sample = set->low_sample[x];
+    long long at = (set->parts > 1 && screen->c > 0) * set->columns + x;
+    double root = set->root[at], *reduced = screen->reduced_columns + x * n;
+    memset(reduced, 0, n * sizeof(double)), reduced[sample] = 1.0;
+    subtract_model(m, screen->model, set->coefficients + x * m->rows, reduced, w->column_products,
+                   reduced);
+    for (long long k = 0; k < x; k++) {
         const double *other = screen->reduced_columns + k * n;
-        double by = screen->factor[k] * dot(other, column, n);
+        double by = screen->factor[k] * other[sample];
         for (long long t = 0; t < n; t++)
             reduced[t] -= by * other[t];
     }
-    double square = dot(column, reduced, n);
-    if (!(square > MIN_STEP_LEFT * MIN_STEP_LEFT * dot(column, column, n)))
-        square = 0.0;
-    double factor = root > 0.0 ? root * root / (weight + root * root * square) : 0.0;
+    double square = reduced[sample] > MIN_STEP_LEFT * MIN_STEP_LEFT ? reduced[sample] : 0.0;
+    screen->factor[x] = root > 0.0 ? root * root / (set->weight[at] + root * root * square) : 0.0;
     for (int j = 0; j <= screen->c; j++) {
-        double by = factor * dot(reduced, s->x[screen->c + j], n);
+        double by = screen->factor[x] * dot(reduced, s->x[screen->c + j], n);
         for (long long t = 0; t < n; t++)
             screen->residual[j * n + t] -= by * reduced[t];
     }
-    screen->factor[screen->columns++] = factor;
 }
 
 PRIVATE void
@@ -95,20 +94,16 @@ sum_products_with_steps(const double *signal, long long count, double *sums)
     }
 }
 
-/* Add the columns of a set to a screen, and write its products and squares of steps at all places.
-   `scratch` is memory (count). */
+/* Add the samples of low weight to a screen, and write its products and squares of steps at all
+   places. */
 static void
-screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, double *scratch,
-             Screen *screen)
+screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, Screen *screen)
 {
-    long long n = m->count, part = set->parts > 1 && screen->c > 0;
+    long long n = m->count;
     const double *of_model = m->step_squares + screen->model * STEP_ORDERS * n;
     for (long long x = 0; x < set->low_samples; x++) {
-        long long at = part * set->columns + x;
-        memset(scratch, 0, n * sizeof(double)), scratch[set->low_sample[x]] = 1.0;
-        add_column(m, s, scratch, set->coefficients + x * m->rows, set->weight[at], set->root[at],
-                   w->column_products, screen);
-        double *products = screen->squared_products; /* free until the columns are added */
+        add_low_sample(m, s, w, set, x, screen);
+        double *products = screen->squared_products; /* free until all samples are added */
         sum_products_with_steps(screen->reduced_columns + x * n, n, products);
         for (long long k = 0; k < STEP_ORDERS * n; k++)
             screen->step_squares[k] -= screen->factor[x] * products[k] * products[k];
@@ -128,12 +123,13 @@ screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, d
             screen->step_squares[k] = INFINITY;
 }
 
-/* Begin a screen with a model, without columns: its residual and squares of steps. */
+/* Begin a screen with a model, as if no sample had a low weight: its residual and squares of
+   steps. */
 static void
 begin_screen(const Models *m, const Samples *s, const Work *w, long long model, Screen *screen)
 {
     long long n = m->count;
-    screen->model = model, screen->columns = 0;
+    screen->model = model;
     for (int j = 0; j <= screen->c; j++)
         subtract_model(m, model, w->coefficients + (screen->c + j) * m->rows, s->x[screen->c + j],
                        w->column_products, screen->residual + j * n);
@@ -165,7 +161,7 @@ find_candidate(const Models *m, const Work *w, Screens *screens)
 }
 
 PRIVATE char *
-lay_out_screens(long long count, long long orders, long long columns, char *data, Screens *screens)
+lay_out_screens(long long count, long long orders, long long low, char *data, Screens *screens)
 {
     TAKE(screens->gain, STEP_ORDERS * count), TAKE(screens->sample_weights, 2 * orders * count);
     for (int c = 0; c < 2; c++) {
@@ -174,18 +170,17 @@ lay_out_screens(long long count, long long orders, long long columns, char *data
         TAKE(screen->residual, 2 * count), TAKE(screen->step_products, 2 * STEP_ORDERS * count);
         TAKE(screen->squared_products, STEP_ORDERS * count);
         TAKE(screen->step_squares, STEP_ORDERS * count);
-        TAKE(screen->reduced_columns, columns * count), TAKE(screen->factor, columns);
+        TAKE(screen->reduced_columns, low * count), TAKE(screen->factor, low);
     }
     return data;
 }
 
 PRIVATE Candidate
-screen_window(const Models *m, const Samples *s, const Work *w, const Set *set, double *scratch,
-              Screens *screens)
+screen_window(const Models *m, const Samples *s, const Work *w, const Set *set, Screens *screens)
 {
     for (int c = 0; c < 2; c++) {
         begin_screen(m, s, w, most_probable_model(m, set, c), screens->signal + c);
-        screen_steps(m, s, w, set, scratch, screens->signal + c);
+        screen_steps(m, s, w, set, screens->signal + c);
     }
     return find_candidate(m, w, screens);
 }

@@ -7,18 +7,18 @@
 
 #include "models.h"
 
-/* What one model with the columns of a set leaves of the angle (c = 0), or of the position (c = 1).
-   P is that of the model less the sum of factor r r' of the reduced columns r. */
+/* What one model with the samples of low weight of a set leaves of the angle (c = 0), or of the
+   position (c = 1). P is that of the model less the sum of factor r r' of the reduced columns r. */
 typedef struct {
     int c;
-    long long model, columns;
+    long long model;
     double residual_squares;  /* x' P x */
     double *residual;         /* (c + 1, count): P x */
     double *step_products;    /* (c + 1, STEP_ORDERS, count): b' P x */
     double *squared_products; /* (STEP_ORDERS, count): their squares, summed over coordinates */
     double *step_squares;     /* (STEP_ORDERS, count): b' P b, infinite if nothing is left of b */
-    double *reduced_columns;  /* (columns, count): P b with the P before this column */
-    double *factor;           /* (columns) */
+    double *reduced_columns;  /* (low_samples, count): P b with the P before, b one sample */
+    double *factor;           /* (low_samples) */
 } Screen;
 
 /* The screens of angle and position. */
@@ -51,15 +51,15 @@ PRIVATE void sum_products_with_steps(const double *signal, long long count, doub
    window, so that both sides show it. */
 PRIVATE long long edge_of(int order);
 
-/* Lay out the arrays of screens at `data`, for `count` samples, so many orders and so many columns
-   of each; returns the end of their memory. */
-PRIVATE char * lay_out_screens(long long count, long long orders, long long columns, char *data,
+/* Lay out the arrays of screens at `data`, for `count` samples, `low` of them of low weight, and so
+   many orders; returns the end of their memory. */
+PRIVATE char * lay_out_screens(long long count, long long orders, long long low, char *data,
                                Screens *screens);
 
 /* Screen steps of all orders at all places of a window, with the most probable models of the set
    without events, and return the best, with a gain of -infinity if the window is too short for any.
-   `screens` is laid out; `scratch` (count) is memory. */
+   `screens` is laid out. */
 PRIVATE Candidate screen_window(const Models *m, const Samples *s, const Work *w, const Set *set,
-                                double *scratch, Screens *screens);
+                                Screens *screens);
 
 #endif
