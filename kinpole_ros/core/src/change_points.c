@@ -30,10 +30,9 @@
 #define MAX_WINDOWS 16
 /* A window has so many times as many samples before the middle as after it. */
 #define BEFORE 2
-/* Degrees at most of polynomials with steps, which are FEWER lower than those without, and of
-   these, one for two samples: what these do not explain shall not be explained by a step. */
+/* Degrees at most of polynomials with steps and without, one for two samples: what these do not
+   explain shall not be explained by a step. */
 #define STEP_DEGREE 8
-#define FEWER 4
 #define MAX_DEGREE 24
 /* Samples that the noise is known from beforehand. */
 #define PRIOR_SAMPLES 30.0
@@ -46,12 +45,12 @@
 #define SIMPLE_DEGREE 4
 /* Places of a window that are tried at first, about. */
 #define MAX_PLACES 32
-/* Squares below this share of a step's own are rounding. */
-#define ROUNDING 1e-9
 /* Log evidence below the best that does not matter. */
 #define NEGLIGIBLE 20.0
+/* Squares below this share of a step's own are rounding. */
+#define ROUNDING 1e-9
 /* Places at once around an event that is refined, and rounds of it. */
-#define REFINED 17
+#define REFINED 9
 #define ROUNDS 6
 
 /* Orders of steps, and of events, at most. */
@@ -189,7 +188,7 @@ fit_window(const double *time, const double *values, long long count, long long 
         return 0;
     *f = (Fit){.count = n, .time = time + first, .basis = memory};
     f->highest = n / 2 < MAX_DEGREE ? n / 2 : MAX_DEGREE;
-    f->simplest = f->highest - FEWER < STEP_DEGREE ? f->highest - FEWER : STEP_DEGREE;
+    f->simplest = f->highest < STEP_DEGREE ? f->highest : STEP_DEGREE;
     for (int c = 0; c < 3; c++)
         f->values[c] = values + c * count + first;
     find_basis(f);
@@ -294,11 +293,13 @@ subtract_degree(const Fit *f, int degree, Added *left)
 
 /* Return the log evidence that the columns `added` bring to the angle and to the position, each of
    which may be without, over that of all degrees together. Writes how much of it each part has,
-   `gain` (2), and its likeliest `degree` (2), 1 or more. Degrees that cannot matter are skipped. */
+   `gain` (2), and its likeliest `degree` (2), 1 or more. Degrees that cannot matter are left at
+   less than their evidence. */
 static double
 gain_of(const Fit *f, const Added *added, double *gain, int *degree)
 {
-    double value[2][STEP_DEGREE + 1], most[2] = {0.0};
+    /* Those of degree 0 stand for no columns. */
+    double value[2][STEP_DEGREE + 1] = {{0.0}}, most[2] = {0.0};
     Added left = *added;
     subtract_degree(f, 0, &left);
     degree[0] = degree[1] = 1;
@@ -324,14 +325,8 @@ gain_of(const Fit *f, const Added *added, double *gain, int *degree)
                 degree[part] = d;
         }
     }
-    double sum[2] = {0.0};
-    for (int part = 0; part < 2; part++) {
-        sum[part] = exp(-most[part]);
-        for (int d = 1; d <= f->simplest; d++)
-            if (value[part][d] > most[part] - NEGLIGIBLE)
-                sum[part] += exp(value[part][d] - most[part]);
-        gain[part] = most[part] + log(sum[part] / 2);
-    }
+    for (int part = 0; part < 2; part++)
+        gain[part] = log_of_sum(value[part], f->simplest + 1) - log(2);
     return gain[0] + gain[1];
 }
 
