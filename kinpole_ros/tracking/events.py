@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.core.bindings import SIZES
 from kinpole_ros.derivatives import Event, Samples, find_event
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
@@ -13,7 +14,6 @@ from kinpole_ros.tracking.statistics import median
 FRAMES_BEHIND = 6
 # Places are searched a share of the window at a time, when motion has gone on for a window.
 _SHARE = 8
-_BEFORE = 2
 
 
 class BodyEvent(NamedTuple):
@@ -108,7 +108,10 @@ class EventSearch:
         for begin in begins.tolist():
             first, last = np.searchsorted(
                 time,
-                (begin - _BEFORE * self._window - self._share, begin + self._window + self._share),
+                (
+                    begin - SIZES['TIMES_BEFORE'] * self._window - self._share,
+                    begin + self._window + self._share,
+                ),
             )
             rows = slice(int(first), int(last))
             since = (time[rows] - begin) * 1e-9

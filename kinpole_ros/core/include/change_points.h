@@ -5,7 +5,7 @@
 #ifndef KINPOLE_CHANGE_POINTS_H
 #define KINPOLE_CHANGE_POINTS_H
 
-#include "structs.h"
+#include "codes.h"
 
 /* An event. Times are in intervals between samples, signals in deviations of their noise. */
 #define CHANGE_POINT_FIELDS(VALUE, BLOCK, ARRAY)                                           \

@@ -9,13 +9,15 @@
 
 /* The highest order of a derivative; models side by side in vectors; derivatives that may step,
    from the position on; derivatives by which uneven samples move, from the first on; samples of the
-   shortest window, which still has every order. */
-#define SIZES(CODE)       \
-    CODE(HIGHEST, 4)      \
-    CODE(LANES, 8)        \
-    CODE(STEP_ORDERS, 3)  \
-    CODE(SLOPE_ORDERS, 4) \
-    CODE(FEWEST_SAMPLES, 7)
+   shortest window, which still has every order; how many times as long a search for events looks
+   before the middle of its windows as after it. */
+#define SIZES(CODE)         \
+    CODE(HIGHEST, 4)        \
+    CODE(LANES, 8)          \
+    CODE(STEP_ORDERS, 3)    \
+    CODE(SLOPE_ORDERS, 4)   \
+    CODE(FEWEST_SAMPLES, 7) \
+    CODE(TIMES_BEFORE, 2)
 
 enum { SIZES(DECLARE_CODE) };
 

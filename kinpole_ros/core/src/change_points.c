@@ -28,8 +28,6 @@
 /* Samples after the event in the shortest window, and lengths, each half of the one before. */
 #define SHORTEST 8
 #define MAX_WINDOWS 16
-/* A window has so many times as many samples before the middle as after it. */
-#define BEFORE 2
 /* Degrees at most of polynomials with steps and without, one for two samples: what these do not
    explain shall not be explained by a step. */
 #define STEP_DEGREE 8
@@ -177,7 +175,7 @@ fit_window(const double *time, const double *values, long long count, long long 
            double *memory, Fit *f)
 {
     long long first = 0, last = count, before = 0;
-    while (first < last && time[first] < -BEFORE * after - 0.1)
+    while (first < last && time[first] < -TIMES_BEFORE * after - 0.1)
         first++;
     while (last > first && time[last - 1] >= after + 0.1)
         last--;
