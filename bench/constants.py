@@ -45,7 +45,7 @@ _BOUNDS = {
     *('EVENTS', 'MOST_EVENT'),
     *('MOST_ORDER', 'MAX_WINDOWS', '_MOST_LAYOUTS', '_MOST_NOTES', 'FARTHEST_MARKER', 'TINY'),
     *('MOST_MARKERS', 'MOST_PAIRED_BODIES', 'EVENT_COLUMNS', '_MAX_POINTS'),
-    *('MAX_SETS', '_MAX_FILE_BYTES'),
+    *('MAX_SETS', '_MAX_FILE_BYTES', 'MAX_BODY_GROUPS', 'MAX_BODIES_WITH_SPECTRUM'),
 }
 
 # Why constants of a file stay that have no effect on the panel.
@@ -61,6 +61,7 @@ _REASONS = {
     'poles.c': 'which poles are told',
     'samples.c': 'a first guess only',
     'screens.c': 'no event at the ends of a window, or of rounding',
+    '_spectra.py': 'many records',
     'segments.c': 'save time; coverage over many events',
     'window.c': 'exact samples, long windows, and stamps that the clock has not made even',
     'window.h': 'the same',

@@ -243,7 +243,7 @@ ONE_AMPLITUDE = 300.0
 def one_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """There is one process on a line, or a line, or rest: the first is by far the likeliest."""
     monkeypatch.setenv('KINPOLE_CACHE', '')
-    caches = _models._members, _models._functions
+    caches = [one for one in vars(_models).values() if hasattr(one, 'cache_clear')]
     monkeypatch.setattr(_pose_derivatives, '_tables', {})
     monkeypatch.setattr(_models, 'SPECTRA', (ONE,))
     monkeypatch.setattr(_models, '_DEGREES', (1,))

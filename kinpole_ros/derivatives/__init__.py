@@ -2,7 +2,8 @@
 Samples of poses to derivatives with covariances, by Gaussian processes and their evidence.
 
 A pose is an angle and a point of the plane; markers, rigid bodies and ROS are unknown here. At each
-instant, the poses of a body in a window around it become one result, which depends on nothing else:
+instant, the poses of a body in a window around it become one result, which depends on nothing else
+but the spectrum of the body, if that is known from many windows:
 
 1. Samples. Poses at stamps become even samples of three signals, in units of their noise. Samples
    may be missing, have a low weight, or be off the even grid.
@@ -16,10 +17,12 @@ instant, the poses of a body in a window around it become one result, which depe
    of theirs, by the root of the evidence, plus the variance between models and event places.
 6. Segments. Free flight between impacts, or turning between stops, is a low polynomial between
    events. Such segments are mixed into the result by their evidence.
-7. Hub. If some point of the body has a polynomial as path, with more evidence than all of these,
+7. Spectrum. If the window has no event, the spectrum of the body is one more process.
+8. Hub. If some point of the body has a polynomial as path, with more evidence than all of these,
    the position is that of this point.
 
 ==================== =============================================================================
+_spectra.py          `find_spectrum`: the lines of a body's motion, from many windows
 _models.py           2: processes, spectra, modes, and their derivatives, as tables for the library
 window               1: the usual interval, the cell of each frame, the size of the window, blocks
 samples              1: first guesses of even samples
@@ -29,7 +32,7 @@ screens, events      4: the search of steps
 mean                 5: derivatives and covariances; uneven samples move along the estimated motion
 polynomials          orthonormal polynomials of samples, and their derivatives
 segments             6: polynomials between events
-hub                  7: the point of a body whose path is a polynomial
+hub                  8: the point of a body whose path is a polynomial
 derive               the order of these for one signal
 _pose_derivatives.py `derive_poses`: arrays to the library and back; keeps the tables
 _cached_tables.py    the same tables, in files
@@ -51,19 +54,26 @@ from kinpole_ros.derivatives._pose_derivatives import (
     Windows,
     derive_poses,
     finish_call,
+    know_spectra,
     new_call,
 )
+from kinpole_ros.derivatives._spectra import SPECTRUM_WINDOWS, Spectrum, find_spectrum, numbers_of
 
 __all__ = [
     'FEWEST_SAMPLES',
+    'SPECTRUM_WINDOWS',
     'Call',
     'Derivatives',
     'Event',
     'Poses',
     'Samples',
+    'Spectrum',
     'Windows',
     'derive_poses',
     'find_event',
+    'find_spectrum',
     'finish_call',
+    'know_spectra',
     'new_call',
+    'numbers_of',
 ]

@@ -19,11 +19,12 @@ of one kind have one table.
 
 from functools import lru_cache
 from math import factorial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from kinpole_ros.core.bindings import SIZES
+from kinpole_ros.derivatives._spectra import Lines, Spectrum
 from kinpole_ros.planar._plane import Real
 
 FEWEST_SAMPLES = SIZES['FEWEST_SAMPLES']
@@ -57,12 +58,20 @@ class Process(NamedTuple):
     """
     A process: the number of its spectrum and its length in samples, or -1 and a degree.
 
-    `prior` is the probability of all its amplitudes.
+    `prior` is the probability of all its amplitudes. One with the spectrum of the body has `lines`,
+    per sample, and no length: those of a `signal`, the angle (0) or the position (1). It has no
+    slope of its own if that signal has no trend.
     """
 
     spectrum: int
     length: float
     prior: float
+    lines: Lines | None = None
+    signal: int = -1
+
+    @property
+    def has_slope(self) -> bool:
+        return self.lines is None or self.lines.has_trend
 
 
 class _Functions(NamedTuple):
@@ -71,7 +80,7 @@ class _Functions(NamedTuple):
 
     On the first half of the window, without the mean or slope, F is `vectors` (n / 2, n / 2), of
     which the first m count, times `sizes` (m,) times `right` (m, J). The mean or slope of F, as a
-    multiple of the normalized line, is `on_line` (J,).
+    multiple of the normalized line, is `on_line` (J,), 0 where that is no part of the process.
     """
 
     vectors: Real
@@ -105,15 +114,7 @@ def _waves(process: Process, count: int, time: Real, orders: range) -> list[tupl
     """Return derivatives (T, J) of the waves of a process at times (T,), even and odd, by order."""
     if process.spectrum < 0:
         return _powers(int(process.length), count, time, orders)
-    # The sum repeats itself after this period, which is longer than a window.
-    step = 2 * np.pi / (count + 10 * process.length)
-    frequency = step * np.arange(int(np.pi / step) + 1)
-    power, _ = SPECTRA[process.spectrum]
-    weight = np.exp(-((frequency * process.length) ** power) / 2)
-    weight[0] /= np.sqrt(2)
-    weight /= np.sqrt((weight**2).sum())
-    is_used = weight > _ROUNDING
-    frequency, weight = frequency[is_used], weight[is_used]
+    frequency, weight = _sizes(process, count)
     phase = np.outer(time, frequency)
     waves = np.cos(phase), np.sin(phase)
     # The derivative of a cosine is a sine with the opposite sign, that of a sine a cosine.
@@ -124,6 +125,22 @@ def _waves(process: Process, count: int, time: Real, orders: range) -> list[tupl
         odd = -sizes if order % 4 in (2, 3) else sizes
         derivatives.append((even * waves[order % 2], odd * waves[1 - order % 2]))
     return derivatives
+
+
+def _sizes(process: Process, count: int) -> tuple[Real, Real]:
+    """Return the frequencies (J,) of a process, rad per sample, and the sizes (J,) of its waves."""
+    if process.lines is not None:
+        # The largest amplitude makes them as large as they are.
+        return process.lines.frequency, np.sqrt(process.lines.variance) / _amplitudes(False)[-1]
+    # The sum repeats itself after this period, which is longer than a window.
+    step = 2 * np.pi / (count + 10 * process.length)
+    frequency = step * np.arange(int(np.pi / step) + 1)
+    power, _ = SPECTRA[process.spectrum]
+    weight = np.exp(-((frequency * process.length) ** power) / 2)
+    weight[0] /= np.sqrt(2)
+    weight /= np.sqrt((weight**2).sum())
+    is_used = weight > _ROUNDING
+    return frequency[is_used], weight[is_used]
 
 
 def _powers(degree: int, count: int, time: Real, orders: range) -> list[tuple[Real, Real]]:
@@ -168,16 +185,18 @@ def _functions(process: Process, count: int, block: int) -> tuple[_Functions, _F
     functions = []
     for parity, line in enumerate(lines):
         own = root[:, None] * sum(values[parity] for values in in_blocks) / block
-        on_line = line @ own
-        own -= np.outer(line, on_line)
+        # Odd functions are as they are, of a process without a slope.
+        line = line[:, None] if not parity or process.has_slope else line[:, None][:, :0]
+        on_line = (line.T @ own).sum(axis=0)
+        own -= line.sum(axis=1)[:, None] * on_line
         vectors, sizes, right = np.linalg.svd(own, full_matrices=False)
         is_used = sizes > _ROUNDING * sizes.max(initial=0.0)
         vectors, sizes, right = vectors[:, is_used], sizes[is_used], right[is_used]
         # The vectors of small singular values are not orthogonal to the line, by rounding.
-        basis, signs = np.linalg.qr(np.column_stack((line, vectors, np.eye(len(line)))))
+        basis, signs = np.linalg.qr(np.hstack((line, vectors, np.eye(len(line)))))
         basis *= np.sign(np.diag(signs))
         # The middle of an odd number of samples is zero in all odd vectors.
-        vectors = basis[:, 1 : count // 2 if parity else None]
+        vectors = basis[:, line.shape[1] : count // 2 if parity else None]
         functions.append(_Functions(vectors, sizes, right, on_line))
     return functions[0], functions[1]
 
@@ -194,21 +213,42 @@ class _Member(NamedTuple):
         return (_amplitudes(exact)[:, None] * np.concatenate(self.sizes)) ** 2
 
 
+def _member(process: Process, count: int, block: int, exact: bool) -> _Member:
+    """Return a process on a window; of exact samples all modes are in use, some of size 0."""
+    even, odd = _functions(process, count, block)
+    largest = _amplitudes(exact)[-1]
+    sizes = [
+        np.pad(one.sizes, (0, one.vectors.shape[1] - len(one.sizes)))
+        if exact
+        else one.sizes[: np.count_nonzero(one.sizes * largest > _MIN_MODE_SIGMA)]
+        for one in (even, odd)
+    ]
+    return _Member(process, (even, odd), (sizes[0], sizes[1]))
+
+
 @lru_cache(maxsize=64)
 def _members(count: int, block: int, exact: bool) -> list[_Member]:
-    """Return all processes on a window; of exact samples all modes are in use, some of size 0."""
-    largest = _amplitudes(exact)[-1]
-    members = []
-    for process in _processes(count, exact):
-        even, odd = _functions(process, count, block)
-        sizes = [
-            np.pad(one.sizes, (0, one.vectors.shape[1] - len(one.sizes)))
-            if exact
-            else one.sizes[: np.count_nonzero(one.sizes * largest > _MIN_MODE_SIGMA)]
-            for one in (even, odd)
-        ]
-        members.append(_Member(process, (even, odd), (sizes[0], sizes[1])))
+    """Return the processes of all bodies on a window."""
+    return [_member(process, count, block, exact) for process in _processes(count, exact)]
+
+
+@lru_cache(maxsize=16)
+def _members_of_body(spectrum: Spectrum, count: int, block: int) -> list[_Member]:
+    """Return the processes with the spectrum of a body, as probable as each other spectrum."""
+    members, prior = [], _PROCESS_PRIOR / len(SPECTRA)
+    for signal, lines in enumerate(spectrum.lines):
+        if len(lines.frequency):
+            # For samples that are means of a block.
+            lines = Lines(lines.frequency * block, lines.variance * block, lines.has_trend)
+            process = Process(len(SPECTRA), 0.0, prior, lines, signal)
+            members.append(_member(process, count, block, False))
     return members
+
+
+def _with_body(of_all: list[Any], of_body: list[Any]) -> list[Any]:
+    """Put what is of processes of a body before that of low polynomials, in a list of all."""
+    last = len(of_all) - len(_DEGREES)
+    return [*of_all[:last], *of_body, *of_all[last:]]
 
 
 def _fill_lanes(values: Real, fill: float = 0.0) -> Real:
@@ -217,9 +257,11 @@ def _fill_lanes(values: Real, fill: float = 0.0) -> Real:
     return np.pad(values, width, constant_values=fill)
 
 
-def _rows(lines: list[Real], modes: list[tuple[Real, Real]], exact: bool) -> tuple[Real, Real]:
+def _rows(
+    lines: list[Real], members: list[_Member], modes: list[tuple[Real, Real]], exact: bool
+) -> tuple[Real, Real]:
     """
-    Stack values of mean and slope (..., 1) and of the modes (..., m) of all processes as rows.
+    Stack values of mean and slope (..., 1) and of the `modes` (..., m) of all processes as rows.
 
     All even rows come first. Rest, the last process, has the mean only, or the modes of a line if
     samples are exact. Returns (..., rows), and the first rows (2, P + 1) of the processes.
@@ -227,7 +269,12 @@ def _rows(lines: list[Real], modes: list[tuple[Real, Real]], exact: bool) -> tup
     rows: list[Real] = []
     first = []
     for parity, line in enumerate(lines):
-        by_process = [np.concatenate((line, pair[parity]), axis=-1) for pair in modes]
+        by_process = [
+            np.concatenate(
+                (line[..., : 1 - parity or one.process.has_slope], pair[parity]), axis=-1
+            )
+            for one, pair in zip(members, modes, strict=True)
+        ]
         by_process.append(by_process[-len(_DEGREES)] if exact else line[..., : 1 - parity])
         begin = rows[0].shape[-1] if parity else 0
         first.append(begin + np.cumsum([0, *(one.shape[-1] for one in by_process)]))
@@ -235,39 +282,45 @@ def _rows(lines: list[Real], modes: list[tuple[Real, Real]], exact: bool) -> tup
     return np.concatenate(rows, axis=-1), np.array(first)
 
 
-def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
+def _cost_of_slope(process: Process, count: int) -> float:
+    """Return what the slope of a process without one of its own costs, a log evidence above 0."""
+    time, root, (_, slope) = _half_window(count)
+    waves = _amplitudes(False)[-1] * _waves(process, count, time, range(1))[0][1]
+    return float(np.log1p((((slope * root) @ waves) ** 2).sum()) / 2)
+
+
+def models_of(
+    count: int, block: int, exact: bool, spectrum: Spectrum | None = None
+) -> tuple[np.ndarray, Real]:
     """
     Return the integers and the numbers of `Models` of models.h.
 
-    For a window of `count` samples, each the mean of `block`. If they are `exact`, amplitudes are
-    larger, and each process has as many modes as there are samples.
+    For a window of `count` samples, each the mean of `block`, of a body with this `spectrum`. If
+    samples are `exact`, amplitudes are larger, and each process has as many modes as samples.
     """
-    members, amplitudes = _members(count, block, exact), _amplitudes(exact)
+    of_body = _members_of_body(spectrum, count, block) if spectrum else []
+    members, amplitudes = _with_body(_members(count, block, exact), of_body), _amplitudes(exact)
     _, root, lines = _half_window(count)
     vectors = [
         tuple(one.vectors[:, : len(own)] for one, own in zip(*member[1:], strict=True))
         for member in members
     ]
-    basis, first = _rows([line[:, None] for line in lines], vectors, exact)
+    basis, first = _rows([line[:, None] for line in lines], members, vectors, exact)
     # Mean and slope have a flat prior.
-    sizes, _ = _rows([np.full(1, np.inf)] * 2, [member.sizes for member in members], exact)
+    mode_sizes = [member.sizes for member in members]
+    sizes, _ = _rows([np.full(1, np.inf)] * 2, members, mode_sizes, exact)
     if exact:
         sizes[first[1, -2]] = 0.0  # the slope of rest
     with np.errstate(divide='ignore'):
         variance = (sizes[:, None] * amplitudes) ** 2
         shrinkage, residual_factor = 1 / (1 + 1 / variance), 1 / (1 + variance)
     tables = [_fill_lanes(shrinkage)] + [_fill_lanes(residual_factor, 1.0)] * exact
-    determinants = [-np.log1p(member.variances(exact)).sum(axis=1) / 2 for member in members]
-    prior = [member.process.prior / len(amplitudes) for member in members]
-    # Rest has one amplitude, and no slope, whose flat prior is a factor of all other models.
-    costs = np.array([*determinants, np.full(len(amplitudes), np.log(3 * amplitudes[-1]))])
-    priors = np.log([*prior, _SIMPLE_PRIOR])[:, None]
-    log_prior = priors + np.array((1, 2))[:, None, None] * costs
-    log_prior[:, -1, 1:] = -np.inf
     own = [
-        np.r_[slice(*first[0, p : p + 2]), slice(*first[1, p : p + 2])] for p in range(len(costs))
+        np.r_[slice(*first[0, p : p + 2]), slice(*first[1, p : p + 2])]
+        for p in range(len(members) + 1)
     ]
     parameters = np.array([shrinkage[rows].sum(axis=0) for rows in own])
+    log_prior, of_rest = _log_priors(members, count, exact)
     numbers = [
         (basis * root[:, None] / 2).reshape(len(root), -1, _LANES).swapaxes(0, 1),
         *(table.reshape(len(table), -1, _LANES).swapaxes(0, 1) for table in tables),
@@ -275,22 +328,60 @@ def models_of(count: int, block: int, exact: bool) -> tuple[np.ndarray, Real]:
         _fill_lanes(parameters),
     ]
     if not exact:
-        numbers.append(_step_squares(count, members, amplitudes))
+        squares = _step_squares(count, block)
+        none = np.full_like(squares[0], np.inf)
+        # Steps are screened without the spectrum of the body.
+        numbers.append(np.stack((*_with_body(squares, [none] * len(of_body)), none)))
+        numbers.append(of_rest)
     # Polynomials and rest have the number after those of the spectra: common to all.
-    last = len(SPECTRA)
-    spectrum = np.array([*(one.process.spectrum % (last + 1) for one in members), last])
-    spectra = _fill_lanes(np.tile(spectrum[:, None], len(amplitudes)), last)
-    head = [len(costs), spectra.shape[1] // _LANES, last, first[1, 0], len(sizes)]
+    last = len(SPECTRA) + (spectrum is not None)
+    numbers_of = np.array([*(one.process.spectrum % (last + 1) for one in members), last])
+    spectra = _fill_lanes(np.tile(numbers_of[:, None], len(amplitudes)), last)
+    body_end = len(members) - len(_DEGREES)
+    head = [len(members) + 1, spectra.shape[1] // _LANES, last, first[1, 0], len(sizes)]
+    head += [body_end - len(of_body), body_end]
     integers = np.concatenate((head, first.ravel(), spectra.ravel())).astype(np.int64)
     return integers, np.concatenate([one.ravel() for one in numbers])
 
 
-def _step_squares(count: int, members: list[_Member], amplitudes: Real) -> Real:
+def _log_priors(members: list[_Member], count: int, exact: bool) -> tuple[Real, Real]:
     """
-    Return the squares b' P b (processes, amplitudes, orders, n) of steps b, with P as in screens.h.
+    Return the log priors of models (2, P + 1, A), with their determinants, of angle and position.
+
+    Mean and slope have a flat prior, which is a factor of all models. Rest, the last process, has
+    no slope, so its prior is larger by that of a slope. -infinity stands for no model. Return also
+    by how much more this is (2) if the slope is one of the waves of the body, whose signal has no
+    trend.
+    """
+    amplitudes = _amplitudes(exact)
+    log_prior = np.full((2, len(members) + 1, len(amplitudes)), -np.inf)
+    of_slope, of_rest = np.log(3 * amplitudes[-1]), np.zeros(2)
+    signals = np.array((1, 2))  # of angle, and of position
+    for p, (process, _, sizes) in enumerate(members):
+        variance = (amplitudes[:, None] * np.concatenate(sizes)) ** 2
+        evidence = -np.log1p(variance).sum(axis=1) / 2
+        if process.lines is None:
+            prior = np.log(process.prior / len(amplitudes))
+            log_prior[:, p] = prior + signals[:, None] * evidence
+            continue
+        # One amplitude, of one signal.
+        c = process.signal
+        if not process.has_slope:
+            of_waves = _cost_of_slope(process, count)
+            evidence[-1] += of_waves
+            of_rest[c] = signals[c] * (of_waves - of_slope)
+        log_prior[c, p, -1] = np.log(process.prior) + signals[c] * evidence[-1]
+    log_prior[:, -1, 0] = np.log(_SIMPLE_PRIOR) + signals * of_slope
+    return log_prior, of_rest
+
+
+@lru_cache(maxsize=16)
+def _step_squares(count: int, block: int) -> list[Real]:
+    """
+    Return the squares b' P b (amplitudes, orders, n) of steps b by process, with P as in screens.h.
 
     A step of the motion, or of its first or second derivative, lies half a sample before each
-    sample. Squares that are rounding are infinite, and so are those of rest, the last process.
+    sample. Squares that are rounding are infinite.
     """
     time = np.arange(count)
     since = np.maximum(time - time[:, None] + 0.5, 0.0)
@@ -301,49 +392,81 @@ def _step_squares(count: int, members: list[_Member], amplitudes: Real) -> Real:
     opposite = steps[::-1][: len(root)]
     halves = [root[:, None] / 2 * (steps[: len(root)] + sign * opposite) for sign in (1, -1)]
     no_line = square - sum((line @ half) ** 2 for line, half in zip(lines, halves, strict=True))
-    lanes = len(amplitudes) + -len(amplitudes) % _LANES
-    squares = np.full((len(members) + 1, lanes, len(square)), np.inf)
-    for p, member in enumerate(members):
-        squares[p, : len(amplitudes)] = no_line
+    amplitudes = _amplitudes(False)
+    found = []
+    for member in _members(count, block, False):
+        squares = np.full((len(amplitudes) + -len(amplitudes) % _LANES, len(square)), np.inf)
+        squares[: len(amplitudes)] = no_line
         for one, sizes, half in zip(member.functions, member.sizes, halves, strict=True):
             variance = (amplitudes[:, None] * sizes) ** 2
             coefficients = one.vectors[:, : len(sizes)].T @ half
-            squares[p, : len(amplitudes)] -= variance / (1 + variance) @ coefficients**2
-    squares[squares < _STEP_ROUNDING * square] = np.inf
-    return squares
+            squares[: len(amplitudes)] -= variance / (1 + variance) @ coefficients**2
+        squares[squares < _STEP_ROUNDING * square] = np.inf
+        found.append(squares)
+    return found
+
+
+# The derivatives of the modes of a process, even and odd, (T, K, m), and a covariance (T, K, K), of
+# amplitude 1, of what the modes in use leave of its waves.
+_Derived = tuple[tuple[Real, Real], Real]
 
 
 def _derivatives(
-    count: int, block: int, exact: bool, time: Real, orders: range
-) -> tuple[list[Real], list[tuple[Real, Real]], list[Real]]:
+    count: int,
+    block: int,
+    exact: bool,
+    time: tuple[float, ...],
+    orders: range,
+    spectrum: Spectrum | None,
+) -> tuple[list[Real], list[_Derived]]:
+    """Return derivatives (T, K, 1) of mean and slope at times (T,), and those of all processes."""
+    found = _derivatives_of_all(count, block, exact, time, orders)
+    of_body = _members_of_body(spectrum, count, block) if spectrum else []
+    lines = _lines_at(count, time, orders)
+    derived = _with_body(found, [_derive(one, lines, count, time, orders) for one in of_body])
+    return [lines[..., :1], lines[..., 1:]], derived
+
+
+@lru_cache(maxsize=32)
+def _derivatives_of_all(
+    count: int, block: int, exact: bool, time: tuple[float, ...], orders: range
+) -> list[_Derived]:
+    lines = _lines_at(count, time, orders)
+    return [_derive(one, lines, count, time, orders) for one in _members(count, block, exact)]
+
+
+def _lines_at(count: int, time: tuple[float, ...], orders: range) -> Real:
+    """Return derivatives (T, K, 2) of mean and slope at times (T,)."""
+    at = np.array(time)
+    return np.stack([_line_derivatives(count, at, order) for order in orders], axis=1)
+
+
+def _derive(
+    member: _Member, lines: Real, count: int, time: tuple[float, ...], orders: range
+) -> _Derived:
     """
-    Return derivatives (T, K, m) of mean and slope at times (T,), and of the modes of each process.
+    Return what is derived of one process.
 
     A mode between the samples is the combination F v / s of the waves F, of right vector v and
-    size s. Then the covariances (T, K, K), of amplitude 1, of what the modes in use leave of F.
+    size s.
     """
-    lines = np.stack([_line_derivatives(count, time, order) for order in orders], axis=1)
-    modes, remainders = [], []
-    for member in _members(count, block, exact):
-        values = _waves(member.process, count, time, orders)
-        covariance = np.zeros((len(time), len(orders), len(orders)))
-        pair = []
-        for parity, (one, sizes) in enumerate(zip(member.functions, member.sizes, strict=True)):
-            waves = np.stack([value[parity] for value in values], axis=1)
-            waves -= lines[..., parity, None] * one.on_line
-            by_mode = waves @ one.right.T
-            own = np.zeros((*waves.shape[:2], len(sizes)))
-            number = np.count_nonzero(sizes)
-            own[..., :number] = by_mode[..., :number] / sizes[:number]
-            pair.append(own)
-            waves -= by_mode[..., :number] @ one.right[:number]
-            covariance += waves @ waves.swapaxes(1, 2)
-        modes.append((pair[0], pair[1]))
-        remainders.append(covariance)
-    return [lines[..., :1], lines[..., 1:]], modes, remainders
+    values = _waves(member.process, count, np.array(time), orders)
+    covariance = np.zeros((len(time), len(orders), len(orders)))
+    pair = []
+    for parity, (one, sizes) in enumerate(zip(member.functions, member.sizes, strict=True)):
+        waves = np.stack([value[parity] for value in values], axis=1)
+        waves -= lines[..., parity, None] * one.on_line
+        by_mode = waves @ one.right.T
+        own = np.zeros((*waves.shape[:2], len(sizes)))
+        number = np.count_nonzero(sizes)
+        own[..., :number] = by_mode[..., :number] / sizes[:number]
+        pair.append(own)
+        waves -= by_mode[..., :number] @ one.right[:number]
+        covariance += waves @ waves.swapaxes(1, 2)
+    return (pair[0], pair[1]), covariance
 
 
-def slopes_of(count: int, block: int, exact: bool) -> Real:
+def slopes_of(count: int, block: int, exact: bool, spectrum: Spectrum | None = None) -> Real:
     """
     Return derivatives (SLOPE_ORDERS, panels, rows, _LANES) of the modes at the first samples.
 
@@ -351,12 +474,22 @@ def slopes_of(count: int, block: int, exact: bool) -> Real:
     """
     time, _, _ = _half_window(count)
     orders = range(1, SIZES['SLOPE_ORDERS'] + 1)
-    lines, modes, _ = _derivatives(count, block, exact, time, orders)
-    slopes = _fill_lanes(np.moveaxis(_rows(lines, modes, exact)[0], 0, 2))  # (K, rows, half)
+    lines, derived = _derivatives(count, block, exact, tuple(time), orders, spectrum)
+    of_body = _members_of_body(spectrum, count, block) if spectrum else []
+    members = _with_body(_members(count, block, exact), of_body)
+    rows, _ = _rows(lines, members, [modes for modes, _ in derived], exact)
+    slopes = _fill_lanes(np.moveaxis(rows, 0, 2))  # (K, rows, half)
     return slopes.reshape(*slopes.shape[:2], -1, _LANES).swapaxes(1, 2).ravel()
 
 
-def stencils_of(count: int, block: int, exact: bool, orders: int, from_middle: float) -> Real:
+def stencils_of(
+    count: int,
+    block: int,
+    exact: bool,
+    orders: int,
+    from_middle: float,
+    spectrum: Spectrum | None = None,
+) -> Real:
     """
     Return the numbers of `Stencils` of models.h, of an instant, samples from the middle.
 
@@ -365,17 +498,18 @@ def stencils_of(count: int, block: int, exact: bool, orders: int, from_middle: f
     them: a parabola that of the same amplitude, up to _PARABOLA_AMPLITUDE, in the mean of all
     spectra; a line and rest that of the least amplitude of the first spectrum.
     """
-    members, amplitudes = _members(count, block, exact), _amplitudes(exact)
-    lines, modes, remainders = _derivatives(
-        count, block, exact, np.array([from_middle]), range(orders)
-    )
+    of_body = _members_of_body(spectrum, count, block) if spectrum else []
+    members, amplitudes = _with_body(_members(count, block, exact), of_body), _amplitudes(exact)
+    about = (from_middle,), range(orders), spectrum
+    lines, derived = _derivatives(count, block, exact, *about)
+    line = np.concatenate(lines, axis=-1)[0]
     covariance = np.empty((orders, orders, len(members) + 1, len(amplitudes)))
-    for p, member in enumerate(members):
-        own = np.concatenate((*lines, *modes[p]), axis=-1)[0]
-        variance = member.variances(exact)
-        shrinkage = np.pad(variance / (1 + variance), ((0, 0), (2, 0)), constant_values=1.0)
-        covariance[:, :, p] = (own[:, None] * own) @ shrinkage.T
-        covariance[:, :, p] += remainders[p][0][..., None] * amplitudes**2
+    for p, (member, (modes, remainder)) in enumerate(zip(members, derived, strict=True)):
+        own, variance = np.concatenate(modes, axis=-1)[0], member.variances(exact)
+        covariance[:, :, p] = (own[:, None] * own) @ (variance / (1 + variance)).T
+        own_line = line[:, : 1 + member.process.has_slope]
+        covariance[:, :, p] += (own_line @ own_line.T)[..., None]
+        covariance[:, :, p] += remainder[0][..., None] * amplitudes**2
     spectra = [member.process.spectrum for member in members]
     slowest = [spectra.index(k) for k in range(len(SPECTRA))]
     for p, member in enumerate(members):
@@ -386,4 +520,5 @@ def stencils_of(count: int, block: int, exact: bool, orders: int, from_middle: f
             covariance[:, :, p] = covariance[:, :, slowest[0], :1]
     covariance[:, :, -1] = covariance[:, :, slowest[0], :1]
     groups = np.moveaxis(_fill_lanes(covariance).reshape(orders, orders, -1, _LANES), 2, 0)
-    return np.concatenate((_rows(lines, modes, exact)[0].ravel(), groups.ravel()))
+    rows, _ = _rows(lines, members, [modes for modes, _ in derived], exact)
+    return np.concatenate((rows.ravel(), groups.ravel()))

@@ -5,7 +5,9 @@ The tables of window kinds are kept between calls, and in files between processe
 """
 
 import weakref
+from collections.abc import Sequence
 from ctypes import byref
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,10 +23,12 @@ from kinpole_ros.core.bindings import (
 )
 from kinpole_ros.derivatives._cached_tables import cached_table
 from kinpole_ros.derivatives._models import models_of, slopes_of, stencils_of
+from kinpole_ros.derivatives._spectra import Spectrum, numbers_of
 from kinpole_ros.planar._plane import Complex, Real
 
-# Memory of all tables, of which the oldest are dropped; a kind of window has 100 kB to 3 MB.
-_MAX_TABLE_BYTES = 64_000_000
+# Memory of all tables, of which the oldest are dropped; a kind of window has 100 kB to 5 MB, and so
+# has each body with a spectrum.
+_MAX_TABLE_BYTES = 128_000_000
 _ENDS = codes_of('CALL_ENDS')
 DONE, NO_TABLE, NO_FRAMES = _ENDS['DONE'], _ENDS['NO_TABLE'], _ENDS['NO_FRAMES']
 SLOPES, MODELS = codes_of('TABLE_ORDERS').values()
@@ -88,13 +92,14 @@ def derive_poses(
     noise: Real,
     window: float,
     order: int,
+    spectra: Sequence[Spectrum | None] | None = None,
 ) -> Derivatives:
     """
     Differentiate poses at the instants of `windows`, up to `order`.
 
     `left_out` (T, B) is the number of newest frames of each window that are ignored, `noise` (T, B)
     the standard deviation of a pose with information of 1, and `window`, s, the length of a full
-    window.
+    window. `spectra` (B,) are those of the bodies, as far as known: see `find_spectrum`.
 
     Raises
     ------
@@ -108,7 +113,10 @@ def derive_poses(
     (instants, bodies), (frames,), orders = noise.shape, poses.time.shape, order + 1
     call = new_call(window, order)
     call.frames, call.bodies, call.instants = frames, bodies, instants
+    known = spectra if spectra is not None else [None] * bodies
+    know_spectra(call, known)
     about = {'windows': np.array(windows), 'left_out': left_out, 'noise': noise}
+    about['spectrum'] = numbers_of(known)
     for name, array in (poses._asdict() | about).items():
         call.bind(name, np.ascontiguousarray(array, call.elements[name]))
     derivatives = Derivatives(**DerivativeArrays.new_arrays(K=orders, T=instants, B=bodies))
@@ -142,10 +150,19 @@ def new_call(window: float, order: int) -> Call:
     """Return arguments of the library without arrays; tables are made as it needs them."""
     call = Call(orders=order + 1, window=window)
     forget_tables(call)
+    call.spectra = {}
     # The call must not refer to itself, since it frees memory when it is deleted.
     reference = weakref.ref(call)
     call.make_table = TableMaker(lambda table: _pass_table(reference(), table.contents))
     return call
+
+
+def know_spectra(call: Call, spectra: Sequence[Spectrum | None]) -> None:
+    """Let a call know these spectra of bodies, and no others."""
+    known = {one.number: one for one in spectra if one is not None}
+    if known.keys() != call.spectra.keys():
+        forget_tables(call)
+    call.spectra = known
 
 
 def forget_tables(call: Call) -> None:
@@ -171,9 +188,14 @@ def finish_call(call: Call, code: int) -> None:
 
 def _pass_table(call: Any, table: Table) -> int:
     """Pass a table that the library needs in a call, which keeps its arrays alive."""
-    kind = table.count, table.block, table.exact, table.orders, table.from_middle
+    window = table.count, table.block, table.exact, table.orders, table.from_middle
+    kind, spectrum = (*window, table.spectrum_number), call.spectra.get(table.spectrum_number)
     try:
-        arrays = _tables.get(kind) or cached_table(kind, lambda: _make(*kind))
+        arrays = _tables.get(kind)
+        if arrays is None:
+            make = partial(_make, *window, spectrum)
+            # Another process has hardly the same spectrum.
+            arrays = make() if spectrum else cached_table(window, make)
         _keep_table(kind, arrays)
     except BaseException as error:  # The library has to return first.
         call.error = error
@@ -200,11 +222,17 @@ def _size_of(arrays: tuple[np.ndarray, Real]) -> int:
 
 
 def _make(
-    count: int, block: int, exact: int, orders: int, from_middle: float
+    count: int,
+    block: int,
+    exact: int,
+    orders: int,
+    from_middle: float,
+    spectrum: Spectrum | None,
 ) -> tuple[np.ndarray, Real]:
     """Make the integers and numbers of a table of this kind: see `Table` of call.h."""
     window = count, block, bool(exact)
     if orders == MODELS:
-        return models_of(*window)
-    numbers = slopes_of(*window) if orders == SLOPES else stencils_of(*window, orders, from_middle)
-    return np.empty(0, np.int64), numbers
+        return models_of(*window, spectrum)
+    if orders == SLOPES:
+        return np.empty(0, np.int64), slopes_of(*window, spectrum)
+    return np.empty(0, np.int64), stencils_of(*window, orders, from_middle, spectrum)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.derivatives import numbers_of
 from kinpole_ros.planar import Fit
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.planar._procrustes import (
@@ -23,7 +24,7 @@ SETTLED_FRAMES = 1000
 _OF_MARKERS = 'shape', 'frames', 'relative', 'deviation'
 _FORGOTTEN = (
     *('fits', 'misfit', 'noise', 'white', 'jump_scale', 'freedom', 'given', 'begun'),
-    *('repetition', 'pin', 'pin_variance'),
+    *('repetition', 'pin', 'pin_variance', 'spectra'),
 )
 # Arrays from which the others follow.
 _CAUSES = {
@@ -33,6 +34,7 @@ _CAUSES = {
         *('angle_noise', 'pose_middle'),
     },
     'are_measured': {'angle_noise'},
+    'spectrum': {'spectra'},
 }
 
 
@@ -137,6 +139,8 @@ class Bodies:
         Where the pins are in the plane, m, NaN for none, and in the frames of the bodies, m.
     pin_variance, pin_since : (B,) float, (B,) int64
         Variance of a coordinate, m^2; when each body was first seen to turn about its pin, ns.
+    spectra : (B,) object
+        The `Spectrum` of the motion of each body; None while unknown.
 
     """
 
@@ -165,6 +169,7 @@ class Bodies:
     pin_arm: Complex
     pin_variance: Real
     pin_since: np.ndarray
+    spectra: np.ndarray
 
     @property
     def count(self) -> int:
@@ -243,6 +248,11 @@ class Bodies:
             return self.hub
         # The derivatives assume independent errors of position and angle: so at the middle.
         return np.where(self.hub == 0, self.fitting.middle, self.hub)
+
+    @cached_property
+    def spectrum(self) -> np.ndarray:
+        """Numbers (B,) of the spectra, 0 for none."""
+        return numbers_of(self.spectra)
 
     @property
     def marker_variance(self) -> Real:
@@ -342,4 +352,5 @@ def new_bodies(count: int, width: int, are_measured: bool = False) -> Bodies:
         pin_arm=np.zeros(count, complex),
         pin_variance=unknown,
         pin_since=np.zeros(count, np.int64),
+        spectra=np.full(count, None),
     )

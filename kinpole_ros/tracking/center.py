@@ -42,6 +42,8 @@ _DECIDING_DEGREE = 1
 _MIN_EXPLAINED, _MIN_SIGNAL = 0.9, N_SIGMA**2
 # Number of windows with equal turning that must agree on a hub.
 _MIN_WINDOWS = 2.9
+# Frames of late whose windows show a hub: a body may turn about another point from now on.
+_HUB_FRAMES = 1024
 # Windows whose residuals exceed those of the others by this factor are down-weighted.
 _MAX_RESIDUAL_RATIO = 100.0
 
@@ -211,8 +213,9 @@ def find_hubs(bodies: Bodies, history: History, window: int, before: Complex) ->
 
     """
     time = history['time']
+    oldest = max(len(time) - _HUB_FRAMES, 0)
     ends = [len(time)]
-    while ends[-1] and time[ends[-1] - 1] - time[0] >= window:
+    while ends[-1] > oldest and time[ends[-1] - 1] - time[oldest] >= window:
         ends.append(int(time.searchsorted(time[ends[-1] - 1] - window)))
     if len(ends) == 1:
         return np.zeros(bodies.count, complex)

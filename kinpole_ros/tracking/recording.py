@@ -151,7 +151,7 @@ def _kept(bodies: Bodies, before: Bodies | None) -> Bodies:
     same: dict[str, np.ndarray] = {}
     for name in Bodies.__dataclass_fields__ if before is not None else ():
         old = getattr(before, name)
-        if np.array_equal(getattr(bodies, name), old, equal_nan=True):
+        if np.array_equal(getattr(bodies, name), old, equal_nan=old.dtype.kind in 'fc'):
             same[name] = old
     return replace(bodies, **same)
 
@@ -170,4 +170,6 @@ def _completed(stretch: Stretch, later: Stretch) -> Stretch:
     lacks = np.isnan(own.noise) | (own.fits < np.minimum(later.bodies.fits, MIN_SAMPLES))
     bodies = own.take(later.bodies, ~later.changed, _LASTING)
     bodies = bodies.take(later.bodies, ~later.changed & lacks, _PASSING)
+    unseen = np.equal(own.spectra, None)
+    bodies = bodies.take(later.bodies, ~later.changed & unseen, ('spectra',))
     return stretch._replace(bodies=bodies)

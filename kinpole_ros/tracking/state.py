@@ -23,7 +23,7 @@ from kinpole_ros.tracking.step import Step, new_tracks
 from kinpole_ros.tracking.timeline import Timeline
 
 # The history has at least this many frames.
-MIN_HISTORY_FRAMES = 1024
+MIN_HISTORY_FRAMES = 2048
 _run_numbers = itertools.count(1)
 
 
@@ -94,6 +94,8 @@ class State:
         counted; the first is written by tracker.py, the others by update.py.
     next_update : int
         The frame at which to learn next.
+    next_spectrum : (B,) int64
+        The frames at which to find the spectrum of each body next.
     names_changed : bool
         Whether names stand for other markers since the frames in hand were placed.
     name_search : NameSearch
@@ -114,6 +116,7 @@ class State:
     pins: PinSearch
     matcher: Matcher
     step: Step
+    next_spectrum: np.ndarray
     placed: PlacedFrames | None = None
     before_plane: deque[tuple[MarkerFrames, list[np.ndarray]]] = field(
         default_factory=lambda: deque(maxlen=MIN_HISTORY_FRAMES)
@@ -157,6 +160,7 @@ def start(
         pins=pins,
         matcher=matcher,
         step=step,
+        next_spectrum=np.zeros(count, np.int64),
     )
 
 
@@ -166,6 +170,7 @@ def start_bodies(state: State) -> None:
     about = state.settings, state.totals, state.assignment, state.bodies.are_measured
     state.bodies, state.history, state.pins, state.matcher, state.step = _new_bodies(*about)
     state.frame_count = state.learned_count = state.counted_count = 0
+    state.next_spectrum[:] = 0
     state.next_update, state.names_changed, state.name_search = 1, False, _NOT_SEARCHED
 
 

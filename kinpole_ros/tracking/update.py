@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from kinpole_ros.derivatives import SPECTRUM_WINDOWS
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import find_hubs, update_pins
 from kinpole_ros.tracking.history import History
@@ -20,6 +21,7 @@ from kinpole_ros.tracking.other_noise import has_other_noise
 from kinpole_ros.tracking.pose_noise import learn_poses
 from kinpole_ros.tracking.recording import Recording, Stretch
 from kinpole_ros.tracking.rejection import HELD, HELD_MARKERS, NO_MARKER_REPEATS
+from kinpole_ros.tracking.spectra import spectrum_of_body
 from kinpole_ros.tracking.state import (
     MIN_HISTORY_FRAMES,
     State,
@@ -31,7 +33,9 @@ from kinpole_ros.tracking.state import (
 
 # The history has at least this many windows, and at most so many bytes, whatever the window: 30 s
 # of 20 bodies with four markers at 200 Hz. Results of a longer window are from what is kept of it.
-MIN_HISTORY_WINDOWS, MAX_HISTORY_BYTES = 4, 2**25
+MIN_HISTORY_WINDOWS, MAX_HISTORY_BYTES = SPECTRUM_WINDOWS + 2, 2**25
+# Bodies whose spectra are known, at most: a bound of the memory of their tables.
+MAX_BODIES_WITH_SPECTRUM = 16
 # Frames between two updates: this share of all frames so far, and at most so many.
 UPDATE_SHARE, MAX_UPDATE_INTERVAL = 1 / 8, 128
 
@@ -85,6 +89,7 @@ def _update(state: State) -> bool:
     )
     if not bodies.are_measured:
         bodies = find_deformed(bodies, state.history, state.settings.window_ns)
+    bodies = _find_spectrum_if_due(state, bodies)
     regrouped = np.zeros(bodies.count, bool)
     changed = state.matcher.regrouping_is_due()
     if changed:
@@ -97,6 +102,24 @@ def _update(state: State) -> bool:
         is_other = has_other_noise(bodies, state.history, state.recording.count, new)
         state.recording.note(bodies, moved, is_other, new, state.timeline)
     return changed
+
+
+def _find_spectrum_if_due(state: State, bodies: Bodies) -> Bodies:
+    """
+    Find the spectrum of a body, if the history is long enough, and again once all of it is new.
+
+    That of one body, because its tables take several ms.
+    """
+    history, window = state.history, state.settings.window_ns
+    due = state.next_spectrum[:MAX_BODIES_WITH_SPECTRUM]
+    b = int(due.argmin())
+    span = history['time'][-1] - history['time'][0]
+    if state.frame_count < due[b] or span < SPECTRUM_WINDOWS * window:
+        return bodies
+    due[b] = state.frame_count + len(history)
+    spectra = bodies.spectra.copy()
+    spectra[b] = spectrum_of_body(bodies, history, window, b)
+    return bodies.change(spectra=spectra)
 
 
 def end_learned(state: State) -> None:

@@ -130,6 +130,7 @@ def test_bodies_are_stored_once_and_an_update_makes_new_arrays() -> None:
         assert bodies is not before
         for kept, computed in zip(bodies.fitting, replace(bodies).fitting, strict=True):
             np.testing.assert_array_equal(kept, computed)
+        assert bodies.spectrum.shape == (1,)
         owners = vars(bodies), bodies.placement._asdict(), bodies.fitting._asdict()
         for name in known.elements:
             (array,) = (owner[name] for owner in owners if name in owner)

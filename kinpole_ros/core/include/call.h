@@ -17,6 +17,7 @@
     VALUE(long long, block, "frames of which a sample is the mean")                 \
     VALUE(long long, exact, "1 if rounding matters, in motion far above the noise") \
     VALUE(long long, orders, "TABLE_ORDERS, or K for stencils")                     \
+    VALUE(long long, spectrum_number, "of the `spectrum` of a body; 0 for none")    \
     VALUE(double, from_middle, "samples: instant of stencils, after the middle")    \
     ARRAY(const long long, integers, "(I)", "sizes and indices: see models.h")      \
     ARRAY(const double, numbers, "(M)", "values of the models: see models.h")
@@ -56,6 +57,7 @@ typedef int (*TableMaker)(Table *table);
     ARRAY(const double, angle_information, "(N, B)", "squared noise over variance; 0 if unknown") \
     ARRAY(const double, position_information, "(N, B)", "the same, of a coordinate")              \
     ARRAY(const double, noise, "(T, B)", "m: standard deviation at an information of 1")          \
+    ARRAY(const long long, spectrum, "(B)", "number of the spectrum of each body; 0 for none")    \
     ARRAY(const Table, tables, "(tables)", "the tables that are made")                            \
     VALUE(DerivativeArrays, derivatives, "the results")                                           \
     ARRAY(Workspace, workspace, "(1)", "memory that C keeps for the next call: see memory.h")     \

@@ -75,6 +75,7 @@ typedef STRUCT(HISTORY_COLUMNS_FIELDS) HistoryColumns;
     ARRAY(double, pin_variance, "(B)", "m^2: variance of a coordinate of the pin")                 \
     ARRAY(double, learned_tilt_turn, "(B)", "rad: `tilt_turn` when the hub was learned")           \
     ARRAY(long long, pin_since, "(B)", "ns: time from which on the pin holds")                     \
+    ARRAY(long long, spectrum, "(B)", "number of the spectrum of each body; 0 for none")           \
     ARRAY(unsigned char, reason, "(B)", "REASONS: why the body has no results, whatever its pose") \
     ARRAY(unsigned char, repetition, "(B)", "REPETITIONS: how measured markers may repeat")
 

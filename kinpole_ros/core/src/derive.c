@@ -51,6 +51,7 @@
 /* The kind of a window, which needs tables of its own, and the instant in it. */
 typedef struct {
     long long block, orders;
+    long long spectrum; /* of the body, its number; 0 for none */
     int exact;
     double from_middle; /* the instant, samples after the middle of the window */
     double radians;     /* the unit of the angle */
@@ -62,7 +63,8 @@ static int
 find_table(Call *call, const Window *window, long long count, long long orders,
            double from_middle, Table *table)
 {
-    *table = (Table){count, window->block, window->exact, orders, from_middle, NULL, NULL};
+    *table = (Table){count, window->block, window->exact, orders, window->spectrum, from_middle,
+                     NULL, NULL};
     for (const Table *t = call->tables; t < call->tables + call->table_count; t++)
         if (!memcmp(t, table, offsetof(Table, integers))) {
             *table = *t;
@@ -84,8 +86,9 @@ unpack_models(const Table *table, Models *m)
     m->spectra = head[2];
     m->first_odd = head[3];
     m->rows = head[4];
+    m->body_begin = head[5] * m->chunks, m->body_end = head[6] * m->chunks;
     m->groups = m->processes * m->chunks;
-    m->first_row = head + 5;
+    m->first_row = head + 7;
     m->spectrum = m->first_row + 2 * (m->processes + 1);
     m->basis = (const Lanes *)table->numbers;
     m->shrinkage = m->residual_factor = m->basis + m->rows / LANES * m->half;
@@ -94,6 +97,7 @@ unpack_models(const Table *table, Models *m)
     m->log_prior = m->residual_factor + m->chunks * m->rows;
     m->parameters = m->log_prior + 2 * m->groups;
     m->step_squares = (const double *)(m->parameters + m->groups);
+    m->of_rest = m->step_squares + m->groups * LANES * STEP_ORDERS * m->count;
 }
 
 /* Lay out the arrays of `w` and `set` for a window and so many `orders`. The set has the samples
@@ -185,13 +189,19 @@ derive_even(Call *call, const Window *window, const Samples *s, Estimate *out)
     if (!window->exact &&
         search_events(call, &m, &stencils, s, &w, window->block, sets, &number))
         return NO_MEMORY;
-    differentiate(&m, &stencils, &w, sets, number, out);
-    if (window->exact)
-        return DONE;
     int is_divided = number > 1 || sets->best_evidence[0] < -DIVIDE_BELOW ||
         sets->best_evidence[1] < -2 * DIVIDE_BELOW;
+    if (!window->spectrum || is_divided)
+        differentiate(&m, &stencils, &w, sets, number, out);
+    if (window->exact)
+        return DONE;
     if (is_divided && add_segments(call, &stencils, s, out))
         return NO_MEMORY;
+    /* The spectrum of the body is that of a stationary motion, which an event is not. */
+    if (window->spectrum && !(is_divided && larger(out->event[0], out->event[1]) > 0.5)) {
+        add_body(&m, sets, number);
+        differentiate(&m, &stencils, &w, sets, number, out);
+    }
     return derive_hub(call, window, &m, &stencils, s, &w, sets, out);
 }
 
@@ -382,7 +392,8 @@ derive_signal(Call *call, long long instant, long long body, const Grid *grid)
         s.x[c] = data + c * size;
     s.weight[0] = data + 3 * size, s.weight[1] = data + 4 * size, s.off = data + 5 * size;
     average_blocks(&cells.samples, block, &s, coarser);
-    Window window = {block, call->orders, cells.exact, 0.0, cells.unit[0] * coarser[0]};
+    Window window = {block, call->orders, cells.exact ? 0 : call->spectrum[body], cells.exact, 0.0,
+                     cells.unit[0] * coarser[0]};
     window.from_middle = (size - 1) / 2.0 - (cells.ahead - (block - 1) / 2.0) / block;
     int code = derive_uneven(call, &window, &s, scratch, &estimate);
     if (code)

@@ -219,12 +219,31 @@ evaluate_models(const Models *m, const Samples *s, const Work *w, Set *set)
         FOR_VECTORS residual[1].part[h] += residual[2].part[h];
         for (int c = 0; c < 2; c++) {
             double best = evaluate_group(m, w, g, c, residual, logs, set);
-            set->best_evidence[c] = larger(set->best_evidence[c], best);
+            if (g < m->body_begin || g >= m->body_end)
+                set->best_evidence[c] = larger(set->best_evidence[c], best);
             lower &= best < top[c] - LENGTH_EVIDENCE_LOSS;
             top[c] = larger(top[c], best);
         }
         dropped = lower && m->spectrum[g * LANES] < m->spectra;
     }
+    for (int c = 0; c < 2; c++)
+        for (long long g = m->body_begin; g < m->body_end; g++) {
+            Lanes *evidence = set->evidence + c * m->groups + g;
+            set->of_body[c][g - m->body_begin] = *evidence;
+            *evidence = all_lanes(-INFINITY);
+        }
+}
+
+PRIVATE void
+add_body(const Models *m, Set *sets, int number)
+{
+    for (int n = 0; n < number; n++)
+        for (int c = 0; c < 2; c++) {
+            Lanes *evidence = sets[n].evidence + c * m->groups;
+            memcpy(evidence + m->body_begin, sets[n].of_body[c],
+                   (m->body_end - m->body_begin) * sizeof(Lanes));
+            ((double *)(evidence + (m->processes - 1) * m->chunks))[0] += m->of_rest[c];
+        }
 }
 
 PRIVATE double
@@ -233,7 +252,8 @@ find_probabilities(const Models *m, int c, Set *sets, int number)
     long long models = m->groups * LANES;
     double best = -INFINITY, sum = 0.0;
     for (int n = 0; n < number; n++)
-        best = larger(best, sets[n].best_evidence[c]);
+        for (long long i = 0; i < models; i++)
+            best = larger(best, ((double *)(sets[n].evidence + c * m->groups))[i]);
     for (int n = 0; n < number; n++) {
         const double *evidence = (const double *)(sets[n].evidence + c * m->groups);
         double *probability = (double *)(sets[n].probability + c * m->groups);
@@ -267,11 +287,12 @@ find_covariance_weights(const Models *m, int c, Set *sets, int number)
     for (long long k = 0; k <= common; k++)
         highest = larger(highest, top[k]);
     /* A common model is skipped only if it is far below the best of every spectrum. */
-    double lowest = top[common];
-    for (long long k = 0; k < common; k++) {
-        top[k] = larger(top[k], top[common]);
-        lowest = k ? smaller(lowest, top[k]) : top[k];
-    }
+    double lowest = INFINITY;
+    for (long long k = 0; k < common; k++)
+        if (top[k] > -INFINITY) { /* otherwise the spectrum does not count for this signal */
+            top[k] = larger(top[k], top[common]);
+            lowest = smaller(lowest, top[k]);
+        }
     top[common] = lowest;
     for (int n = 0; n < number; n++) {
         const double *evidence = (const double *)(sets[n].evidence + c * m->groups);
@@ -286,7 +307,7 @@ find_covariance_weights(const Models *m, int c, Set *sets, int number)
     double of_common = 0.0, sum = 0.0;
     for (long long k = 0; k < common; k++) {
         total[k] += total[common];
-        total[k] = total[k] > 1e-300 ? 1.0 / total[k] : 0.0;
+        total[k] = top[k] > -INFINITY && total[k] > 1e-300 ? 1.0 / total[k] : 0.0;
         of_common += total[k];
     }
     total[common] = of_common;

@@ -42,10 +42,15 @@ PRIVATE void project_samples(const Models *m, const Samples *s, Work *w);
 
 /* Compute the evidence of all models with the columns of a set, and the variance of their noise,
    after `project_samples`. Writes `evidence`, `best_evidence`, `variance`, and what belongs to the
-   columns: `column_products`, `factors`, `residuals` and the coefficients of steps. With steps,
+   columns: `column_products`, `factors`, `residuals` and the coefficients of steps. The evidence of
+   models with the spectrum of the body waits in `of_body`, and is -infinity so far. With steps,
    lengths shorter than one whose evidence is far below that of a longer one are left out, with an
    evidence of -infinity: theirs is lower still. */
 PRIVATE void evaluate_models(const Models *m, const Samples *s, const Work *w, Set *set);
+
+/* Let the models with the spectrum of the body count in all of `number` sets, and what it says of
+   rest. */
+PRIVATE void add_body(const Models *m, Set *sets, int number);
 
 /* Compute the `probability` of all models with all of `number` sets, of angle (c = 0) or position
    (c = 1), from their evidence. Those of all sets add up to 1. Returns the log evidence of all. */

@@ -327,6 +327,7 @@ pass_window(const Frames *f, long long oldest, long long now, Poses *poses, Call
     call->angle_information = poses->angle_information;
     call->position_information = poses->position_information;
     call->noise = f->known.fit_noise;
+    call->spectrum = f->known.spectrum;
 }
 
 /* Writes what the next result says of a body besides its derivatives, which are in `call`: that of

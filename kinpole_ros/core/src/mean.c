@@ -99,6 +99,9 @@ differentiate(const Models *m, const Stencils *stencils, const Work *w, Set *set
     for (int c = 0; c < 2; c++) {
         out->evidence[c] = find_probabilities(m, c, sets, number);
         find_covariance_weights(m, c, sets, number);
+        out->event[c] = 0.0;
+        for (long long g = 0; g < (number > 1 ? m->groups : 0); g++)
+            out->event[c] += sum_of(sets[1].probability[c * m->groups + g]);
     }
     for (long long g = 0; g < m->groups; g++)
         add_group(m, stencils, g, w, sets, number, &sums);

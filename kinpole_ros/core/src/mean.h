@@ -13,10 +13,12 @@ typedef struct {
     double covariance[2][MAX_ORDERS][MAX_ORDERS]; /* of the angle, and of one coordinate */
     double parameters;  /* effective number of parameters of the motion of the angle */
     double evidence[2]; /* log evidence of all models */
+    double event[2];    /* probability that the window has an event */
     Number hub; /* from the position of the samples to that of `mean`, while the angle is 0 */
 } Estimate;
 
-/* Differentiate samples at the instant of the stencils, with `number` sets of `evaluate_models`:
+/* Differentiate samples at the instant of the stencils, with `number` sets of `evaluate_models`, of
+   which the first has no event:
    the mean over all models with all sets by their probabilities, and its covariance, the weighted
    mean of those of the models, plus the variance between the models, plus that of the places of the
    events. Writes `out`, with a `hub` of 0, and of the sets `probability`, `covariance_weight`,

@@ -17,6 +17,8 @@
 /* Sets at most: without event, and with the likeliest. Columns of an event at most. */
 #define MAX_SETS 2
 #define EVENT_COLUMNS 3
+/* Groups with the spectrum of the body at most: one of the angle, and one of the position. */
+#define MAX_BODY_GROUPS 2
 /* Log evidence that an event costs: of the number of its places, and because events are rare. */
 #define EVENT_COST 12.0
 /* Power of the evidence by which other places of an event count in the covariance. A step may be a
@@ -33,7 +35,8 @@ typedef struct {
     long long processes;   /* the last is rest */
     long long chunks;      /* groups of each process */
     long long groups;      /* processes times chunks; those of a process follow each other */
-    long long spectra;     /* number of spectra */
+    long long spectra;     /* number of spectra; that of the body is the last */
+    long long body_begin, body_end; /* groups with the spectrum of the body; equal without one */
     long long exact;       /* each process has as many modes as there are samples */
     long long rows;        /* even modes of all processes, filled to whole lanes, then odd ones */
     long long first_odd;   /* the first row of an odd mode */
@@ -48,6 +51,7 @@ typedef struct {
     const double *step_squares; /* (models, STEP_ORDERS, count), if not exact: b' P b, of a step b
                                    half a sample before each sample, and the inverse P of a model's
                                    covariance */
+    const double *of_rest; /* (2): what the spectrum of the body adds to the log prior of rest */
 } Models;
 
 /* The derivatives at an instant, as `stencils_of` of _models.py makes them. */
@@ -118,7 +122,8 @@ typedef struct {
     long long *low_sample;    /* (low_samples): their numbers in the window */
     Step step[EVENT_COLUMNS]; /* (steps) */
     double log_prior;         /* of the event; 0 without one */
-    double best_evidence[2];  /* the largest log evidence of a model */
+    double best_evidence[2];  /* the largest log evidence of a model in `evidence` */
+    Lanes of_body[2][MAX_BODY_GROUPS]; /* the log evidence of models that wait for `add_body` */
     double place_covariance[2][MAX_ORDERS][MAX_ORDERS]; /* from the unknown place of the event */
     double *step_columns;  /* (steps, count) */
     double *folded;        /* (2, steps, half): sums and differences of these, see `fold` */

@@ -420,6 +420,7 @@ mix(const Average *segments, int part, long long orders, double probability, dou
             estimate->mean[c][o] += probability * (segments->mean[c][o] - estimate->mean[c][o]);
     if (!part)
         estimate->parameters += probability * (segments->parameters - estimate->parameters);
+    estimate->event[part] += probability * (1 - estimate->event[part]);
 }
 
 PRIVATE int
