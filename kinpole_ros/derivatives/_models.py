@@ -234,13 +234,13 @@ def _members(count: int, block: int, exact: bool) -> list[_Member]:
 
 @lru_cache(maxsize=16)
 def _members_of_body(spectrum: Spectrum, count: int, block: int) -> list[_Member]:
-    """Return the processes with the spectrum of a body, as probable as each other spectrum."""
-    members, prior = [], _PROCESS_PRIOR / len(SPECTRA)
+    """Return the processes with the spectrum of a body, as probable as all others together."""
+    members: list[_Member] = []
     for signal, lines in enumerate(spectrum.lines):
         if len(lines.frequency):
             # For samples that are means of a block.
             lines = Lines(lines.frequency * block, lines.variance * block, lines.has_trend)
-            process = Process(len(SPECTRA), 0.0, prior, lines, signal)
+            process = Process(len(SPECTRA), 0.0, _PROCESS_PRIOR, lines, signal)
             members.append(_member(process, count, block, False))
     return members
 
