@@ -412,61 +412,44 @@ _Derived = tuple[tuple[Real, Real], Real]
 
 
 def _derivatives(
-    count: int,
-    block: int,
-    exact: bool,
-    time: tuple[float, ...],
-    orders: range,
-    spectrum: Spectrum | None,
+    count: int, members: list[_Member], time: Real, orders: range
 ) -> tuple[list[Real], list[_Derived]]:
-    """Return derivatives (T, K, 1) of mean and slope at times (T,), and those of all processes."""
-    found = _derivatives_of_all(count, block, exact, time, orders)
-    of_body = _members_of_body(spectrum, count, block) if spectrum else []
-    lines = _lines_at(count, time, orders)
-    derived = _with_body(found, [_derive(one, lines, count, time, orders) for one in of_body])
+    """
+    Return derivatives (T, K, 1) of mean and slope at times (T,), and those of processes.
+
+    A mode between the samples is the combination F v / s of the waves F, of right vector v and
+    size s.
+    """
+    lines = np.stack([_line_derivatives(count, time, order) for order in orders], axis=1)
+    derived: list[_Derived] = []
+    for member in members:
+        values = _waves(member.process, count, time, orders)
+        covariance = np.zeros((len(time), len(orders), len(orders)))
+        pair = []
+        for parity, (one, sizes) in enumerate(zip(member.functions, member.sizes, strict=True)):
+            waves = np.stack([value[parity] for value in values], axis=1)
+            waves -= lines[..., parity, None] * one.on_line
+            by_mode = waves @ one.right.T
+            own = np.zeros((*waves.shape[:2], len(sizes)))
+            number = np.count_nonzero(sizes)
+            own[..., :number] = by_mode[..., :number] / sizes[:number]
+            pair.append(own)
+            waves -= by_mode[..., :number] @ one.right[:number]
+            covariance += waves @ waves.swapaxes(1, 2)
+        derived.append(((pair[0], pair[1]), covariance))
     return [lines[..., :1], lines[..., 1:]], derived
 
 
 @lru_cache(maxsize=32)
 def _derivatives_of_all(
-    count: int, block: int, exact: bool, time: tuple[float, ...], orders: range
-) -> list[_Derived]:
-    lines = _lines_at(count, time, orders)
-    return [_derive(one, lines, count, time, orders) for one in _members(count, block, exact)]
+    count: int, block: int, exact: bool, orders: int, from_middle: float
+) -> tuple[list[Real], list[_Derived]]:
+    """Return those of the processes of all bodies, at one instant."""
+    members, time = _members(count, block, exact), np.array([from_middle])
+    return _derivatives(count, members, time, range(orders))
 
 
-def _lines_at(count: int, time: tuple[float, ...], orders: range) -> Real:
-    """Return derivatives (T, K, 2) of mean and slope at times (T,)."""
-    at = np.array(time)
-    return np.stack([_line_derivatives(count, at, order) for order in orders], axis=1)
-
-
-def _derive(
-    member: _Member, lines: Real, count: int, time: tuple[float, ...], orders: range
-) -> _Derived:
-    """
-    Return what is derived of one process.
-
-    A mode between the samples is the combination F v / s of the waves F, of right vector v and
-    size s.
-    """
-    values = _waves(member.process, count, np.array(time), orders)
-    covariance = np.zeros((len(time), len(orders), len(orders)))
-    pair = []
-    for parity, (one, sizes) in enumerate(zip(member.functions, member.sizes, strict=True)):
-        waves = np.stack([value[parity] for value in values], axis=1)
-        waves -= lines[..., parity, None] * one.on_line
-        by_mode = waves @ one.right.T
-        own = np.zeros((*waves.shape[:2], len(sizes)))
-        number = np.count_nonzero(sizes)
-        own[..., :number] = by_mode[..., :number] / sizes[:number]
-        pair.append(own)
-        waves -= by_mode[..., :number] @ one.right[:number]
-        covariance += waves @ waves.swapaxes(1, 2)
-    return (pair[0], pair[1]), covariance
-
-
-def slopes_of(count: int, block: int, exact: bool, spectrum: Spectrum | None = None) -> Real:
+def slopes_of(count: int, block: int, exact: bool) -> Real:
     """
     Return derivatives (SLOPE_ORDERS, panels, rows, _LANES) of the modes at the first samples.
 
@@ -474,9 +457,8 @@ def slopes_of(count: int, block: int, exact: bool, spectrum: Spectrum | None = N
     """
     time, _, _ = _half_window(count)
     orders = range(1, SIZES['SLOPE_ORDERS'] + 1)
-    lines, derived = _derivatives(count, block, exact, tuple(time), orders, spectrum)
-    of_body = _members_of_body(spectrum, count, block) if spectrum else []
-    members = _with_body(_members(count, block, exact), of_body)
+    members = _members(count, block, exact)
+    lines, derived = _derivatives(count, members, time, orders)
     rows, _ = _rows(lines, members, [modes for modes, _ in derived], exact)
     slopes = _fill_lanes(np.moveaxis(rows, 0, 2))  # (K, rows, half)
     return slopes.reshape(*slopes.shape[:2], -1, _LANES).swapaxes(1, 2).ravel()
@@ -500,8 +482,9 @@ def stencils_of(
     """
     of_body = _members_of_body(spectrum, count, block) if spectrum else []
     members, amplitudes = _with_body(_members(count, block, exact), of_body), _amplitudes(exact)
-    about = (from_middle,), range(orders), spectrum
-    lines, derived = _derivatives(count, block, exact, *about)
+    lines, of_all = _derivatives_of_all(count, block, exact, orders, from_middle)
+    _, added = _derivatives(count, of_body, np.array([from_middle]), range(orders))
+    derived = _with_body(of_all, added)
     line = np.concatenate(lines, axis=-1)[0]
     covariance = np.empty((orders, orders, len(members) + 1, len(amplitudes)))
     for p, (member, (modes, remainder)) in enumerate(zip(members, derived, strict=True)):

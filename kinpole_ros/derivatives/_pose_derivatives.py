@@ -160,8 +160,9 @@ def new_call(window: float, order: int) -> Call:
 def know_spectra(call: Call, spectra: Sequence[Spectrum | None]) -> None:
     """Let a call know these spectra of bodies, and no others."""
     known = {one.number: one for one in spectra if one is not None}
-    if known.keys() != call.spectra.keys():
-        forget_tables(call)
+    if not call.spectra.keys() <= known.keys():
+        tables = vars(call)['tables']
+        _keep_tables(call, np.isin(tables['spectrum_number'], [0, *known]))
     call.spectra = known
 
 
@@ -169,6 +170,13 @@ def forget_tables(call: Call) -> None:
     """Let a call begin without tables."""
     call.held, call.held_bytes, call.error, call.table_count = [], 0, None, 0
     call.bind('tables', np.empty(0, Table))
+
+
+def _keep_tables(call: Call, which: np.ndarray) -> None:
+    """Let a call forget all tables but some."""
+    call.held = [arrays for arrays, is_kept in zip(call.held, which, strict=True) if is_kept]
+    call.held_bytes, call.table_count = sum(map(_size_of, call.held)), len(call.held)
+    call.bind('tables', vars(call)['tables'][which])
 
 
 def finish_call(call: Call, code: int) -> None:
@@ -234,5 +242,5 @@ def _make(
     if orders == MODELS:
         return models_of(*window, spectrum)
     if orders == SLOPES:
-        return np.empty(0, np.int64), slopes_of(*window, spectrum)
+        return np.empty(0, np.int64), slopes_of(*window)
     return np.empty(0, np.int64), stencils_of(*window, orders, from_middle, spectrum)

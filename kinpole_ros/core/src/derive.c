@@ -217,8 +217,11 @@ move_until_settled(Call *call, const Window *window, Samples *s, double *scratch
     Work w;
     Set set;
     Table models, slopes;
-    if (find_table(call, window, s->count, MODELS, 0.0, &models) ||
-        find_table(call, window, s->count, SLOPES, 0.0, &slopes))
+    /* The motion of the window alone, whether there is an event or not. */
+    Window common = *window;
+    common.spectrum = 0;
+    if (find_table(call, &common, s->count, MODELS, 0.0, &models) ||
+        find_table(call, &common, s->count, SLOPES, 0.0, &slopes))
         return NO_TABLE;
     unpack_models(&models, &m);
     if (prepare_window(call, &m, 1, s, &w, &set))
