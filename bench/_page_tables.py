@@ -19,7 +19,7 @@ from bench._page_limits import (
     time_part,
 )
 from bench._page_peers import peers_part, pendulum_part
-from bench._page_rates import rates_part
+from bench._page_rates import rates_part, spectra_part
 from bench._page_rigs import rigs_part
 
 # Parts by what they are made of; they are left out where any of it lacks.
@@ -31,6 +31,7 @@ _PARTS = (
     (('coverage',), chi_part),
     (('peers', 'pynumdiff'), peers_part),
     (('rates', 'near_events'), rates_part),
+    (('spectra',), spectra_part),
     (('pendulum',), pendulum_part),
     (('rigs',), rigs_part),
     (('costs',), time_part),

@@ -33,6 +33,7 @@ from bench._record import (
 )
 from bench._rigs import rigs
 from bench._rows import Rows
+from bench._spectra import spectra_rows
 from bench._speed import speed_rows
 
 # Seeds and s of a record, quick.
@@ -178,6 +179,7 @@ PARTS = {
     'model': Part((15, 4), _model),
     'pynumdiff': Part((60, 10), _pynumdiff),
     'rates': Part((300, 20), _rates),
+    'spectra': Part((60, 2), lambda quick, tell: {'spectra': spectra_rows(quick, tell)}),
     'atlas': Part((98, 11), lambda quick, tell: {'atlas': survey(quick, tell)}),
     'pendulum': Part((10, 0), _pendulum),
     'rigs': Part((170, 14), _rigs),
