@@ -121,8 +121,8 @@ def demo(options: argparse.Namespace) -> int:
         option(
             '--only PART...',
             'measure only these parts, and copy the others from the pages as they are: costs, '
-            'speed, live, hindsight, peers, lag, model, pynumdiff, rates, spectra, atlas, pendulum, '
-            'rigs',
+            'speed, live, hindsight, peers, lag, model, pynumdiff, rates, spectra, atlas, '
+            'pendulum, rigs',
         ),
         flag('--pages', 'measure nothing: make pages and charts from charts/*.csv'),
         flag('--long', 'only the run of 1e7 frames: some minutes'),
