@@ -128,10 +128,21 @@ def test_lost_frames_and_one_jump_leave_the_lines() -> None:
     lost = record.spectrum().lines[0]
     assert lost.frequency[lost.variance.argmax()] == whole.frequency[whole.variance.argmax()]
     assert lost.variance.sum() == pytest.approx(whole.variance.sum(), rel=0.1)
+    assert len(lost.frequency) <= len(whole.frequency) + 2
     # What happens once is in one half of the record.
     record.angle[1500:] += 1.0
     jumped = record.spectrum().lines[0]
     assert len(jumped.frequency) <= len(lost.frequency) + 2
+
+
+def test_poses_that_are_off_are_noise() -> None:
+    """As lines they would be a motion of all frequencies: then α had 3 times the error."""
+    record = Record(sines((0.05, 3.0, 0.4)), 100, 1e-3, 2000)
+    rng = np.random.default_rng(0)
+    off = rng.random(2000) < 0.03
+    record.angle[off] += 0.03 * rng.normal(size=off.sum())
+    hertz = record.spectrum().lines[0].frequency * 100 / (2 * np.pi)
+    assert np.abs(hertz - 3.0).max() < 0.25
 
 
 def test_equal_poses_have_equal_numbers() -> None:

@@ -86,12 +86,24 @@ def find_spectrum(
     signals = (angle,), (position.real, position.imag)
     lines = []
     for parts, sigma in zip(signals, noise, strict=True):
-        samples = [np.interp(even, time - time[0], part) / sigma for part in parts]
+        samples = [
+            _interpolate(even, (time - time[0]).astype(float), part / sigma) for part in parts
+        ]
         lines.append(_find_lines(np.array(samples)))
     content = b''.join(one.tobytes() for own in lines for one in (own.frequency, own.variance))
     content += bytes(one.has_trend for one in lines) if content else b''
     number = int.from_bytes(blake2b(content, digest_size=8).digest(), 'little') >> 1
     return Spectrum((lines[0], lines[1]), number) if content else None
+
+
+def _interpolate(even: Real, time: Real, values: Real) -> Real:
+    """Return values at even times, by cubics with the slopes of a parabola through neighbors."""
+    slope = np.gradient(values, time)
+    before = np.clip(time.searchsorted(even, side='right') - 1, 0, len(time) - 2)
+    step = time[before + 1] - time[before]
+    rise, u = values[before + 1] - values[before], (even - time[before]) / step
+    first, last = slope[before] * step - rise, rise - slope[before + 1] * step
+    return values[before] + u * (rise + (1 - u) * ((1 - u) * first + u * last))
 
 
 def _find_lines(signals: Real) -> Lines:
@@ -100,9 +112,13 @@ def _find_lines(signals: Real) -> Lines:
     has_trend = bool((np.abs(rise) > _MIN_TREND * left.std(axis=1)).any())
     half = signals.shape[1] // 2
     first, last = signals[:, :half], signals[:, -half:]
-    power = np.minimum(_periodogram(first, has_trend), _periodogram(last, has_trend))
-    which = np.flatnonzero(power > _MIN_POWER)
-    return Lines(2 * np.pi / half * which, 2 / half * (power[which] - 1.0), has_trend)
+    powers = _periodogram(first, has_trend), _periodogram(last, has_trend)
+    # Poses that are off, or interpolated, are more noise than the measured one. Powers of noise are
+    # sums of S exponential ones, over S, whose median is 1 - 1 / (3 S).
+    noise = max(1.0, float(np.median(powers)) / (1 - 1 / (3 * len(signals))))
+    power = np.minimum(*powers)
+    which = np.flatnonzero(power > _MIN_POWER * noise)
+    return Lines(2 * np.pi / half * which, 2 / half * (power[which] - noise), has_trend)
 
 
 def _without_line(signals: Real) -> tuple[Real, Real]:
