@@ -121,6 +121,16 @@ def test_few_windows_have_no_spectrum() -> None:
     assert Record(motion, 100, 1e-3, 2).spectrum() is None
 
 
+@pytest.mark.parametrize('noise', [0.0, np.nan, np.inf])
+def test_without_a_noise_or_an_order_there_is_no_spectrum(noise: float) -> None:
+    record = Record(sines((0.05, 3.0, 0.4)), 100, 1e-3, 2000)
+    poses = record.time, record.angle, record.position
+    assert find_spectrum(*poses, (noise, 1e-3), WINDOW) is None
+    assert find_spectrum(*poses, (1e-3, noise), WINDOW) is None
+    record.time[700] = record.time[699]
+    assert record.spectrum() is None
+
+
 def test_lost_frames_and_one_jump_leave_the_lines() -> None:
     record = Record(sines((0.05, 3.0, 0.4)), 100, 1e-3, 2000)
     whole = record.spectrum().lines[0]

@@ -74,9 +74,9 @@ def find_spectrum(
     """
     seen = np.isfinite(angle) & np.isfinite(position)
     time, angle, position = (one[seen] for one in (time, angle, position))
-    if not (len(time) > 2 and min(noise) > 0 and np.isfinite(noise).all()):
-        return None
     steps = np.diff(time)
+    if not (len(steps) > 1 and steps.min() > 0 and min(noise) > 0 and np.isfinite(noise).all()):
+        return None
     usual = steps[steps < 1.5 * np.median(steps)].mean()
     span = float(time[-1] - time[0])
     count = round(span / usual) + 1
