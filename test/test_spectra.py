@@ -1,5 +1,6 @@
 """The spectrum of a body: what many windows show of a motion helps each of them."""
 
+import tracemalloc
 from collections.abc import Callable
 
 import numpy as np
@@ -11,11 +12,13 @@ from kinpole_ros.derivatives import (
     Poses,
     Spectrum,
     Windows,
+    _models,
     derive_poses,
     find_spectrum,
 )
 from kinpole_ros.derivatives._spectra import Lines
 from kinpole_ros.settings import settings_from
+from kinpole_ros.tracking import update
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.tracker import Tracker, learn_recording
 
@@ -191,12 +194,11 @@ def test_a_body_with_lines_alone_is_derived_as_the_process_of_these() -> None:
     ('angle', 'rate', 'noise'),
     [
         (sines((0.02, 7.0, 0.3)), 60, 1e-2),
-        (sines((0.02, 7.0, 0.3)), 60, 3e-3),
         (rod(6), 200, 3e-3),
         (rod(8), 200, 3e-3),
         (rod(6), 60, 1e-3),
     ],
-    ids=['torsion of 2σ', 'torsion of 7σ', 'rod at 6', 'rod at 8', 'rod at 6, 60 Hz'],
+    ids=['torsion of 2σ', 'rod at 6', 'rod at 8', 'rod at 6, 60 Hz'],
 )
 def test_harmonics_below_the_noise_of_a_window_are_covered(
     angle: Angle, rate: int, noise: float
@@ -205,9 +207,8 @@ def test_harmonics_below_the_noise_of_a_window_are_covered(
     found = np.abs(np.hstack([one.deviations(one.spectrum(), 0.1) for one in records]))
     assert (found < 2).mean(axis=1).min() > 0.87
     assert (found > 10).mean() < 0.002
-    if noise != 3e-3 or rate != 60:
-        without = np.abs(records[0].deviations(None, 0.1))
-        assert (without < 2).mean(axis=1).min() < 0.85
+    without = np.abs(records[0].deviations(None, 0.1))
+    assert (without < 2).mean(axis=1).min() < 0.85
 
 
 def test_steady_motion_is_known_better_at_the_newest_frame() -> None:
@@ -281,3 +282,52 @@ def test_each_body_of_a_rig_has_its_own_spectrum() -> None:
     assert crank.lines[0].has_trend and not len(crank.lines[0].frequency)
     hertz = rocker.lines[0].frequency[rocker.lines[0].variance.argmax()] * 100 / (2 * np.pi)
     assert not rocker.lines[0].has_trend and hertz == pytest.approx(1.5, abs=0.1)
+
+
+def test_spectra_that_pass_leave_no_memory() -> None:
+    """Each spectrum has tables of its own, and a run of hours has thousands of spectra."""
+
+    def make(number: int) -> None:
+        frequency = np.sort(np.random.default_rng(number).random(200)) * 3
+        lines = Lines(frequency, np.full(200, 4.0), False)
+        _models.models_of(31, 1, False, Spectrum((lines, lines), number))
+
+    tracemalloc.start()
+    held = []
+    for first in (1, 41):
+        for number in range(first, first + 40):
+            make(number)
+        held.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert held[1] - held[0] < 5e5
+
+
+def test_spectra_of_spoiled_markers_are_no_worse_than_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Hidden, lost and misplaced markers had lines at all frequencies: α had 3 times the error."""
+    record = Record(sines((0.4, 1.5, 0.0), (0.03, 5.0, 1.0)), 60, 0.0, 2600)
+    frames, rng = frames_of(record), np.random.default_rng(5)
+    points = frames.points.copy()
+    points[rng.random(points.shape[:2]) < 0.06] = np.nan
+    off = rng.random(points.shape[:2]) < 0.02
+    points[off, :2] += 0.004 * rng.normal(size=(off.sum(), 2))
+    late = np.round(2e6 * rng.exponential(size=len(points))).astype(np.int64)
+    kept = rng.random(len(points)) > 0.08
+    sent = MarkerFrames((frames.stamps + late)[kept], 'world', frames.identities, points[kept])
+    seen, errors = record.time[kept], []
+    for least in (SPECTRUM_WINDOWS, 10**6):
+        monkeypatch.setattr(update, 'SPECTRUM_WINDOWS', least)
+        tracker = Tracker(settings_from({'window': WINDOW, 'lag': 0.1}))
+        found = tracker.add(sent, 3)
+        rows = sent.stamps.searchsorted(np.concatenate([one.stamp for one in found]))
+        off_rates = [
+            np.concatenate([one.angle[order, :, 0] for one in found])
+            - record.truth[order, record.time.searchsorted(seen[rows])]
+            for order in (1, 2)
+        ]
+        late_rows = rows > 1200
+        errors.append([np.sqrt(np.nanmean(one[late_rows] ** 2)) for one in off_rates])
+    (spectrum,) = tracker.state.bodies.spectra
+    assert spectrum is None
+    assert errors[0][0] < errors[1][0] and errors[0][1] < errors[1][1]

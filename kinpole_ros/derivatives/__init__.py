@@ -54,10 +54,15 @@ from kinpole_ros.derivatives._pose_derivatives import (
     Windows,
     derive_poses,
     finish_call,
-    know_spectra,
     new_call,
+    set_spectra,
 )
-from kinpole_ros.derivatives._spectra import SPECTRUM_WINDOWS, Spectrum, find_spectrum, numbers_of
+from kinpole_ros.derivatives._spectra import (
+    SPECTRUM_WINDOWS,
+    Spectrum,
+    find_spectrum,
+    spectrum_numbers,
+)
 
 __all__ = [
     'FEWEST_SAMPLES',
@@ -73,7 +78,7 @@ __all__ = [
     'find_event',
     'find_spectrum',
     'finish_call',
-    'know_spectra',
     'new_call',
-    'numbers_of',
+    'set_spectra',
+    'spectrum_numbers',
 ]

@@ -58,20 +58,20 @@ class Process(NamedTuple):
     """
     A process: the number of its spectrum and its length in samples, or -1 and a degree.
 
-    `prior` is the probability of all its amplitudes. One with the spectrum of the body has `lines`,
-    per sample, and no length: those of a `signal`, the angle (0) or the position (1). It has no
-    slope of its own if that signal has no trend.
+    `prior` is the probability of all its amplitudes. One with the spectrum of the body has
+    `spectral_lines`, per sample, and no length: those of a `signal`, the angle (0) or the position
+    (1). It has no slope of its own if that signal has no trend.
     """
 
     spectrum: int
     length: float
     prior: float
-    lines: Lines | None = None
+    spectral_lines: Lines | None = None
     signal: int = -1
 
     @property
     def has_slope(self) -> bool:
-        return self.lines is None or self.lines.has_trend
+        return self.spectral_lines is None or self.spectral_lines.has_trend
 
 
 class _Functions(NamedTuple):
@@ -129,9 +129,11 @@ def _waves(process: Process, count: int, time: Real, orders: range) -> list[tupl
 
 def _sizes(process: Process, count: int) -> tuple[Real, Real]:
     """Return the frequencies (J,) of a process, rad per sample, and the sizes (J,) of its waves."""
-    if process.lines is not None:
+    if process.spectral_lines is not None:
         # The largest amplitude makes them as large as they are.
-        return process.lines.frequency, np.sqrt(process.lines.variance) / _amplitudes(False)[-1]
+        return process.spectral_lines.frequency, np.sqrt(
+            process.spectral_lines.variance
+        ) / _amplitudes(False)[-1]
     # The sum repeats itself after this period, which is longer than a window.
     step = 2 * np.pi / (count + 10 * process.length)
     frequency = step * np.arange(int(np.pi / step) + 1)
@@ -176,8 +178,7 @@ def _line_derivatives(count: int, time: Real, order: int) -> Real:
     return np.stack((zero if order else one / np.sqrt(count), slope), axis=1)
 
 
-@lru_cache(maxsize=512)
-def _functions(process: Process, count: int, block: int) -> tuple[_Functions, _Functions]:
+def _decompose(process: Process, count: int, block: int) -> tuple[_Functions, _Functions]:
     """Return the functions of a process on a window, each sample the mean of a block."""
     time, root, lines = _half_window(count)
     offsets = (np.arange(block) - (block - 1) / 2) / block
@@ -201,6 +202,10 @@ def _functions(process: Process, count: int, block: int) -> tuple[_Functions, _F
     return functions[0], functions[1]
 
 
+# Those of the processes of all bodies: the spectra of bodies pass.
+_functions = lru_cache(maxsize=512)(_decompose)
+
+
 class _Member(NamedTuple):
     """A process on a window: its functions, even and odd, and the `sizes` of the modes in use."""
 
@@ -213,35 +218,35 @@ class _Member(NamedTuple):
         return (_amplitudes(exact)[:, None] * np.concatenate(self.sizes)) ** 2
 
 
-def _member(process: Process, count: int, block: int, exact: bool) -> _Member:
+def _member(process: Process, functions: tuple[_Functions, _Functions], exact: bool) -> _Member:
     """Return a process on a window; of exact samples all modes are in use, some of size 0."""
-    even, odd = _functions(process, count, block)
     largest = _amplitudes(exact)[-1]
     sizes = [
         np.pad(one.sizes, (0, one.vectors.shape[1] - len(one.sizes)))
         if exact
         else one.sizes[: np.count_nonzero(one.sizes * largest > _MIN_MODE_SIGMA)]
-        for one in (even, odd)
+        for one in functions
     ]
-    return _Member(process, (even, odd), (sizes[0], sizes[1]))
+    return _Member(process, functions, (sizes[0], sizes[1]))
 
 
 @lru_cache(maxsize=64)
 def _members(count: int, block: int, exact: bool) -> list[_Member]:
     """Return the processes of all bodies on a window."""
-    return [_member(process, count, block, exact) for process in _processes(count, exact)]
+    processes = _processes(count, exact)
+    return [_member(one, _functions(one, count, block), exact) for one in processes]
 
 
 @lru_cache(maxsize=16)
 def _members_of_body(spectrum: Spectrum, count: int, block: int) -> list[_Member]:
-    """Return the processes with the spectrum of a body, as probable as all others together."""
+    """Return the processes with the spectrum of a body, as probable as all others."""
     members: list[_Member] = []
     for signal, lines in enumerate(spectrum.lines):
         if len(lines.frequency):
             # For samples that are means of a block.
             lines = Lines(lines.frequency * block, lines.variance * block, lines.has_trend)
             process = Process(len(SPECTRA), 0.0, _PROCESS_PRIOR, lines, signal)
-            members.append(_member(process, count, block, False))
+            members.append(_member(process, _decompose(process, count, block), False))
     return members
 
 
@@ -335,8 +340,8 @@ def models_of(
         numbers.append(of_rest)
     # Polynomials and rest have the number after those of the spectra: common to all.
     last = len(SPECTRA) + (spectrum is not None)
-    numbers_of = np.array([*(one.process.spectrum % (last + 1) for one in members), last])
-    spectra = _fill_lanes(np.tile(numbers_of[:, None], len(amplitudes)), last)
+    by_process = np.array([*(one.process.spectrum % (last + 1) for one in members), last])
+    spectra = _fill_lanes(np.tile(by_process[:, None], len(amplitudes)), last)
     body_end = len(members) - len(_DEGREES)
     head = [len(members) + 1, spectra.shape[1] // _LANES, last, first[1, 0], len(sizes)]
     head += [body_end - len(of_body), body_end]
@@ -360,7 +365,7 @@ def _log_priors(members: list[_Member], count: int, exact: bool) -> tuple[Real, 
     for p, (process, _, sizes) in enumerate(members):
         variance = (amplitudes[:, None] * np.concatenate(sizes)) ** 2
         evidence = -np.log1p(variance).sum(axis=1) / 2
-        if process.lines is None:
+        if process.spectral_lines is None:
             prior = np.log(process.prior / len(amplitudes))
             log_prior[:, p] = prior + signals[:, None] * evidence
             continue

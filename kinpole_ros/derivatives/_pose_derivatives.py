@@ -23,7 +23,7 @@ from kinpole_ros.core.bindings import (
 )
 from kinpole_ros.derivatives._cached_tables import cached_table
 from kinpole_ros.derivatives._models import models_of, slopes_of, stencils_of
-from kinpole_ros.derivatives._spectra import Spectrum, numbers_of
+from kinpole_ros.derivatives._spectra import Spectrum, spectrum_numbers
 from kinpole_ros.planar._plane import Complex, Real
 
 # Memory of all tables, of which the oldest are dropped; a kind of window has 100 kB to 5 MB, and so
@@ -114,9 +114,9 @@ def derive_poses(
     call = new_call(window, order)
     call.frames, call.bodies, call.instants = frames, bodies, instants
     known = spectra if spectra is not None else [None] * bodies
-    know_spectra(call, known)
+    set_spectra(call, known)
     about = {'windows': np.array(windows), 'left_out': left_out, 'noise': noise}
-    about['spectrum'] = numbers_of(known)
+    about['spectrum'] = spectrum_numbers(known)
     for name, array in (poses._asdict() | about).items():
         call.bind(name, np.ascontiguousarray(array, call.elements[name]))
     derivatives = Derivatives(**DerivativeArrays.new_arrays(K=orders, T=instants, B=bodies))
@@ -157,7 +157,7 @@ def new_call(window: float, order: int) -> Call:
     return call
 
 
-def know_spectra(call: Call, spectra: Sequence[Spectrum | None]) -> None:
+def set_spectra(call: Call, spectra: Sequence[Spectrum | None]) -> None:
     """Let a call know these spectra of bodies, and no others."""
     known = {one.number: one for one in spectra if one is not None}
     if not call.spectra.keys() <= known.keys():

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives import numbers_of
+from kinpole_ros.derivatives import spectrum_numbers
 from kinpole_ros.planar import Fit
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.planar._procrustes import (
@@ -252,7 +252,7 @@ class Bodies:
     @cached_property
     def spectrum(self) -> np.ndarray:
         """Numbers (B,) of the spectra, 0 for none."""
-        return numbers_of(self.spectra)
+        return spectrum_numbers(self.spectra)
 
     @property
     def marker_variance(self) -> Real:

@@ -14,7 +14,7 @@ from kinpole_ros.core.bindings import (
     library,
     pass_new_array,
 )
-from kinpole_ros.derivatives import finish_call, know_spectra, new_call
+from kinpole_ros.derivatives import finish_call, new_call, set_spectra
 from kinpole_ros.settings import Settings
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.estimate import Results, new_results
@@ -100,7 +100,7 @@ class Step:
         known.bodies, known.width = bodies.shape.shape
         fields = bodies.placement._asdict() | bodies.fitting._asdict() | vars(bodies)
         fields |= {'reference': bodies.reference, 'spectrum': bodies.spectrum}
-        know_spectra(self._call, bodies.spectra)
+        set_spectra(self._call, bodies.spectra)
         for name in BodyArrays.elements:
             known.bind(name, np.ascontiguousarray(fields[name]))
         self.bind_history()
