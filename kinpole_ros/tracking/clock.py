@@ -30,6 +30,8 @@ from kinpole_ros.tracking.stamp_grid import count_on_grid
 MEMORY = 2000
 # The interval is searched in so many of the newest frames; fewer do not show losses of 2%.
 SEARCHED = 128
+# Frames that are ahead of the clock by more ticks have another rate.
+MAX_AHEAD_TICKS = 1
 # Most frames that wait until their count is certain: the usual lag at 200 Hz.
 MAX_PENDING = 20
 # The motion decides between stamps and ticks by so many nats.
@@ -251,10 +253,10 @@ def clock_of(
 
 def count_until_slip(stamps: np.ndarray, clock: Clock, before: int, slipped_at: int | None) -> int:
     """
-    Return how many of the next stamps come before one that slips by a rounding step.
+    Return how many of the next stamps come before it is clear that they slip by a rounding step.
 
-    If even stamps slip, they were rounded all the time. The clock has to be updated before that
-    frame.
+    If even stamps slip, they were rounded all the time. The clock has to be updated before the
+    second of two frames that are equally far off its ticks: another rate has no such frames.
 
     Parameters
     ----------
@@ -268,18 +270,55 @@ def count_until_slip(stamps: np.ndarray, clock: Clock, before: int, slipped_at: 
         A stamp for which the clock was updated already, ns.
 
     """
-    since = stamps - clock.origin
-    ticks = np.rint((since - clock.phase) / clock.interval)
-    off = np.abs(since - clock.phase - ticks * clock.interval)
-    if np.maximum.reduce(off) <= COARSE / 2:
+    since = np.concatenate(((before,), stamps)) - clock.origin
+    off = (since - clock.phase + clock.interval / 2) % clock.interval - clock.interval / 2
+    if np.maximum.reduce(np.abs(off[1:])) <= COARSE / 2:
         return len(stamps)
-    step = np.gcd(round(clock.resolution), since)
-    slips = (step >= COARSE) & (off > COARSE / 2) & (off <= (1 + TOLERANCE) * step)
-    # Two frames within a tick have another rate.
-    tick_before = np.rint((before - clock.origin - clock.phase) / clock.interval)
-    slips &= np.diff(ticks, prepend=tick_before) > 0
-    slips &= stamps != slipped_at
+    step = np.gcd(round(clock.resolution), since[1:])
+    slips = (np.abs(off[1:]) > COARSE / 2) & (np.abs(off[1:]) <= (1 + TOLERANCE) * step)
+    slips &= (np.abs(np.diff(off)) <= COARSE / 2) & (step >= COARSE) & (stamps != slipped_at)
     return int(slips.argmax()) if slips.any() else len(stamps)
+
+
+def count_until_other_rate(
+    recent: np.ndarray, stamps: np.ndarray, clock: Clock, count: int
+) -> int | None:
+    """
+    Return how many of the next frames come until they show that the rate has changed.
+
+    None if they do not. The newest frames, one more than `recent`, then come evenly, but in steps
+    that are no multiple of the interval, or so fast that they are ahead of the clock.
+
+    Parameters
+    ----------
+    recent : (R,) int64
+        The stamps before them, ns.
+    stamps : (T,) int64
+        Their stamps, ns.
+    clock : Clock
+        Their clock up to now.
+    count : int
+        The count of the last frame before them.
+
+    """
+    number = len(recent) + 1
+    newest = np.lib.stride_tricks.sliding_window_view(np.concatenate((recent, stamps)), number)
+    since = newest - newest[:, :1]
+    centered = np.arange(number) - (number - 1) / 2
+    step = since @ (centered / (centered @ centered))
+    span = np.ptp(since - step[:, None] * np.arange(number), axis=1)
+    resolution = np.minimum(np.gcd.reduce(np.diff(since, axis=1), axis=1), clock.resolution)
+    late, latest = (
+        (1 + TOLERANCE) * np.maximum(most, resolution) for most in (4 * clock.jitter, clock.largest)
+    )
+    missed = np.abs(step - np.rint(step / clock.interval) * clock.interval) * (number - 1)
+    is_slower = (step > clock.interval) & (missed > 2 * late) & (span <= late)
+    # Where frames are later than that, those that come while others are lost may look even.
+    is_slower &= late < clock.interval / 3
+    ahead = count + np.arange(1, len(stamps) + 1) - clock.ticks(stamps)
+    is_faster = (ahead > MAX_AHEAD_TICKS + clock.max_lateness_ticks) & (span <= latest)
+    is_other = is_slower | is_faster
+    return int(is_other.argmax()) + 1 if is_other.any() else None
 
 
 def counts_if_near(stamps: np.ndarray, clock: Clock) -> np.ndarray | None:

@@ -11,7 +11,7 @@ from collections import deque
 import numpy as np
 
 from kinpole_ros.planar._plane import ROUNDING, Real
-from kinpole_ros.tracking.clock import MAX_PENDING, Clock
+from kinpole_ros.tracking.clock import MAX_AHEAD_TICKS, MAX_PENDING, Clock
 from kinpole_ros.tracking.frame_intervals import LOSS_NATS, TOLERANCE, UNSETTLED
 from kinpole_ros.tracking.rejection import FARTHEST_MARKER
 
@@ -19,8 +19,6 @@ from kinpole_ros.tracking.rejection import FARTHEST_MARKER
 MAX_HYPOTHESES, MAX_COST_DIFFERENCE = 32, 20.0
 # A count is certain if its probability to be wrong is smaller.
 MAX_ERROR_PROBABILITY = 1 / 100
-# Frames that are ahead of the clock by more ticks have another rate.
-MAX_AHEAD_TICKS = 1
 # Lost frames in a row that are charged at most: a driver that hangs loses several at once.
 MOST_CHARGED_LOSSES = 2
 # Highest degree of the polynomials that are fitted to the motion.

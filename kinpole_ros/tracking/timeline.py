@@ -20,6 +20,7 @@ from kinpole_ros.tracking.clock import (
     StampState,
     clock_of,
     count_frames,
+    count_until_other_rate,
     count_until_slip,
     counts_if_near,
     estimate_clock,
@@ -79,6 +80,10 @@ class Timeline:
         self._lost = self._lost_before = self._lost_at_update = 0
         # Frames since the last update, and used frames that were not compared with neighbors yet.
         self._new = self._unweighed = 0
+        # The newest stamps, the count of the last frame at the last update, and whether the rate
+        # has changed since.
+        self._recent = np.zeros(0, np.int64)
+        self._count_at_update, self._rate_has_changed = 0, False
         # Whether even stamps may slip; the last stamp that did, and whether it is the next one.
         self._may_slip = self._has_slipped = False
         self._slipped_at: int | None = None
@@ -130,10 +135,12 @@ class Timeline:
             `accept` the others.
 
         """
-        # Stop where the clock is to be estimated again, or where the stamps slip against it.
+        # Stop where the clock is to be estimated again, as where stamps slip or show another rate.
         stamps = stamps[: self.until_update]
         if self._may_slip:
             stamps = stamps[: self._count_until_slip(stamps)]
+        if len(stamps) and (self._counter is not None or self._may_slip):
+            stamps = stamps[: self._count_until_other_rate(stamps)]
         count = len(stamps)
         if not count:
             return np.zeros(0, int), 0, False
@@ -161,6 +168,7 @@ class Timeline:
         self._seen += count
         self._new += count
         self._unweighed += int(np.count_nonzero(is_used))
+        self._recent = np.concatenate((self._recent, stamps))[1 - FEWEST_SAMPLES :]
 
     def _count_until_slip(self, stamps: np.ndarray) -> int:
         """Return how many of the next stamps (T,), ns, come before one that slips."""
@@ -169,6 +177,18 @@ class Timeline:
         if not first:
             self._has_slipped, self._slipped_at, self.until_update = True, int(stamps[0]), 0
         return first
+
+    def _count_until_other_rate(self, stamps: np.ndarray) -> int:
+        """Return how many of the next stamps (T,), ns, come until they show another rate."""
+        assert self.clock is not None
+        if len(self._recent) < FEWEST_SAMPLES - 1:
+            return len(stamps)
+        count = self._count_at_update + self._new
+        number = count_until_other_rate(self._recent, stamps, self.clock, count)
+        if number is None:
+            return len(stamps)
+        self._rate_has_changed, self.until_update = True, number
+        return number
 
     def _max_lateness(self) -> int:
         """The most that a frame may be late, ns."""
@@ -225,6 +245,7 @@ class Timeline:
         before = int(clock.ticks(np.array(first_stamp))) - 1
         self.clock, self._counter = clock, FrameCounter(clock, before)
         self._anchor = clock.origin + round(clock.phase + before * clock.interval), before
+        self._count_at_update = before
 
     def time_waiting(self, history: History, number: int) -> list[TimedFrames]:
         """Return the frames that wait with their likeliest times, as of the frame `number`."""
@@ -266,6 +287,8 @@ class Timeline:
 
         """
         was_at_ticks = self.at_ticks
+        if self._rate_has_changed:
+            self._forget_earlier_rate()
         counts = self._estimate_clock(history, noise)
         self.at_ticks = self._are_at_ticks()
         # After a quarter more frames, and at the latest after a twentieth of those remembered.
@@ -281,6 +304,14 @@ class Timeline:
         elif was_at_ticks:
             self._counter = None
             history['time'][...] = _increasing(history['stamp'])
+
+    def _forget_earlier_rate(self) -> None:
+        """Keep only the newest stamps, which are all of the new rate."""
+        kept, is_used = (np.concatenate(arrays) for arrays in zip(*self._appended, strict=True))
+        self._appended = [(kept[-FEWEST_SAMPLES:], is_used[-FEWEST_SAMPLES:])]
+        self._lost_before, self._lost_at_update = self._lost_before + self._lost_at_update, 0
+        self._seen, self._rate_has_changed = FEWEST_SAMPLES, False
+        self.clock = self._counter = None
 
     def _estimate_clock(self, history: History, noise: Real) -> np.ndarray:
         """Estimate the clock; return the counts (n,) of the newest frames of the history."""
@@ -306,7 +337,7 @@ class Timeline:
             clock, counts = even_clock(stamps, clock) or (clock, counts)
         self._appended = [(stamps, is_used)]
         self._count_lost_at_update(clock, kept, counts)
-        self.clock = clock
+        self.clock, self._count_at_update = clock, int(counts[-1])
         return np.asarray(counts[counted])
 
     def count_lost(self) -> None:

@@ -200,6 +200,26 @@ def test_a_change_of_the_rate_is_noticed():
         assert found < 0.1
 
 
+@pytest.mark.parametrize(('before', 'after'), [(25, 50), (100, 200), (200, 500), (250, 100)])
+def test_even_stamps_of_another_rate_were_not_rounded(before, after):
+    steps = np.repeat((1 / before, 1 / after), (101, after))
+    points, rates = turned(np.cumsum(steps), 1)
+    stamps = START + np.rint(np.cumsum(steps) * 1e9).astype(np.int64)
+    tracker, rms = errors(stamps, points, rates, skip=0.4)
+    assert not tracker.stamp_state().regularized
+    assert rms < 0.02
+
+
+@pytest.mark.parametrize(('before', 'after'), [(30, 50), (60, 25), (60, 200), (120, 100)])
+def test_rounded_stamps_of_another_rate_soon_have_its_clock(before, after):
+    steps = np.repeat((1 / before, 1 / after), (8 * before, 3 * after))
+    times = np.cumsum(steps)
+    points, rates = turned(times, 1)
+    tracker, rms = errors(late(times, 'rounded', drift=0), points, rates, skip=8.3)
+    assert tracker.state.timeline.clock.interval == pytest.approx(1e9 / after, rel=1e-2)
+    assert rms < 0.1
+
+
 @pytest.mark.parametrize('block', [1, 7, None])
 @pytest.mark.parametrize('even', [5, 7, 12, 18, 30])
 def test_a_shift_by_half_a_period_updates_the_clock_once(monkeypatch, even, block):
