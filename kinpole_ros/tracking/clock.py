@@ -30,6 +30,8 @@ from kinpole_ros.tracking.stamp_grid import count_on_grid
 MEMORY = 2000
 # The interval is searched in so many of the newest frames; fewer do not show losses of 2%.
 SEARCHED = 128
+# Few frames that come faster than by this factor waited for a machine that stalled.
+MAX_SPEEDUP = 4.0
 # Frames that are ahead of the clock by more ticks have another rate.
 MAX_AHEAD_TICKS = 1
 # Most frames that wait until their count is certain: the usual lag at 200 Hz.
@@ -308,16 +310,15 @@ def count_until_other_rate(
     step = since @ (centered / (centered @ centered))
     span = np.ptp(since - step[:, None] * np.arange(number), axis=1)
     resolution = np.minimum(np.gcd.reduce(np.diff(since, axis=1), axis=1), clock.resolution)
-    late, latest = (
-        (1 + TOLERANCE) * np.maximum(most, resolution) for most in (4 * clock.jitter, clock.largest)
-    )
-    missed = np.abs(step - np.rint(step / clock.interval) * clock.interval) * (number - 1)
-    is_slower = (step > clock.interval) & (missed > 2 * late) & (span <= late)
+    late = (1 + TOLERANCE) * np.maximum(3 * clock.jitter, resolution)
     # Where frames are later than that, those that come while others are lost may look even.
-    is_slower &= late < clock.interval / 3
+    is_even = (span <= late) & (late < clock.interval / 3)
+    missed = np.abs(step - np.rint(step / clock.interval) * clock.interval) * (number - 1)
+    is_slower = (step > clock.interval) & (missed > 2 * late)
     ahead = count + np.arange(1, len(stamps) + 1) - clock.ticks(stamps)
-    is_faster = (ahead > MAX_AHEAD_TICKS + clock.max_lateness_ticks) & (span <= latest)
-    is_other = is_slower | is_faster
+    is_faster = (clock.interval - step) * (number - 1) > 2 * late
+    is_faster &= (MAX_SPEEDUP * step > clock.interval) & (ahead > MAX_AHEAD_TICKS)
+    is_other = is_even & (is_slower | is_faster)
     return int(is_other.argmax()) + 1 if is_other.any() else None
 
 

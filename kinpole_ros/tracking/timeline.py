@@ -292,7 +292,7 @@ class Timeline:
         counts = self._estimate_clock(history, noise)
         self.at_ticks = self._are_at_ticks()
         # After a quarter more frames, and at the latest after a twentieth of those remembered.
-        self.until_update = min(max(1, self._seen // 4), MEMORY // 20)
+        self.until_update = min(max(1, len(self._appended[0][0]) // 4), MEMORY // 20)
         assert self.clock is not None
         self._may_slip = (
             self._settings.stamps == 'auto' and not self.at_ticks and self.clock.is_even
@@ -301,6 +301,8 @@ class Timeline:
             self._count_history(history, counts)
             if self._counter is not None:
                 self._counter.noise = float(np.fmax.reduce(noise)) / self._settings.scale
+                # The least, in case that a frame in doubt is late.
+                self._count_at_update = self._counter.count + self._counter.pending
         elif was_at_ticks:
             self._counter = None
             history['time'][...] = _increasing(history['stamp'])
@@ -310,7 +312,7 @@ class Timeline:
         kept, is_used = (np.concatenate(arrays) for arrays in zip(*self._appended, strict=True))
         self._appended = [(kept[-FEWEST_SAMPLES:], is_used[-FEWEST_SAMPLES:])]
         self._lost_before, self._lost_at_update = self._lost_before + self._lost_at_update, 0
-        self._seen, self._rate_has_changed = FEWEST_SAMPLES, False
+        self._rate_has_changed = False
         self.clock = self._counter = None
 
     def _estimate_clock(self, history: History, noise: Real) -> np.ndarray:
@@ -337,7 +339,8 @@ class Timeline:
             clock, counts = even_clock(stamps, clock) or (clock, counts)
         self._appended = [(stamps, is_used)]
         self._count_lost_at_update(clock, kept, counts)
-        self.clock, self._count_at_update = clock, int(counts[-1])
+        self.clock = clock
+        self._count_at_update = int(counts[-1])
         return np.asarray(counts[counted])
 
     def count_lost(self) -> None:
