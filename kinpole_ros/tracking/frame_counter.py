@@ -10,6 +10,7 @@ from collections import deque
 
 import numpy as np
 
+from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.planar._plane import ROUNDING, Real
 from kinpole_ros.tracking.clock import MAX_AHEAD_TICKS, MAX_PENDING, Clock
 from kinpole_ros.tracking.frame_intervals import LOSS_NATS, TOLERANCE, UNSETTLED
@@ -132,11 +133,15 @@ class FrameCounter:
         number = self.pending + 1
         tick = float(self.clock.ticks(np.array(stamp))) + self._ticks_ahead
         most = math.floor(tick) - self.count - number
+        ahead = self.count + number - math.floor(tick + TOLERANCE)
+        if ahead > 0 and self.clock.is_rounded and number < FEWEST_SAMPLES:
+            # Before its tick by more than the rounding: wait whether the rate has changed.
+            self._losses, self._costs = np.zeros((1, number), np.int64), np.zeros(1)
+            return np.zeros(0, np.int64)
         if most < 0:
             # A frame before its tick: the phase of the clock was not known well.
-            self._ticks_ahead += max(self.count + number - math.floor(tick + TOLERANCE), 0)
-            most = 0
-        if not most:
+            self._ticks_ahead += max(ahead, 0)
+        if most <= 0:
             # No frame was lost before the pending ones either.
             return self._accept(number, np.zeros((1, number), np.int64), np.zeros(1))
         self._extend(most)

@@ -220,6 +220,15 @@ def test_rounded_stamps_of_another_rate_soon_have_its_clock(before, after):
     assert rms < 0.1
 
 
+@pytest.mark.parametrize(('before', 'after'), [(30, 50), (30, 100), (60, 200)])
+@pytest.mark.parametrize('block', [1, None])
+def test_frames_before_the_ticks_of_their_rounding_wait_for_another_rate(before, after, block):
+    times = np.cumsum(np.repeat((1 / before, 1 / after), (8 * before, 3 * after)))
+    points, rates = turned(times, 1)
+    _, stamp, rate = track(late(times, 'rounded', drift=0), points, block=block)
+    assert np.abs(rate - rates[0])[stamp > START + 2 * 10**9].max() < 0.5
+
+
 @pytest.mark.parametrize('block', [1, 7, None])
 @pytest.mark.parametrize('even', [5, 7, 12, 18, 30])
 def test_a_shift_by_half_a_period_updates_the_clock_once(monkeypatch, even, block):
