@@ -14,20 +14,15 @@ import numpy as np
 from bench._events import Record, event_motions, smooth_motions
 from bench._record import START
 from bench._rows import Rows
-from kinpole_ros.derivatives import (
-    SPECTRUM_WINDOWS,
-    Derivatives,
-    Poses,
-    Windows,
-    derive_poses,
-    find_spectrum,
-)
+from kinpole_ros.derivatives import Derivatives, Poses, Windows, derive_poses, find_spectrum
+from kinpole_ros.tracking.state import MIN_HISTORY_FRAMES
+from kinpole_ros.tracking.update import MIN_HISTORY_WINDOWS
 
 # Windows, s, by frames per s; lags, s; deviations of the angle, rad, of bodies 0.2 m wide.
 _WINDOWS = {30: 0.5, 60: 0.3, 200: 0.3}
 _LAGS, _NOISES, _ARM = (0.0, 0.1), (1e-4, 1e-3, 1e-2), 0.1
-# Frames that the tracker remembers; windows that are left out between two that are measured.
-_REMEMBERED, _STRIDE = 2048, 3
+# Of so many windows one is measured.
+_STRIDE = 3
 _QUANTITIES = ('ω', 'α', 'jerk')
 # An error below this share of that of the polynomial of lowest degree counts as that: it may be 0.
 _LEAST = 0.3
@@ -103,7 +98,7 @@ def _measure(motion: Motion, noise: float, rate: int, lag: float) -> _Cell:
     """Compare both on the windows after the frames that are remembered."""
     window = _WINDOWS[rate]
     length, ahead = round(window * rate), round(lag * rate)
-    known = max(_REMEMBERED, (SPECTRUM_WINDOWS + 2) * length)
+    known = max(MIN_HISTORY_FRAMES, MIN_HISTORY_WINDOWS * length)
     count = known + 1024
     time = np.arange(count) / rate
     record, rng = motion(time), np.random.default_rng(5)
