@@ -129,11 +129,10 @@ def _waves(process: Process, count: int, time: Real, orders: range) -> list[tupl
 
 def _sizes(process: Process, count: int) -> tuple[Real, Real]:
     """Return the frequencies (J,) of a process, rad per sample, and the sizes (J,) of its waves."""
-    if process.spectral_lines is not None:
+    lines = process.spectral_lines
+    if lines is not None:
         # The largest amplitude makes them as large as they are.
-        return process.spectral_lines.frequency, np.sqrt(
-            process.spectral_lines.variance
-        ) / _amplitudes(False)[-1]
+        return lines.frequency, np.sqrt(lines.variance) / _amplitudes(False)[-1]
     # The sum repeats itself after this period, which is longer than a window.
     step = 2 * np.pi / (count + 10 * process.length)
     frequency = step * np.arange(int(np.pi / step) + 1)
