@@ -213,7 +213,7 @@ def test_even_stamps_of_another_rate_were_not_rounded(before, after):
 @pytest.mark.parametrize(('before', 'after'), [(30, 50), (60, 25), (60, 200), (120, 100)])
 def test_rounded_stamps_of_another_rate_soon_have_its_clock(before, after):
     steps = np.repeat((1 / before, 1 / after), (8 * before, 3 * after))
-    times = np.cumsum(steps)
+    times = np.cumsum(steps)[frames_kept(len(steps))]
     points, rates = turned(times, 1)
     tracker, rms = errors(late(times, 'rounded', drift=0), points, rates, skip=8.3)
     assert tracker.state.timeline.clock.interval == pytest.approx(1e9 / after, rel=1e-2)
@@ -227,6 +227,19 @@ def test_frames_before_the_ticks_of_their_rounding_wait_for_another_rate(before,
     points, rates = turned(times, 1)
     _, stamp, rate = track(late(times, 'rounded', drift=0), points, block=block)
     assert np.abs(rate - rates[0])[stamp > START + 2 * 10**9].max() < 0.5
+
+
+def test_frames_that_waited_while_the_machine_stalled_are_of_no_faster_camera():
+    rng = np.random.default_rng(0)
+    times = np.arange(2400) / 200
+    arrived = times.copy()
+    for first, length in zip(rng.uniform(1, 11, 6), rng.uniform(0.05, 0.25, 6), strict=True):
+        waits = (arrived > first) & (arrived < first + length)
+        arrived[waits] = first + length + 2e-4 * np.arange(np.count_nonzero(waits))
+    points, rates = turned(times, 1)
+    tracker, rms = errors(late(arrived, 'rounded', drift=0), points, rates)
+    assert tracker.state.timeline.clock.interval == pytest.approx(5e6, rel=1e-3)
+    assert rms < 0.05
 
 
 @pytest.mark.parametrize('block', [1, 7, None])
