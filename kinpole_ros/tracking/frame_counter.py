@@ -138,9 +138,8 @@ class FrameCounter:
             # Before its tick by more than the rounding: wait whether the rate has changed.
             self._losses, self._costs = np.zeros((1, number), np.int64), np.zeros(1)
             return np.zeros(0, np.int64)
-        if most < 0:
-            # A frame before its tick: the phase of the clock was not known well.
-            self._ticks_ahead += max(ahead, 0)
+        # For a frame before its tick the phase of the clock was not known well.
+        self._ticks_ahead += max(ahead, 0)
         if most <= 0:
             # No frame was lost before the pending ones either.
             return self._accept(number, np.zeros((1, number), np.int64), np.zeros(1))

@@ -5,6 +5,7 @@ The count of a frame is the number of its tick. Only the stamps and the motion d
 clock of the machine.
 """
 
+import math
 from collections import Counter
 
 import numpy as np
@@ -80,9 +81,7 @@ class Timeline:
         self._lost = self._lost_before = self._lost_at_update = 0
         # Frames since the last update, and used frames that were not compared with neighbors yet.
         self._new = self._unweighed = 0
-        # The newest stamps, the count of the last frame at the last update, and whether the rate
-        # has changed since.
-        self._recent = np.zeros(0, np.int64)
+        # The least count of the last frame at the last update, and whether the rate changed since.
         self._count_at_update, self._rate_has_changed = 0, False
         # Whether even stamps may slip; the last stamp that did, and whether it is the next one.
         self._may_slip = self._has_slipped = False
@@ -168,7 +167,6 @@ class Timeline:
         self._seen += count
         self._new += count
         self._unweighed += int(np.count_nonzero(is_used))
-        self._recent = np.concatenate((self._recent, stamps))[1 - FEWEST_SAMPLES :]
 
     def _count_until_slip(self, stamps: np.ndarray) -> int:
         """Return how many of the next stamps (T,), ns, come before one that slips."""
@@ -181,14 +179,17 @@ class Timeline:
     def _count_until_other_rate(self, stamps: np.ndarray) -> int:
         """Return how many of the next stamps (T,), ns, come until they show another rate."""
         assert self.clock is not None
-        if len(self._recent) < FEWEST_SAMPLES - 1:
+        number = FEWEST_SAMPLES - 1
+        newest = [earlier[-number:] for earlier, _ in self._appended[-number:]]
+        recent = np.concatenate(newest)[-number:]
+        if len(recent) < number:
             return len(stamps)
         count = self._count_at_update + self._new
-        number = count_until_other_rate(self._recent, stamps, self.clock, count)
-        if number is None:
+        shown = count_until_other_rate(recent, stamps, self.clock, count)
+        if shown is None:
             return len(stamps)
-        self._rate_has_changed, self.until_update = True, number
-        return number
+        self._rate_has_changed, self.until_update = True, shown
+        return shown
 
     def _max_lateness(self) -> int:
         """The most that a frame may be late, ns."""
@@ -245,7 +246,6 @@ class Timeline:
         before = int(clock.ticks(np.array(first_stamp))) - 1
         self.clock, self._counter = clock, FrameCounter(clock, before)
         self._anchor = clock.origin + round(clock.phase + before * clock.interval), before
-        self._count_at_update = before
 
     def time_waiting(self, history: History, number: int) -> list[TimedFrames]:
         """Return the frames that wait with their likeliest times, as of the frame `number`."""
@@ -301,11 +301,14 @@ class Timeline:
             self._count_history(history, counts)
             if self._counter is not None:
                 self._counter.noise = float(np.fmax.reduce(noise)) / self._settings.scale
-                # The least, in case that a frame in doubt is late.
-                self._count_at_update = self._counter.count + self._counter.pending
         elif was_at_ticks:
             self._counter = None
             history['time'][...] = _increasing(history['stamp'])
+        if self._counter is None:
+            self._count_at_update = math.floor(self.clock.ticks(self._appended[0][0][-1]))
+        else:
+            # Frames in doubt may be late.
+            self._count_at_update = self._counter.count + self._counter.pending
 
     def _forget_earlier_rate(self) -> None:
         """Keep only the newest stamps, which are all of the new rate."""
@@ -340,7 +343,6 @@ class Timeline:
         self._appended = [(stamps, is_used)]
         self._count_lost_at_update(clock, kept, counts)
         self.clock = clock
-        self._count_at_update = int(counts[-1])
         return np.asarray(counts[counted])
 
     def count_lost(self) -> None:
